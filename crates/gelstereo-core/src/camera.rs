@@ -1,0 +1,175 @@
+//! One camera: pinhole, lens distortion and its inverse.
+
+use crate::math::{DVec2, DVec3, sqrt};
+
+/// A pinhole camera with the Brown-Conrady distortion of OpenCV (k1, k2, p1, p2, k3).
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
+pub struct Camera {
+    /// Image width, pixels.
+    pub width_px: usize,
+    /// Image height, pixels.
+    pub height_px: usize,
+    /// Horizontal focal length, pixels.
+    pub fx_px: f64,
+    /// Vertical focal length, pixels.
+    pub fy_px: f64,
+    /// Principal point's column, pixels; the first pixel's centre is at 0.
+    pub cx_px: f64,
+    /// Principal point's row, pixels.
+    pub cy_px: f64,
+    /// k1, k2, p1, p2, k3.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub distortion: [f64; 5],
+}
+
+/// Why a camera cannot be used, or a pixel has no ray.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum CameraError {
+    /// A focal length is not above 0, or a number is not finite, or the image is empty.
+    Invalid {
+        /// Which field.
+        field: &'static str,
+        /// What was found.
+        found: f64,
+    },
+    /// The pixel lies where the distortion model folds over: no ray, or more than one, would reach it.
+    BeyondDistortion {
+        /// The pixel, px.
+        pixel_px: DVec2,
+    },
+    /// The pixel is NaN or infinite.
+    PixelNotFinite,
+}
+
+impl core::fmt::Display for CameraError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Invalid { field, found } => write!(
+                f,
+                "the camera's {field} is {found}; sizes and focal lengths must be above 0 and all numbers finite"
+            ),
+            Self::BeyondDistortion { pixel_px } => write!(
+                f,
+                "pixel ({:.2}, {:.2}) lies beyond the range in which the distortion model can be inverted; \
+                 calibrate with corners that reach this part of the image",
+                pixel_px.x, pixel_px.y
+            ),
+            Self::PixelNotFinite => write!(f, "the pixel has a coordinate that is NaN or infinite"),
+        }
+    }
+}
+
+impl core::error::Error for CameraError {}
+
+impl Camera {
+    /// Checks that the numbers describe a camera.
+    ///
+    /// # Errors
+    /// [`CameraError::Invalid`] naming the field.
+    pub fn validate(&self) -> Result<(), CameraError> {
+        let sizes = [("width_px", self.width_px as f64), ("height_px", self.height_px as f64)];
+        let focals = [("fx_px", self.fx_px), ("fy_px", self.fy_px)];
+        for (field, found) in sizes.into_iter().chain(focals) {
+            if !(found > 0.0 && found.is_finite()) {
+                return Err(CameraError::Invalid { field, found });
+            }
+        }
+        let rest = [("cx_px", self.cx_px), ("cy_px", self.cy_px)];
+        for (field, found) in rest.into_iter().chain(self.distortion.map(|k| ("distortion", k))) {
+            if !found.is_finite() {
+                return Err(CameraError::Invalid { field, found });
+            }
+        }
+        Ok(())
+    }
+
+    /// Pixel of a point in this camera's frame (mm or any unit), or `None` behind the camera.
+    #[must_use]
+    pub fn project(&self, point: DVec3) -> Option<DVec2> {
+        if !(point.z > 0.0) {
+            return None;
+        }
+        let d = self.distort(DVec2::new(point.x / point.z, point.y / point.z));
+        Some(DVec2::new(self.fx_px * d.x + self.cx_px, self.fy_px * d.y + self.cy_px))
+    }
+
+    /// Distorted normalised coordinates of undistorted ones.
+    #[must_use]
+    pub fn distort(&self, p: DVec2) -> DVec2 {
+        let [k1, k2, p1, p2, k3] = self.distortion;
+        let r2 = p.length_squared();
+        let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+        DVec2::new(
+            p.x * radial + 2.0 * p1 * p.x * p.y + p2 * (r2 + 2.0 * p.x * p.x),
+            p.y * radial + p1 * (r2 + 2.0 * p.y * p.y) + 2.0 * p2 * p.x * p.y,
+        )
+    }
+
+    /// Normalised undistorted coordinates (x / z, y / z) of a pixel.
+    ///
+    /// Newton's method on the distortion with its exact Jacobian; a step that would leave the region in which the
+    /// model is one-to-one around the centre is refused instead of returning another branch's answer.
+    ///
+    /// # Errors
+    /// [`CameraError::BeyondDistortion`] or [`CameraError::PixelNotFinite`].
+    pub fn undistort(&self, pixel_px: DVec2) -> Result<DVec2, CameraError> {
+        if !pixel_px.is_finite() {
+            return Err(CameraError::PixelNotFinite);
+        }
+        let target =
+            DVec2::new((pixel_px.x - self.cx_px) / self.fx_px, (pixel_px.y - self.cy_px) / self.fy_px);
+        if self.distortion == [0.0; 5] {
+            return Ok(target);
+        }
+        self.invert_distortion(target).ok_or(CameraError::BeyondDistortion { pixel_px })
+    }
+
+    /// Follows the solution from the centre outwards (homotopy in the target's length), so that the answer is on the
+    /// branch that contains the principal point.
+    fn invert_distortion(&self, target: DVec2) -> Option<DVec2> {
+        let steps = 1 + (sqrt(target.length_squared()) * 4.0) as usize;
+        let mut p = DVec2::ZERO;
+        for step in 1..=steps {
+            p = self.newton(target * (step as f64 / steps as f64), p)?;
+        }
+        Some(p)
+    }
+
+    fn newton(&self, target: DVec2, start: DVec2) -> Option<DVec2> {
+        let scale = 1.0 + target.length();
+        let mut p = start;
+        for _ in 0..20 {
+            let residual = self.distort(p) - target;
+            let (a, b, c, d) = self.distortion_jacobian(p);
+            let determinant = a * d - b * c;
+            if !(determinant > 1e-6) {
+                return None;
+            }
+            let step =
+                DVec2::new(d * residual.x - b * residual.y, a * residual.y - c * residual.x) / determinant;
+            p -= step;
+            if step.length() <= 1e-14 * scale {
+                break;
+            }
+        }
+        let (a, b, c, d) = self.distortion_jacobian(p);
+        let converged = (self.distort(p) - target).length() <= 1e-12 * scale;
+        (converged && a * d - b * c > 1e-6).then_some(p)
+    }
+
+    /// Rows of d distort / d p: ((a, b), (c, d)).
+    fn distortion_jacobian(&self, p: DVec2) -> (f64, f64, f64, f64) {
+        let [k1, k2, p1, p2, k3] = self.distortion;
+        let r2 = p.length_squared();
+        let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+        let slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3)); // d radial / d r2, times 2
+        let cross = slope * p.x * p.y + 2.0 * p1 * p.x + 2.0 * p2 * p.y;
+        (
+            radial + slope * p.x * p.x + 2.0 * p1 * p.y + 6.0 * p2 * p.x,
+            cross,
+            cross,
+            radial + slope * p.y * p.y + 6.0 * p1 * p.y + 2.0 * p2 * p.x,
+        )
+    }
+}

@@ -1,0 +1,139 @@
+//! What touches the gel: rest surface, saliency (Eq. 4), mean marker motion and the stop triggers.
+
+use crate::math::linalg::{Symmetric, eigen};
+use crate::math::{DVec2, DVec3, centroid};
+use crate::track::MarkerState;
+use alloc::vec::Vec;
+
+/// Why a cloud is no rest surface.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ContactError {
+    /// Fewer than three points, or all on one line.
+    NoPlane {
+        /// Points found.
+        points: usize,
+    },
+    /// A cloud does not have the markers of the rest surface.
+    LengthMismatch {
+        /// Markers of the rest surface.
+        rest: usize,
+        /// Markers found.
+        found: usize,
+    },
+    /// A point is NaN or infinite.
+    NotFinite {
+        /// Which marker.
+        index: usize,
+    },
+}
+
+impl core::fmt::Display for ContactError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::NoPlane { points } => {
+                write!(
+                    f,
+                    "{points} rest points span no plane; at least three that are not on one line are needed"
+                )
+            }
+            Self::LengthMismatch { rest, found } => write!(
+                f,
+                "the cloud has {found} markers but the rest surface {rest}; both must come from the same tracks"
+            ),
+            Self::NotFinite { index } => write!(f, "marker {index} has a coordinate that is NaN or infinite"),
+        }
+    }
+}
+
+impl core::error::Error for ContactError {}
+
+/// The markers when nothing touches the gel, and the plane through them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RestSurface {
+    points_mm: Vec<DVec3>,
+    centre_mm: DVec3,
+    normal: DVec3,
+}
+
+impl RestSurface {
+    /// From a cloud without contact: least-squares plane (smallest eigenvector of the scatter) with its normal
+    /// towards the camera.
+    ///
+    /// # Errors
+    /// [`ContactError::NotFinite`], or [`ContactError::NoPlane`] when the points span none.
+    pub fn new(points_mm: &[DVec3]) -> Result<Self, ContactError> {
+        check_finite(points_mm)?;
+        let centre_mm = centroid(points_mm);
+        let scatter: Symmetric<3> = core::array::from_fn(|i| {
+            core::array::from_fn(|j| points_mm.iter().map(|&p| (p - centre_mm)[i] * (p - centre_mm)[j]).sum())
+        });
+        let eigen = eigen(&scatter);
+        // On a line the two smallest eigenvalues are both round-off of the largest.
+        if points_mm.len() < 3 || eigen.values[1] <= 1e-12 * eigen.values[2] {
+            return Err(ContactError::NoPlane { points: points_mm.len() });
+        }
+        let up = DVec3::from_array(eigen.vectors[0]);
+        let normal = if up.z > 0.0 { -up } else { up };
+        Ok(Self { points_mm: points_mm.to_vec(), centre_mm, normal })
+    }
+
+    /// Unit normal of the rest plane, towards the camera (sensor frame).
+    #[must_use]
+    pub const fn normal(&self) -> DVec3 {
+        self.normal
+    }
+
+    /// Centroid of the rest markers (sensor frame).
+    #[must_use]
+    pub const fn centre_mm(&self) -> DVec3 {
+        self.centre_mm
+    }
+
+    /// The rest markers (sensor frame).
+    #[must_use]
+    pub fn points_mm(&self) -> &[DVec3] {
+        &self.points_mm
+    }
+
+    /// Height of every marker above its rest height, along the rest plane's normal; positive towards the camera.
+    ///
+    /// # Errors
+    /// [`ContactError::LengthMismatch`] or [`ContactError::NotFinite`].
+    pub fn indentation_mm(&self, points_mm: &[DVec3], out: &mut Vec<f64>) -> Result<(), ContactError> {
+        out.clear();
+        if points_mm.len() != self.points_mm.len() {
+            return Err(ContactError::LengthMismatch { rest: self.points_mm.len(), found: points_mm.len() });
+        }
+        check_finite(points_mm)?;
+        out.extend(points_mm.iter().zip(&self.points_mm).map(|(&p, &rest)| (p - rest).dot(self.normal)));
+        Ok(())
+    }
+}
+
+fn check_finite(points_mm: &[DVec3]) -> Result<(), ContactError> {
+    match points_mm.iter().position(|p| !p.is_finite()) {
+        Some(index) => Err(ContactError::NotFinite { index }),
+        None => Ok(()),
+    }
+}
+
+/// Eq. 4: a marker is salient when it was seen and its indentation exceeds the threshold.
+pub fn saliency(indentation_mm: &[f64], state: &[MarkerState], threshold_mm: f64, out: &mut Vec<bool>) {
+    out.clear();
+    out.extend(
+        indentation_mm.iter().zip(state).map(|(&h, &state)| state == MarkerState::Seen && h > threshold_mm),
+    );
+}
+
+/// Mean distance of the markers that were seen from their reference positions, in pixels; 0 when none was seen.
+#[must_use]
+pub fn mean_motion_px(reference_px: &[DVec2], now_px: &[DVec2], state: &[MarkerState]) -> f64 {
+    let (mut sum, mut count) = (0.0, 0_usize);
+    for ((&reference, &now), &state) in reference_px.iter().zip(now_px).zip(state) {
+        if state == MarkerState::Seen {
+            sum += (now - reference).length();
+            count += 1;
+        }
+    }
+    if count == 0 { 0.0 } else { sum / count as f64 }
+}

@@ -1,0 +1,102 @@
+//! Borrowed 8-bit grey images.
+
+/// A grey image that somebody else owns: `height` rows of `width` bytes, `stride` bytes apart.
+///
+/// A view of the left half of a side-by-side frame is the same buffer with the whole frame's stride.
+#[derive(Clone, Copy, Debug)]
+pub struct GrayView<'a> {
+    data: &'a [u8],
+    width: usize,
+    height: usize,
+    stride: usize,
+}
+
+/// Why a buffer is no image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ImageError {
+    /// Width or height is zero.
+    Empty {
+        /// Width found, pixels.
+        width: usize,
+        /// Height found, pixels.
+        height: usize,
+    },
+    /// Rows would overlap.
+    StrideTooSmall {
+        /// Width, pixels.
+        width: usize,
+        /// Stride found, bytes.
+        stride: usize,
+    },
+    /// The buffer ends before the last row does.
+    BufferTooShort {
+        /// Bytes that the shape needs.
+        needed: usize,
+        /// Bytes found.
+        found: usize,
+    },
+}
+
+impl core::fmt::Display for ImageError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Empty { width, height } => {
+                write!(f, "the image is {width} x {height} pixels; both sides must be at least 1")
+            }
+            Self::StrideTooSmall { width, stride } => {
+                write!(f, "the stride is {stride} bytes for rows of {width}; it must be at least the width")
+            }
+            Self::BufferTooShort { needed, found } => {
+                write!(f, "the buffer holds {found} bytes, but the shape and stride need {needed}")
+            }
+        }
+    }
+}
+
+impl core::error::Error for ImageError {}
+
+impl<'a> GrayView<'a> {
+    /// A view of rows that are `stride` bytes apart.
+    ///
+    /// # Errors
+    /// [`ImageError`] when the shape is empty or does not fit the buffer.
+    pub fn new(data: &'a [u8], width: usize, height: usize, stride: usize) -> Result<Self, ImageError> {
+        if width == 0 || height == 0 {
+            return Err(ImageError::Empty { width, height });
+        }
+        if stride < width {
+            return Err(ImageError::StrideTooSmall { width, stride });
+        }
+        let needed = stride.saturating_mul(height - 1).saturating_add(width);
+        if data.len() < needed {
+            return Err(ImageError::BufferTooShort { needed, found: data.len() });
+        }
+        Ok(Self { data, width, height, stride })
+    }
+
+    /// Width in pixels.
+    #[must_use]
+    pub const fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Height in pixels.
+    #[must_use]
+    pub const fn height(&self) -> usize {
+        self.height
+    }
+
+    /// The bytes of row `y`, which must be below [`Self::height`].
+    #[must_use]
+    pub fn row(&self, y: usize) -> &'a [u8] {
+        &self.data[y * self.stride..y * self.stride + self.width]
+    }
+
+    /// The darkest and brightest value.
+    #[must_use]
+    pub fn range(&self) -> (u8, u8) {
+        (0..self.height)
+            .flat_map(|y| self.row(y))
+            .fold((u8::MAX, 0), |(low, high), &v| (low.min(v), high.max(v)))
+    }
+}

@@ -1,0 +1,39 @@
+//! The only door to libm, and the small geometry built on it.
+//!
+//! libm is used in place of std's functions because std's differ between machines with and without FMA, and the
+//! same input must give the same bits everywhere.
+
+pub mod linalg;
+pub mod random;
+pub mod se3;
+pub mod so3;
+
+pub use glam::{DMat3, DQuat, DVec2, DVec3};
+pub use libm::{
+    acos, asin, atan2, cbrt, ceil, cos, erf, exp, fabs as abs, floor, hypot, log as ln, log1p, pow,
+    rint as round_even, round, sin, sqrt, tan,
+};
+pub use se3::Pose;
+
+/// Arithmetic mean of the points; the zero vector for an empty slice.
+#[must_use]
+pub fn centroid(points: &[DVec3]) -> DVec3 {
+    if points.is_empty() {
+        return DVec3::ZERO;
+    }
+    // Summed relative to the first point, so that an offset of 1e9 mm costs no digits of the shape.
+    let origin = points[0];
+    let sum = points.iter().fold(DVec3::ZERO, |sum, &point| sum + (point - origin));
+    origin + sum / points.len() as f64
+}
+
+/// The middle value of `values` (the upper one of the two for an even count), which it reorders.
+///
+/// Returns `None` for an empty slice. Non-finite values are ordered by `f64::total_cmp`.
+pub fn median(values: &mut [f64]) -> Option<f64> {
+    if values.is_empty() {
+        return None;
+    }
+    let middle = values.len() / 2;
+    Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}

@@ -1,0 +1,168 @@
+//! Two cameras: what calibration produces and triangulation consumes.
+
+use crate::camera::{Camera, CameraError};
+use crate::math::{DMat3, DVec2, DVec3, Pose, so3};
+
+/// A calibrated stereo pair.
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
+pub struct Rig {
+    /// The left camera; its frame is the sensor frame.
+    pub left: Camera,
+    /// The right camera.
+    pub right: Camera,
+    /// Maps left camera coordinates to right camera coordinates; for a right camera that stands at +x its
+    /// translation has a negative x, as OpenCV's `T`.
+    pub t_right_left: Pose,
+}
+
+/// Why two cameras are no rig.
+#[derive(Clone, Debug, PartialEq)]
+pub enum RigError {
+    /// The left camera is invalid.
+    Left(CameraError),
+    /// The right camera is invalid.
+    Right(CameraError),
+    /// The cameras stand at the same place: depth cannot be seen.
+    NoBaseline {
+        /// Distance found.
+        baseline_mm: f64,
+    },
+    /// The right camera stands left of, or mostly above or before, the left one.
+    NotSideBySide {
+        /// Position of the right camera in the left camera's frame.
+        right_camera_mm: DVec3,
+    },
+}
+
+impl core::fmt::Display for RigError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Left(error) => write!(f, "left camera: {error}"),
+            Self::Right(error) => write!(f, "right camera: {error}"),
+            Self::NoBaseline { baseline_mm } => write!(
+                f,
+                "the cameras are {baseline_mm:e} mm apart; depth needs a baseline (is t_right_left in millimetres?)"
+            ),
+            Self::NotSideBySide { right_camera_mm: c } => write!(
+                f,
+                "the right camera stands at ({:.3}, {:.3}, {:.3}) mm in the left camera's frame; it must stand \
+                 mainly towards +x (are the views swapped?)",
+                c.x, c.y, c.z
+            ),
+        }
+    }
+}
+
+impl core::error::Error for RigError {}
+
+/// Row-aligned virtual cameras of a rig (Fusiello, Trucco and Verri 2000, with OpenCV's equal split of the rotation),
+/// and Q of Eq. 3.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rectification {
+    /// Rotates left camera coordinates to rectified ones.
+    pub r_left: DMat3,
+    /// Rotates right camera coordinates to rectified ones.
+    pub r_right: DMat3,
+    /// Focal length of both virtual cameras, pixels.
+    pub f_px: f64,
+    /// Principal point of both virtual cameras, pixels.
+    pub c_px: DVec2,
+    /// Baseline, millimetres.
+    pub baseline_mm: f64,
+}
+
+/// Shortest baseline that is taken for one: below a micrometre, calibration found nothing.
+pub const MIN_BASELINE_MM: f64 = 1e-3;
+
+impl Rig {
+    /// Two equal, parallel cameras without distortion, the right one `baseline_mm` towards +x.
+    #[must_use]
+    pub fn parallel(camera: Camera, baseline_mm: f64) -> Self {
+        let t_right_left = Pose::from_translation_mm(DVec3::new(-baseline_mm, 0.0, 0.0));
+        Self { left: camera.clone(), right: camera, t_right_left }
+    }
+
+    /// Distance between the cameras.
+    #[must_use]
+    pub fn baseline_mm(&self) -> f64 {
+        self.t_right_left.translation_mm.length()
+    }
+
+    /// Checks that the numbers describe a rig.
+    ///
+    /// # Errors
+    /// [`RigError`] saying what is wrong.
+    pub fn validate(&self) -> Result<(), RigError> {
+        self.left.validate().map_err(RigError::Left)?;
+        self.right.validate().map_err(RigError::Right)?;
+        let baseline_mm = self.baseline_mm();
+        if !(baseline_mm >= MIN_BASELINE_MM && baseline_mm.is_finite()) {
+            return Err(RigError::NoBaseline { baseline_mm });
+        }
+        let right_camera_mm = self.t_right_left.inverse().translation_mm;
+        if right_camera_mm.x < 0.5 * baseline_mm {
+            return Err(RigError::NotSideBySide { right_camera_mm });
+        }
+        Ok(())
+    }
+
+    /// The row-aligned virtual cameras.
+    ///
+    /// # Errors
+    /// As [`Self::validate`].
+    pub fn rectification(&self) -> Result<Rectification, RigError> {
+        self.validate()?;
+        // Each camera turns half the way, so that both views are distorted alike (OpenCV's stereoRectify).
+        let half = so3::log(self.t_right_left.rotation) * 0.5;
+        let to_right = DMat3::from_quat(so3::exp(half));
+        let to_left = DMat3::from_quat(so3::exp(-half));
+        let t = to_left * self.t_right_left.translation_mm; // along the baseline, in the half-way frame
+        let x_axis = -t / t.length();
+        // Turn about the axis perpendicular to the baseline and the half-way frame's x axis: the smallest turn.
+        let axis = x_axis.cross(DVec3::X);
+        let sine = axis.length();
+        let angle = crate::math::atan2(sine, x_axis.x);
+        let omega = if sine > 0.0 { axis * (angle / sine) } else { DVec3::ZERO };
+        let align = DMat3::from_quat(so3::exp(omega));
+        Ok(Rectification {
+            r_left: align * to_right,
+            r_right: align * to_left,
+            f_px: 0.5 * (self.left.fy_px + self.right.fy_px),
+            c_px: DVec2::new(
+                0.5 * (self.left.cx_px + self.right.cx_px),
+                0.5 * (self.left.cy_px + self.right.cy_px),
+            ),
+            baseline_mm: t.length(),
+        })
+    }
+
+    /// Pixels of a point of the sensor frame in both views, or `None` behind a camera.
+    #[must_use]
+    pub fn project(&self, point_mm: DVec3) -> Option<(DVec2, DVec2)> {
+        let left = self.left.project(point_mm)?;
+        let right = self.right.project(self.t_right_left.transform_point(point_mm))?;
+        Some((left, right))
+    }
+}
+
+impl Rectification {
+    /// Q of Eq. 3, rows: (X, Y, Z, W) = Q (x, y, d, 1) with the signed disparity d = x_left - x_right.
+    #[must_use]
+    pub fn q(&self) -> [[f64; 4]; 4] {
+        [
+            [1.0, 0.0, 0.0, -self.c_px.x],
+            [0.0, 1.0, 0.0, -self.c_px.y],
+            [0.0, 0.0, 0.0, self.f_px],
+            [0.0, 0.0, 1.0 / self.baseline_mm, 0.0],
+        ]
+    }
+
+    /// Rectified pixel of normalised coordinates of the camera that `r` rotates, or `None` when the ray does not
+    /// meet the virtual image.
+    #[must_use]
+    pub fn rectify(&self, r: &DMat3, normalised: DVec2) -> Option<DVec2> {
+        let ray = *r * DVec3::new(normalised.x, normalised.y, 1.0);
+        (ray.z > 0.0).then(|| DVec2::new(ray.x, ray.y) * (self.f_px / ray.z) + self.c_px)
+    }
+}

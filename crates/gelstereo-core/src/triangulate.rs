@@ -1,0 +1,187 @@
+//! From two views of a marker to a point in millimetres (Eq. 3), with its covariance.
+
+use crate::camera::CameraError;
+use crate::math::linalg::Symmetric;
+use crate::math::{DMat3, DQuat, DVec2, DVec3};
+use crate::params::TriangulateParams;
+use crate::rig::{Rectification, Rig, RigError};
+
+/// Why a pair of pixels is no point. `index` counts from 0 in the order given.
+#[derive(Clone, Debug, PartialEq)]
+pub enum TriangulateError {
+    /// The rig cannot be used.
+    Rig(RigError),
+    /// The two views have different numbers of markers.
+    LengthMismatch {
+        /// Markers in the left view.
+        left: usize,
+        /// Markers in the right view.
+        right: usize,
+    },
+    /// A pixel has no ray.
+    Ray {
+        /// Which marker.
+        index: usize,
+        /// `"left"` or `"right"`.
+        view: &'static str,
+        /// Why.
+        error: CameraError,
+    },
+    /// Disparity x_left - x_right is not above the smallest that has a meaning: the rays are parallel or diverge.
+    Disparity {
+        /// Which marker.
+        index: usize,
+        /// Signed disparity found, px.
+        disparity_px: f64,
+        /// Smallest valid one, px.
+        min_px: f64,
+        /// How many of the markers have the same fault; all of them means that the views are swapped.
+        affected: usize,
+        /// Markers in all.
+        of: usize,
+    },
+}
+
+impl core::fmt::Display for TriangulateError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Rig(error) => error.fmt(f),
+            Self::LengthMismatch { left, right } => {
+                write!(f, "{left} markers in the left view but {right} in the right; each pair is one marker")
+            }
+            Self::Ray { index, view, error } => write!(f, "marker {index}, {view} view: {error}"),
+            Self::Disparity { index, disparity_px, min_px, affected, of } => {
+                write!(
+                    f,
+                    "marker {index} has a disparity (x_left - x_right) of {disparity_px:.3e} px; valid is at least \
+                     {min_px} px; {affected} of {of} markers have this fault"
+                )?;
+                if affected == of && *disparity_px < 0.0 {
+                    write!(f, ": the left and right views are swapped")?;
+                }
+                Ok(())
+            }
+        }
+    }
+}
+
+impl core::error::Error for TriangulateError {}
+
+/// A point of the sensor frame and how well its rows agreed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StereoPoint {
+    /// Position in the sensor (left camera) frame, millimetres.
+    pub point_mm: DVec3,
+    /// Rectified row in the left view minus that in the right, pixels; noise alone makes it a few tenths.
+    pub epipolar_px: f64,
+}
+
+/// Triangulation with a rig's rectification worked out once.
+#[derive(Clone, Debug)]
+pub struct Triangulator {
+    rig: Rig,
+    rectification: Rectification,
+    to_sensor: DQuat,
+    params: TriangulateParams,
+}
+
+impl Triangulator {
+    /// For this rig.
+    ///
+    /// # Errors
+    /// [`TriangulateError::Rig`].
+    pub fn new(rig: &Rig, params: &TriangulateParams) -> Result<Self, TriangulateError> {
+        let rectification = rig.rectification().map_err(TriangulateError::Rig)?;
+        let to_sensor = DQuat::from_mat3(&rectification.r_left).conjugate().normalize();
+        Ok(Self { rig: rig.clone(), rectification, to_sensor, params: params.clone() })
+    }
+
+    /// The rig it was made for.
+    #[must_use]
+    pub const fn rig(&self) -> &Rig {
+        &self.rig
+    }
+
+    /// Points of corresponding pixels, in order; `out` is cleared first.
+    ///
+    /// # Errors
+    /// [`TriangulateError`] for the first marker at fault; `out` then holds the points before it.
+    pub fn run(
+        &self,
+        left_px: &[DVec2],
+        right_px: &[DVec2],
+        out: &mut alloc::vec::Vec<StereoPoint>,
+    ) -> Result<(), TriangulateError> {
+        out.clear();
+        if left_px.len() != right_px.len() {
+            return Err(TriangulateError::LengthMismatch { left: left_px.len(), right: right_px.len() });
+        }
+        for (index, (&left, &right)) in left_px.iter().zip(right_px).enumerate() {
+            let (l, r) = self.rectify(index, left, right)?;
+            let disparity_px = l.x - r.x;
+            if !(disparity_px >= self.params.min_disparity_px) {
+                return Err(self.disparity_error(index, disparity_px, left_px, right_px));
+            }
+            out.push(StereoPoint {
+                point_mm: self.to_sensor * self.reproject(l, disparity_px),
+                epipolar_px: l.y - r.y,
+            });
+        }
+        Ok(())
+    }
+
+    /// Covariance of a point of the sensor frame, mm², for independent centre errors of `sigma_px` per axis in both
+    /// views (first order; the row is measured twice and averaged by a least-squares point, once by Eq. 3).
+    #[must_use]
+    pub fn covariance_mm2(&self, point_mm: DVec3, sigma_px: f64) -> Symmetric<3> {
+        let r = &self.rectification;
+        let p = self.to_sensor.conjugate() * point_mm;
+        let s = p.z / r.f_px; // mm per pixel at this depth
+        // d(X, Y, Z) / d(x_left, y_left, x_right) of Eq. 3, with Z = f B / d.
+        let dz = p.z / r.baseline_mm * s; // mm of depth per pixel of disparity
+        let along = p / p.z;
+        let columns = [DVec3::X * s - along * dz, DVec3::Y * s, along * dz].map(|c| self.to_sensor * c);
+        let variance = sigma_px * sigma_px;
+        core::array::from_fn(|i| {
+            core::array::from_fn(|j| variance * columns.iter().map(|c| c[i] * c[j]).sum::<f64>())
+        })
+    }
+
+    /// Q (x, y, d, 1), in the rectified left frame.
+    fn reproject(&self, left: DVec2, disparity_px: f64) -> DVec3 {
+        let r = &self.rectification;
+        let scale = r.baseline_mm / disparity_px;
+        DVec3::new((left.x - r.c_px.x) * scale, (left.y - r.c_px.y) * scale, r.f_px * scale)
+    }
+
+    fn rectify(&self, index: usize, left: DVec2, right: DVec2) -> Result<(DVec2, DVec2), TriangulateError> {
+        let one = |view, camera: &crate::camera::Camera, r: &DMat3, pixel: DVec2| {
+            let fail = |error| TriangulateError::Ray { index, view, error };
+            let normalised = camera.undistort(pixel).map_err(fail)?;
+            self.rectification
+                .rectify(r, normalised)
+                .ok_or(fail(CameraError::BeyondDistortion { pixel_px: pixel }))
+        };
+        Ok((
+            one("left", &self.rig.left, &self.rectification.r_left, left)?,
+            one("right", &self.rig.right, &self.rectification.r_right, right)?,
+        ))
+    }
+
+    #[cold]
+    fn disparity_error(
+        &self,
+        index: usize,
+        disparity_px: f64,
+        left_px: &[DVec2],
+        right_px: &[DVec2],
+    ) -> TriangulateError {
+        let min_px = self.params.min_disparity_px;
+        let faulty = |(i, (&l, &r)): (usize, (&DVec2, &DVec2))| match self.rectify(i, l, r) {
+            Ok((l, r)) => !(l.x - r.x >= min_px),
+            Err(_) => false,
+        };
+        let affected = left_px.iter().zip(right_px).enumerate().filter(|&pair| faulty(pair)).count();
+        TriangulateError::Disparity { index, disparity_px, min_px, affected, of: left_px.len() }
+    }
+}

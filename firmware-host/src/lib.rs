@@ -1,0 +1,1 @@
+//! gelstereo on the robot's computer.

@@ -1,0 +1,2 @@
+//! gelstereo-host
+fn main() {}
