@@ -19,12 +19,13 @@ const MARGIN_PX: u32 = 2;
 /// Fractional bits of grey levels here; with 8 + 12 bits, and coordinates below 2^15, sums over 2^24 pixels fit 64.
 const LEVEL_BITS: u32 = 12;
 
-/// Mean position weighted by contrast over the component's bounding box and `MARGIN_PX` around it.
+/// Mean position weighted by contrast, over the component's bounding box and [`MARGIN_PX`] around it.
 ///
-/// The contrast is measured from a plane through the frame of pixels around the box, so that neither a slope of light nor the
-/// marker's neighbours (which bend the background of the threshold) shift the centre. It counts between 1/4 and 3/4
-/// of the marker's mean contrast only: noise of the gel and grain of the paint then carry no weight, and what is left
-/// is the marker's edge, which holds the information about its position.
+/// The contrast is measured from a plane through the frame of pixels around the box, so that neither a slope of light
+/// nor the marker's neighbours (which bend the background of the threshold) shift the centre. It counts from 1/8 of
+/// the marker's mean contrast up to that mean only: noise of the gel and grain of the paint then carry no weight, and
+/// what is left is the marker's edge, which holds the information about its position. A narrower band would see
+/// less noise, but sharp edges pass it within less than a pixel, and the centre would depend on where in a pixel it lies.
 ///
 /// Falls back to [`binary`] where fewer than two sides of the frame lie within the image.
 #[must_use]
@@ -47,7 +48,7 @@ pub fn grey(image: GrayView<'_>, mask: &[u8], blob: &Blob, polarity: Polarity) -
         }
     });
     let mean = inside / pixels.max(1);
-    let (low, high) = (mean / 4, mean * 3 / 4);
+    let (low, high) = (mean / 8, mean);
     let (mut weight, mut moment_u, mut moment_v) = (0_i64, 0_i64, 0_i64);
     window.visit(image, |x, y, level| {
         let w = contrast(x, y, level).clamp(low, high) - low;
