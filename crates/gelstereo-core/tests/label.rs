@@ -84,7 +84,7 @@ fn row_15_foresight_sorts_up_to_five_degrees() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(400))]
+    #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
 
     /// Any turn, shear, 10 missing, 5 spurious: right labels or a refusal.
     #[test]
