@@ -140,6 +140,9 @@ fn what_is_no_such_lattice_is_refused_by_name() {
     assert!(matches!(fit(&truth[..600], 25, 25), Err(LabelError::Count { found: 600, .. })));
     let wider = lattice(25, 26, PITCH, DVec2::new(330.0, 240.0), 0.0, 0.0);
     assert!(matches!(fit(&wider, 25, 25), Err(LabelError::Shape { rows: 25, cols: 26, .. })));
+    // One placement fits, but half of the printed lattice lies outside of it.
+    let cut: Vec<DVec2> = (0..650).filter(|n| n % 26 != 25 || n / 26 % 2 == 0).map(|n| wider[n]).collect();
+    assert!(matches!(fit(&cut, 25, 25), Err(LabelError::Shape { rows: 25, cols: 26, labelled: 638, .. })));
     let nan: Vec<DVec2> = truth.iter().copied().chain([DVec2::NAN]).collect();
     assert_eq!(fit(&nan, 25, 25), Err(LabelError::NotFinite { index: 625 }));
     let turned = as_seen(25, 43.0, 0.0);
