@@ -164,12 +164,34 @@ fn grey_centres_have_no_bias_at_the_lattice_edge_or_under_a_slope_of_light() {
     }
 }
 
-/// Dots so close that the window of one reaches into the other.
+/// Dots with 3.4 px of gel between them, which is the margin of 2 px and a pixel's diagonal: the box around one
+/// reaches into the other across, but the pixels that count do not.
 #[test]
 fn grey_centres_ignore_what_belongs_to_a_neighbour() {
-    let centres = vec![DVec2::new(30.2, 30.1), DVec2::new(41.4, 30.3), DVec2::new(35.9, 41.3)];
     let params = DetectParams { centre: Centre::Grey, ..DetectParams::default() };
-    let markers = detect(&params, &Dots::new(70, 70, centres.clone()).render(), 70).unwrap();
-    let (rms, near) = errors(&markers.centres_px, &centres);
-    assert!(near == 3 && rms < 0.03, "{rms} px, {near} found");
+    for phase in 0..10 {
+        let first = DVec2::new(30.2, 30.1) + DVec2::new(0.13, 0.29) * f64::from(phase);
+        for step in [DVec2::new(12.0, 0.0), DVec2::new(8.49, 8.49), DVec2::new(-8.49, 8.49)] {
+            let centres = vec![first, first + step];
+            let markers = detect(&params, &Dots::new(70, 70, centres.clone()).render(), 70).unwrap();
+            let (rms, near) = errors(&markers.centres_px, &centres);
+            assert!(near == 2 && rms < 0.03, "{rms} px, {near} found, {step}");
+        }
+    }
+}
+
+/// Beside the border only a part of the surround is there.
+#[test]
+fn grey_centres_hold_beside_the_border() {
+    let params = DetectParams { centre: Centre::Grey, ..DetectParams::default() };
+    for step in 0..30 {
+        let inset = 6.0 + 0.1 * f64::from(step);
+        for centre in
+            [DVec2::new(inset, 30.2), DVec2::new(59.0 - inset, 59.0 - inset), DVec2::new(30.4, inset)]
+        {
+            let markers = detect(&params, &Dots::new(60, 60, vec![centre]).render(), 60).unwrap();
+            let (rms, near) = errors(&markers.centres_px, &[centre]);
+            assert!(near == 1 && rms < 0.04, "{rms} px at {centre}, {near} found");
+        }
+    }
 }

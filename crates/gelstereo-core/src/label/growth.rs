@@ -214,9 +214,9 @@ impl<'a> Growth<'a> {
         let mut fitting = (0..=self.rows as usize - rows)
             .flat_map(|r| (0..=self.cols as usize - cols).map(move |c| (r, c)))
             .filter(|&(r, c)| count(r, c) as usize >= least);
-        // A chance detection one step outside is no row; half a row of them is.
+        // A chance detection one step outside is no row; a quarter of a row of them is the print going on.
         let labelled = self.at.iter().flatten().count();
-        let most_outside = rows.min(cols) / 2;
+        let most_outside = rows.min(cols) / 4;
         match (fitting.next(), fitting.next()) {
             (Some((top, left)), None) if labelled - count(top, left) as usize <= most_outside => {
                 let place = |n: usize| self.position((top + n / cols) as isize, (left + n % cols) as isize);
