@@ -8,6 +8,7 @@ use gelstereo_core::image::GrayView;
 use gelstereo_core::math::DVec2;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::params::{Background, Centre, DetectParams, Polarity};
+use proptest::prelude::*;
 use support::{Dots, errors, paper_lattice, view};
 
 fn detect(params: &DetectParams, image: &[u8], width: usize) -> Result<Markers, DetectError> {
@@ -117,7 +118,7 @@ fn row_30_rows_of_a_wider_frame_give_the_same_markers() {
     }
     for params in every_rung() {
         let mut markers = Markers::default();
-        let part = GrayView::new(&wide[130..], 160, 120, 400).unwrap();
+        let part = view(&wide, 400).crop(130, 0, 160, 120).unwrap();
         Detector::new(&params).run(part, &mut markers).unwrap();
         assert_eq!(markers, detect(&params, &image, 160).unwrap());
     }
@@ -192,6 +193,42 @@ fn grey_centres_hold_beside_the_border() {
             let markers = detect(&params, &Dots::new(60, 60, vec![centre]).render(), 60).unwrap();
             let (rms, near) = errors(&markers.centres_px, &[centre]);
             assert!(near == 1 && rms < 0.04, "{rms} px at {centre}, {near} found");
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 500, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Whatever the image and the settings, an answer is an error by name or markers within the image.
+    #[test]
+    fn row_30_any_image_has_an_answer(
+        (width, bytes) in (1..40_usize, 1..40_usize).prop_flat_map(|(width, height)| {
+            (Just(width), prop::collection::vec(prop_oneof![Just(0), Just(255), any::<u8>()], width * height))
+        }),
+        (gaussian, grey, dark) in any::<(bool, bool, bool)>(),
+        (smooth, surround, kernel) in (0..4_usize, 0..30_usize, 0..3_usize),
+        threshold_levels in 1..=255_u8,
+        min_area_px2 in 1..20_u32,
+    ) {
+        let params = DetectParams {
+            polarity: if dark { Polarity::Dark } else { Polarity::Bright },
+            background: if gaussian { Background::Gaussian } else { Background::Box },
+            centre: if grey { Centre::Grey } else { Centre::Binary },
+            smooth_kernel_px: 2 * smooth + 1,
+            background_kernel_px: 2 * surround + 1,
+            morphology_kernel_px: 2 * kernel + 1,
+            threshold_levels,
+            min_area_px2,
+            max_area_px2: 2000,
+            min_fill: 0.0,
+        };
+        if let Ok(markers) = detect(&params, &bytes, width) {
+            prop_assert_eq!(markers.centres_px.len(), markers.area_px2.len());
+            let last = DVec2::new((width - 1) as f64, (bytes.len() / width - 1) as f64);
+            for centre in markers.centres_px {
+                prop_assert!(centre.cmpge(DVec2::ZERO).all() && centre.cmple(last).all(), "{centre}");
+            }
         }
     }
 }

@@ -149,3 +149,28 @@ fn what_is_no_such_lattice_is_refused_by_name() {
     assert!(matches!(fit(&turned, 25, 25), Err(LabelError::Rotated { .. })));
     assert_eq!(fit(&[DVec2::ONE; 625], 25, 25), Err(LabelError::NoLattice { found: 625 }));
 }
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 500, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Whatever the points, an answer is an error by name or a lattice of finite positions.
+    #[test]
+    fn any_points_have_an_answer(
+        scale in prop_oneof![Just(0.0), Just(1e-300), Just(3.0), Just(1e3), Just(1e160), Just(1e308)],
+        points in prop::collection::vec((-4..5_i8, -4..5_i8, -0.2..0.2_f64), 0..60),
+        (rows, cols, max_missing) in (2..6_usize, 2..6_usize, 0..12_usize),
+        strange in prop_oneof![4 => Just(None), 1 => Just(Some(f64::NAN)), 1 => Just(Some(f64::INFINITY))],
+    ) {
+        let mut points: Vec<DVec2> =
+            points.iter().map(|&(x, y, shake)| DVec2::new(f64::from(x) + shake, f64::from(y) - shake) * scale).collect();
+        points.extend(strange.map(|value| DVec2::new(1.0, value)));
+        let lattice = params(rows, cols, max_missing);
+        if let Ok(rest) = rest_lattice(&points, &lattice, TOLERANCE) {
+            prop_assert!(rest.positions_px.len() == rows * cols && rest.positions_px.iter().all(|p| p.is_finite()));
+            prop_assert!(rest.pitch_px > 0.0);
+        }
+        points.resize(rows * cols, DVec2::ONE);
+        let mut order = Vec::new();
+        let _ = foresight_sort(&points, &lattice, 0.3 * scale, &mut order);
+    }
+}
