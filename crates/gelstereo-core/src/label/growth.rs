@@ -21,6 +21,9 @@ const STEPS: [(isize, isize); 4] = [(0, 1), (1, 0), (0, -1), (-1, 0)];
 /// `tolerance_pitches` of the prediction. Detections off the lattice are ignored. The labels are right for any
 /// rotation up to 40 degrees: row 0 is the upper one, column 0 the left one.
 ///
+/// The frame must be undisturbed if markers may be missing: where a press makes dots merge, one that slipped into the
+/// place of a missing one cannot be told from it.
+///
 /// # Errors
 /// [`LabelError`] naming what was found. A lattice is refused unless exactly one placement of rows x cols covers it,
 /// and unless it has at least 3 x 3 markers.
@@ -47,8 +50,9 @@ pub fn rest_lattice(
     check_regular(lattice.rows, lattice.cols, tolerance_pitches * pitch_px, |r, c| {
         partial.get(r as isize, c as isize)
     })?;
-    let filled = partial.at.iter().map(Option::is_none).collect();
+    let filled: Vec<bool> = partial.at.iter().map(Option::is_none).collect();
     let positions_px = partial.filled().ok_or(LabelError::Count { found, expected, max_missing })?;
+    growth.check_gaps(&positions_px, &filled, pitch_px, lattice.cols)?;
     Ok(RestLattice { positions_px, filled, pitch_px })
 }
 
@@ -224,6 +228,26 @@ impl<'a> Growth<'a> {
             }
             _ => Err(self.shape_error(lattice)),
         }
+    }
+
+    /// Refuses a marker that was filled in although an unlabelled detection lies nearer to it than to any place between
+    /// markers: the labels around it have slipped. (The middle of two merged dots is half a pitch from both.)
+    fn check_gaps(
+        &self,
+        positions_px: &[DVec2],
+        filled: &[bool],
+        pitch_px: f64,
+        cols: usize,
+    ) -> Result<(), LabelError> {
+        let most_px = 0.45 * pitch_px;
+        for n in (0..filled.len()).filter(|&n| filled[n]) {
+            let slipped = self.grid.nearest(self.points, positions_px[n], most_px, |m| !self.taken[m]);
+            if let Some(m) = slipped {
+                let off_px = positions_px[n].distance(self.points[m]);
+                return Err(LabelError::Irregular { row: n / cols, col: n % cols, off_px, most_px });
+            }
+        }
+        Ok(())
     }
 
     /// Labelled places above and left of each corner of the canvas, and how many corners a row has.
