@@ -169,30 +169,56 @@ impl<'a> Growth<'a> {
     /// Breadth first from the seed: steps near the seed, where most is known, come first.
     fn grow(&mut self, seed: &Seed) {
         let middle = (self.rows / 2, self.cols / 2);
-        let mut queue = vec![middle];
+        let mut places = vec![middle];
         self.label(middle, seed.centre);
         for (&(dr, dc), &detection) in STEPS.iter().zip(&seed.around) {
             let place = (middle.0 + dr, middle.1 + dc);
             self.label(place, detection);
-            queue.push(place);
+            places.push(place);
         }
-        let mut next = 0;
-        while let Some(&(row, col)) = queue.get(next) {
-            next += 1;
-            for step in STEPS {
-                let place = (row + step.0, col + step.1);
-                if self.index(place.0, place.1).is_some_and(|index| self.at[index].is_none())
-                    && let Some(detection) = self.find((row, col), step)
-                {
-                    self.label(place, detection);
-                    queue.push(place);
+        // Sure steps first: a speck or the middle of two merged dots, once labelled, would mislead those that follow.
+        for share in [0.5, 1.0] {
+            self.spread(&mut places, share * self.tolerance_pitches);
+        }
+    }
+
+    /// Labels what lies one step from a labelled place, until nothing new is found.
+    ///
+    /// What could not be predicted, or was predicted badly, when its neighbour's turn came may be found later, when more
+    /// is known around it: the list is gone through until it stays the same.
+    fn spread(&mut self, places: &mut Vec<(isize, isize)>, tolerance_pitches: f64) {
+        let mut before = 0;
+        while before < places.len() {
+            before = places.len();
+            let mut next = 0;
+            while let Some(&place) = places.get(next) {
+                next += 1;
+                for step in STEPS {
+                    places.extend(self.step(place, step, tolerance_pitches));
                 }
             }
         }
     }
 
+    /// Labels the neighbour of a labelled place, if that is new and found.
+    fn step(
+        &mut self,
+        from: (isize, isize),
+        step: (isize, isize),
+        tolerance_pitches: f64,
+    ) -> Option<(isize, isize)> {
+        let place = (from.0 + step.0, from.1 + step.1);
+        let index = self.index(place.0, place.1)?;
+        if self.at[index].is_some() {
+            return None;
+        }
+        let detection = self.find(from, step, tolerance_pitches)?;
+        self.label(place, detection)?;
+        Some(place)
+    }
+
     /// The free detection at one step from a labelled place; none if a labelled one is nearer to the prediction.
-    fn find(&self, from: (isize, isize), (dr, dc): (isize, isize)) -> Option<usize> {
+    fn find(&self, from: (isize, isize), (dr, dc): (isize, isize), tolerance_pitches: f64) -> Option<usize> {
         let here = self.position(from.0, from.1)?;
         let straight = self.position(from.0 - dr, from.1 - dc).map(|before| here * 2.0 - before);
         // The same step one row or column to either side.
@@ -201,7 +227,7 @@ impl<'a> Growth<'a> {
             Some(here + self.position(r + dr, c + dc)? - self.position(r, c)?)
         });
         let predicted = mean(straight.into_iter().chain(beside))?;
-        let radius_px = self.tolerance_pitches * predicted.distance(here);
+        let radius_px = tolerance_pitches * predicted.distance(here);
         self.grid.nearest(self.points, predicted, radius_px, |_| true).filter(|&m| !self.taken[m])
     }
 
@@ -230,8 +256,8 @@ impl<'a> Growth<'a> {
         }
     }
 
-    /// Refuses a marker that was filled in although an unlabelled detection lies nearer to it than to any place between
-    /// markers: the labels around it have slipped. (The middle of two merged dots is half a pitch from both.)
+    /// Refuses a marker that was filled in although an unlabelled detection lies within the tolerance of it: the labels
+    /// around it have slipped. (The middle of two merged dots is half a pitch from both.)
     fn check_gaps(
         &self,
         positions_px: &[DVec2],
@@ -239,7 +265,7 @@ impl<'a> Growth<'a> {
         pitch_px: f64,
         cols: usize,
     ) -> Result<(), LabelError> {
-        let most_px = 0.45 * pitch_px;
+        let most_px = self.tolerance_pitches * pitch_px;
         for n in (0..filled.len()).filter(|&n| filled[n]) {
             let slipped = self.grid.nearest(self.points, positions_px[n], most_px, |m| !self.taken[m]);
             if let Some(m) = slipped {
