@@ -48,6 +48,22 @@ proptest! {
     }
 
     #[test]
+    fn markers_in_contact_lie_on_the_part_and_none_within(
+        depth in 0.5..2.5, dx in -0.5..0.5, dy in -0.5..0.5, twist in -0.2..0.2,
+    ) {
+        let scene = with_effects(SPHERE, Effects::of_gel());
+        let mut contact = press(&scene, DVec3::ZERO, DVec2::new(dx, dy), depth);
+        contact.shear_mm = [dx, dy];
+        contact.twist_rad = twist;
+        let found = truth(&scene, Some(&contact));
+        prop_assert!(found.in_contact.contains(&true));
+        for (point, &touched) in found.points_mm.iter().zip(&found.in_contact) {
+            let away = (*point - contact.t_sensor_object.translation_mm).length();
+            prop_assert!(if touched { (away - 4.0).abs() < 1e-9 } else { away > 4.0 - 1e-9 }, "{away} mm");
+        }
+    }
+
+    #[test]
     fn the_answer_does_not_depend_on_what_was_asked_before(a in 0.0..2.5, b in 0.0..2.5, shear in -0.5..0.5) {
         let scene = with_effects(PEG, Effects::of_gel());
         let [mut first, second] = [a, b].map(|depth| press(&scene, ACROSS, DVec2::ZERO, depth));
