@@ -3,7 +3,7 @@
 
 mod common;
 
-use gelstereo_core::math::{DVec3, so3};
+use gelstereo_core::math::{DVec2, DVec3, so3};
 use gelstereo_sim::{Effects, Scene, SceneError, Simulator, Truth};
 
 const GALLERY: [(&str, &str); 3] = [
@@ -51,6 +51,11 @@ fn the_gallery_runs_and_presses_the_gel() {
         let deepest = (0..simulator.frames()).map(|frame| {
             let contact = simulator.contact(frame);
             simulator.truth(contact.as_ref(), &mut truth);
+            let seen = |p: &DVec2| (5.0..634.0).contains(&p.x) && (5.0..474.0).contains(&p.y);
+            assert!(
+                truth.left_px.iter().chain(&truth.right_px).all(seen),
+                "{name}: frame {frame} loses dots"
+            );
             truth.indentation_mm.iter().fold(0.0_f64, |deep, &h| deep.max(h))
         });
         let deepest = deepest.fold(0.0_f64, f64::max);
