@@ -27,7 +27,6 @@
 //! For degenerate registration see J. Zhang, M. Kaess, S. Singh, "On Degeneracy of Optimization-based State
 //! Estimation Problems" (2016); there the threshold is tuned, here it follows from the noise.
 
-use super::template::Template;
 use crate::math::linalg::{self, Symmetric};
 use crate::math::{DVec3, Pose, centroid, so3, sqrt};
 
@@ -69,27 +68,8 @@ pub(super) struct Sighting {
     pub residual: f64,
     /// Weight, 0 to 1.
     pub weight: f64,
-    /// κ of the surface there, rad/mm.
-    pub curvature_per_mm: f64,
-    /// t², the squared tangential distance from the point to where the normal was read.
-    pub tangential_squared: f64,
-}
-
-impl Sighting {
-    /// Of the plane of template point `nearest`, with weight 1.
-    pub fn nearest(template: &Template, nearest: usize, point: DVec3, lever: DVec3) -> Self {
-        let normal = template.normals()[nearest];
-        let offset = template.points_mm()[nearest] - point;
-        let residual = normal.dot(offset);
-        Self {
-            lever,
-            normal,
-            residual,
-            weight: 1.0,
-            curvature_per_mm: template.curvatures_per_mm()[nearest],
-            tangential_squared: (offset - normal * residual).length_squared(),
-        }
-    }
+    /// τ², variance of the normal along the axes across it, rad².
+    pub normal_variance: f64,
 }
 
 /// Σ J Jᵀ, Σ J r and N over the points of a patch.
@@ -97,8 +77,6 @@ impl Sighting {
 pub(super) struct System {
     radius_mm: f64,
     sigma_mm: f64,
-    /// Curvature above which a normal counts as exact.
-    edge_per_mm: f64,
     hessian: Symmetric<6>,
     gradient: Vector6,
     noise: Symmetric<6>,
@@ -119,25 +97,16 @@ pub struct Observability {
 }
 
 impl System {
-    /// For what a patch of that rms radius knows of the pose, its points known to `sigma_mm` along the normal.
-    pub fn evidence(radius_mm: f64, sigma_mm: f64) -> Self {
+    /// Empty, for a patch of that rms radius whose points are known to `sigma_mm` along the normal.
+    pub fn new(radius_mm: f64, sigma_mm: f64) -> Self {
         let zero = [[0.0; 6]; 6];
-        let (edge_per_mm, gradient) = (f64::INFINITY, [0.0; 6]);
-        Self { radius_mm, sigma_mm, edge_per_mm, hessian: zero, gradient, noise: zero, points: 0.0 }
-    }
-
-    /// For a step towards the surface. Where it bends within a spacing, κ s > 1, the linear δn = κ t means nothing. Such
-    /// an edge is no evidence of where the patch is, but a patch that overhangs it has to be able to slide back.
-    pub fn step(radius_mm: f64, sigma_mm: f64, spacing_mm: f64) -> Self {
-        Self { edge_per_mm: 1.0 / spacing_mm, ..Self::evidence(radius_mm, sigma_mm) }
+        Self { radius_mm, sigma_mm, hessian: zero, gradient: [0.0; 6], noise: zero, points: 0.0 }
     }
 
     pub fn add(&mut self, sighting: &Sighting) {
-        let Sighting { lever, normal, residual, weight, curvature_per_mm, tangential_squared } = *sighting;
+        let Sighting { lever, normal, residual, weight, normal_variance } = *sighting;
         let j = stack(lever.cross(normal) / self.radius_mm, normal);
         let sigma_squared = self.sigma_mm * self.sigma_mm;
-        let turns = if curvature_per_mm > self.edge_per_mm { 0.0 } else { curvature_per_mm };
-        let tau_squared = turns * turns * (sigma_squared + 0.5 * tangential_squared);
         add_outer(&mut self.hessian, &j, weight);
         for (sum, j) in self.gradient.iter_mut().zip(j) {
             *sum += weight * residual * j;
@@ -146,7 +115,7 @@ impl System {
         let (a, b) = normal.any_orthonormal_pair();
         for across in [a, b] {
             let turned = stack(lever.cross(across) / self.radius_mm, across);
-            add_outer(&mut self.noise, &turned, weight * tau_squared);
+            add_outer(&mut self.noise, &turned, weight * normal_variance);
             let shifted = stack(across / self.radius_mm, DVec3::ZERO);
             add_outer(&mut self.noise, &shifted, weight * sigma_squared);
         }

@@ -72,6 +72,20 @@ impl Template {
         &self.curvatures_per_mm
     }
 
+    /// τ² of the normal of point `k`, read `offset_mm` away from a point that is known to `sigma_mm`: it turns by κ per
+    /// millimetre, so κ² (σ² + t²/2) per axis, t the distance along the surface.
+    ///
+    /// Where the surface bends within a spacing, κ s > 1, that line through a step means nothing, and the variance is
+    /// given as 0: a patch that overhangs an edge has to be able to slide back.
+    pub(super) fn step_variance(&self, k: usize, offset_mm: DVec3, sigma_mm: f64) -> f64 {
+        let curvature = self.curvatures_per_mm[k];
+        if curvature * self.spacing_mm > 1.0 {
+            return 0.0;
+        }
+        let tangential_squared = offset_mm.reject_from_normalized(self.normals[k]).length_squared();
+        curvature * curvature * (sigma_mm * sigma_mm + 0.5 * tangential_squared)
+    }
+
     /// Typical distance of neighbouring points.
     #[must_use]
     pub const fn spacing_mm(&self) -> f64 {
