@@ -2,14 +2,14 @@
 //!
 //! `cargo nextest run -p gelstereo-core --test register_accuracy --no-capture` prints the table.
 
-mod support;
+mod contact_patch;
 
 use gelstereo_core::math::linalg::eigen;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::params::{RegisterMethod, RegisterParams};
 use gelstereo_core::register::{Registrar, Registration};
-use support::{Contact, Shape};
+use contact_patch::{Contact, Shape};
 
 const NOISE_MM: f64 = 0.03;
 const CONTACTS: usize = 20;
