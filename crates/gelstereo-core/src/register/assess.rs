@@ -49,7 +49,8 @@ pub(super) fn registration(
         inliers: scratch.sources.len(),
         points: points_mm.len(),
         rmse_mm: sqrt(sum_squared / scratch.sources.len() as f64),
-        free: FreeDirections::new(&in_object, params.point_sigma_mm),
+        // Normals are read at samples, and so at most half a spacing off.
+        free: FreeDirections::new(&in_object, params.point_sigma_mm.max(0.5 * template.spacing_mm())),
     })
 }
 

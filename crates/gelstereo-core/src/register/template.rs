@@ -43,7 +43,7 @@ impl Template {
     }
 
     /// Samples a mesh evenly: on average one point for every `spacing_mm`² of its area, no two points of faces that
-    /// look the same way closer than 0.9 of the spacing. The same seed gives the same points.
+    /// look the same way (within 60 degrees) closer than 0.81 of the spacing. The same seed gives the same points.
     ///
     /// # Errors
     /// [`TemplateError::TooFew`] or [`TemplateError::TooMany`] when the spacing does not suit the mesh's area,
