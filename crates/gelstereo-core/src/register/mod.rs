@@ -49,6 +49,18 @@ impl Template {
     pub fn new(points_mm: &[DVec3], normals: &[DVec3], spacing_mm: f64) -> Result<Self, TemplateError> {
         Ok(Self { points_mm: points_mm.to_vec(), normals: normals.to_vec(), spacing_mm })
     }
+    /// From a surface.
+    ///
+    /// # Errors
+    /// [`TemplateError`].
+    pub fn from_mesh(
+        mesh: &crate::surface::TriangleMesh,
+        spacing_mm: f64,
+        seed: u64,
+    ) -> Result<Self, TemplateError> {
+        let _ = (mesh, spacing_mm, seed);
+        unimplemented!()
+    }
     /// Points, object frame.
     #[must_use]
     pub fn points_mm(&self) -> &[DVec3] {

@@ -1,0 +1,179 @@
+//! Templates and registration.
+
+use crate::arrays::{self, Array1, Matrix, Numbers};
+use crate::errors::raise;
+use crate::params::Params;
+use gelstereo_core::math::DVec3;
+use gelstereo_core::register as core;
+use gelstereo_core::surface::TriangleMesh;
+use pyo3::prelude::*;
+use pyo3::types::{PyTuple, PyType};
+
+/// A part's surface: points with outward unit normals, sampled evenly.
+#[pyclass(frozen, module = "gelstereo")]
+pub struct Template {
+    inner: core::Template,
+}
+
+#[pymethods]
+impl Template {
+    #[classmethod]
+    #[pyo3(signature = (mesh, *, units, spacing_mm=0.3, seed=1))]
+    fn from_mesh(
+        cls: &Bound<'_, PyType>,
+        mesh: &Bound<'_, PyAny>,
+        units: &Bound<'_, PyAny>,
+        spacing_mm: f64,
+        seed: u64,
+    ) -> PyResult<Self> {
+        let (vertices_mm, triangles) = load_mesh(mesh, units)?;
+        Self::from_triangles(cls, &vertices_mm, &triangles, spacing_mm, seed)
+    }
+
+    #[classmethod]
+    #[pyo3(signature = (vertices_mm, triangles, *, spacing_mm=0.3, seed=1))]
+    fn from_triangles(
+        cls: &Bound<'_, PyType>,
+        vertices_mm: &Bound<'_, PyAny>,
+        triangles: &Bound<'_, PyAny>,
+        spacing_mm: f64,
+        seed: u64,
+    ) -> PyResult<Self> {
+        let mesh = triangle_mesh(vertices_mm, triangles)?;
+        let inner = cls.py().detach(|| core::Template::from_mesh(&mesh, spacing_mm, seed)).map_err(raise)?;
+        Ok(Self { inner })
+    }
+
+    #[classmethod]
+    fn from_points(
+        cls: &Bound<'_, PyType>,
+        points_mm: &Bound<'_, PyAny>,
+        normals: &Bound<'_, PyAny>,
+        spacing_mm: f64,
+    ) -> PyResult<Self> {
+        let (points, normals) = (Numbers::new(points_mm, "points_mm")?, Numbers::new(normals, "normals")?);
+        let (points, normals) = (points.rows::<DVec3, 3>()?, normals.rows::<DVec3, 3>()?);
+        let inner = cls.py().detach(|| core::Template::new(points, normals, spacing_mm)).map_err(raise)?;
+        Ok(Self { inner })
+    }
+
+    #[getter]
+    fn points_mm(&self, py: Python<'_>) -> PyResult<Matrix> {
+        arrays::rows::<_, 3>(py, self.inner.points_mm().to_vec())
+    }
+
+    #[getter]
+    fn normals(&self, py: Python<'_>) -> PyResult<Matrix> {
+        arrays::rows::<_, 3>(py, self.inner.normals().to_vec())
+    }
+
+    #[getter]
+    fn spacing_mm(&self) -> f64 {
+        self.inner.spacing_mm()
+    }
+
+    #[getter]
+    fn digest(&self) -> u64 {
+        self.inner.digest()
+    }
+
+    fn __len__(&self) -> usize {
+        self.inner.points_mm().len()
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<Template: {} points, {} mm apart>", self.inner.points_mm().len(), self.inner.spacing_mm())
+    }
+}
+
+/// Vertices in millimetres and triangles of a mesh file or a trimesh.
+pub fn load_mesh<'py>(
+    mesh: &Bound<'py, PyAny>,
+    units: &Bound<'py, PyAny>,
+) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
+    mesh.py().import("gelstereo.templates")?.call_method1("load_mesh", (mesh, units))?.extract()
+}
+
+/// The core's mesh of (V, 3) vertices and (F, 3) indices.
+pub fn triangle_mesh(vertices_mm: &Bound<'_, PyAny>, triangles: &Bound<'_, PyAny>) -> PyResult<TriangleMesh> {
+    let vertices = Numbers::new(vertices_mm, "vertices_mm")?;
+    let triangles = Numbers::new(triangles, "triangles")?;
+    // Indices come through float64, which is exact far beyond u32; what is no index names no vertex.
+    let index = |x: f64| if x >= 0.0 && x < f64::from(u32::MAX) { x as u32 } else { u32::MAX };
+    let triangles = triangles.rows::<[f64; 3], 3>()?.iter().map(|t| t.map(index)).collect();
+    TriangleMesh::new(vertices.rows::<DVec3, 3>()?.to_vec(), triangles).map_err(raise)
+}
+
+/// A direction of motion that the contact does not determine.
+#[pyclass(frozen, module = "gelstereo")]
+pub struct FreeDirection {
+    inner: core::FreeDirection,
+}
+
+#[pymethods]
+impl FreeDirection {
+    #[getter]
+    fn omega(&self, py: Python<'_>) -> Array1<f64> {
+        arrays::list(py, self.inner.omega.to_array().to_vec())
+    }
+
+    #[getter]
+    fn v(&self, py: Python<'_>) -> Array1<f64> {
+        arrays::list(py, self.inner.v.to_array().to_vec())
+    }
+
+    #[getter]
+    fn centre_mm(&self, py: Python<'_>) -> Array1<f64> {
+        arrays::list(py, self.inner.centre_mm.to_array().to_vec())
+    }
+}
+
+/// Where the part sits in the hand, with the evidence.
+#[pyclass(frozen, get_all, module = "gelstereo")]
+pub struct Localization {
+    t_sensor_object: Matrix,
+    information: Matrix,
+    converged: bool,
+    iterations: u32,
+    inliers: usize,
+    points: usize,
+    rmse_mm: f64,
+    free: Py<PyTuple>,
+    digest: u64,
+}
+
+impl Localization {
+    fn new(py: Python<'_>, found: core::Registration) -> PyResult<Self> {
+        let digest = found.digest();
+        let free = found.free.into_iter().map(|inner| Py::new(py, FreeDirection { inner }));
+        Ok(Self {
+            t_sensor_object: arrays::pose_matrix(py, &found.t_sensor_object)?,
+            information: arrays::matrix(py, found.information)?,
+            converged: found.converged,
+            iterations: found.iterations,
+            inliers: found.inliers,
+            points: found.points,
+            rmse_mm: found.rmse_mm,
+            free: PyTuple::new(py, free.collect::<PyResult<Vec<_>>>()?)?.unbind(),
+            digest,
+        })
+    }
+}
+
+#[pyfunction]
+#[pyo3(signature = (points_mm, template, *, t_sensor_object, params=None))]
+pub fn localize(
+    py: Python<'_>,
+    points_mm: &Bound<'_, PyAny>,
+    template: &Bound<'_, Template>,
+    t_sensor_object: &Bound<'_, PyAny>,
+    params: Option<&Bound<'_, Params>>,
+) -> PyResult<Localization> {
+    let points = Numbers::new(points_mm, "points_mm")?;
+    let points = points.rows::<DVec3, 3>()?;
+    let guess = arrays::pose(t_sensor_object, "t_sensor_object")?;
+    let template = &template.get().inner;
+    let mut stage = core::Registrar::new(&Params::or_default(params).register);
+    let found = py.detach(|| stage.run(points, template, &guess)).map_err(raise)?;
+    Localization::new(py, found)
+}

@@ -1,0 +1,24 @@
+"""Rotations, rigid motions, rigid fits and nearest neighbours: the core's own, for checks and for scripts.
+
+Quaternions are (x, y, z, w). Twists are (ωx ωy ωz vx vy vz), radians then millimetres.
+"""
+
+from gelstereo._native import (
+    se3_exp,
+    se3_log,
+    so3_exp,
+    so3_from_matrix,
+    so3_left_jacobian,
+    so3_left_jacobian_inverse,
+    so3_log,
+)
+
+__all__ = [
+    "se3_exp",
+    "se3_log",
+    "so3_exp",
+    "so3_from_matrix",
+    "so3_left_jacobian",
+    "so3_left_jacobian_inverse",
+    "so3_log",
+]
