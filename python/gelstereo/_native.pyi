@@ -10,7 +10,56 @@ import trimesh
 _Floats: TypeAlias = npt.NDArray[np.float64]
 _Path: TypeAlias = str | PathLike[str]
 
-__all__: list[str]
+__all__ = [
+    "ContactError",
+    "DetectError",
+    "Detector",
+    "Error",
+    "FingerKinematics",
+    "Frame",
+    "FrameError",
+    "FreeDirection",
+    "ImageError",
+    "LabelError",
+    "Localization",
+    "Markers",
+    "MeshError",
+    "Params",
+    "ParamsError",
+    "Pipeline",
+    "PoseError",
+    "Rectification",
+    "RegisterError",
+    "RestLattice",
+    "RestSurface",
+    "Rig",
+    "RigError",
+    "Scene",
+    "SceneError",
+    "SensorMount",
+    "ShapeError",
+    "SimulatedFrame",
+    "Simulator",
+    "Template",
+    "TemplateError",
+    "TriangulateError",
+    "ViewEvidence",
+    "__version__",
+    "adjusted_gripper",
+    "foresight_sort",
+    "localize",
+    "rest_lattice",
+    "se3_exp",
+    "se3_log",
+    "so3_exp",
+    "so3_from_matrix",
+    "so3_left_jacobian",
+    "so3_left_jacobian_inverse",
+    "so3_log",
+    "triangulate",
+    "triangulate_covariance",
+]
+
 __version__: str
 
 class Error(ValueError): ...

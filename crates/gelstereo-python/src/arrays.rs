@@ -35,13 +35,13 @@ pub fn matrix<const H: usize, const W: usize>(py: Python<'_>, values: [[f64; W];
 }
 
 /// A read-only array of any shape that takes over the memory of its elements.
-pub fn shaped<T: Element, Sh: ShapeBuilder>(
+pub fn shaped<T: Element, Sh>(
     py: Python<'_>,
     values: Vec<T>,
     shape: Sh,
 ) -> PyResult<Py<PyArray<T, Sh::Dim>>>
 where
-    Sh: Into<StrideShape<Sh::Dim>>,
+    Sh: ShapeBuilder + Into<StrideShape<Sh::Dim>>,
 {
     let array = Array::from_shape_vec(shape, values).map_err(|e| ShapeError::new_err(e.to_string()))?;
     let array = array.into_pyarray(py);
