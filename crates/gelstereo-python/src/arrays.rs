@@ -35,11 +35,7 @@ pub fn matrix<const H: usize, const W: usize>(py: Python<'_>, values: [[f64; W];
 }
 
 /// A read-only array of any shape that takes over the memory of its elements.
-pub fn shaped<T: Element, Sh>(
-    py: Python<'_>,
-    values: Vec<T>,
-    shape: Sh,
-) -> PyResult<Py<PyArray<T, Sh::Dim>>>
+pub fn shaped<T: Element, Sh>(py: Python<'_>, values: Vec<T>, shape: Sh) -> PyResult<Py<PyArray<T, Sh::Dim>>>
 where
     Sh: ShapeBuilder + Into<StrideShape<Sh::Dim>>,
 {

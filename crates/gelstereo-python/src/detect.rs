@@ -7,11 +7,13 @@ use gelstereo_core::detect as core;
 use pyo3::prelude::*;
 use std::sync::{Mutex, PoisonError};
 
-/// Markers found in one image.
+/// Markers found in one image, in the raster order of their first pixels.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct Markers {
+    /// (N, 2) centres, pixels.
     #[pyo3(get)]
     centres_px: Matrix,
+    /// (N,) areas, square pixels.
     #[pyo3(get)]
     area_px2: Array1<u32>,
     count: usize,
@@ -28,7 +30,12 @@ impl Markers {
     }
 }
 
-/// Finds the markers of an image.
+/// Finds the markers of single images; `Pipeline` does it for stereo frames.
+///
+/// Parameters
+/// ----------
+/// params : Params, optional
+///     Its ``detect`` part is used.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct Detector {
     stage: Mutex<core::Detector>,
@@ -42,6 +49,24 @@ impl Detector {
         Self { stage: Mutex::new(core::Detector::new(&Params::or_default(params).detect)) }
     }
 
+    /// Find the markers of an image.
+    ///
+    /// Parameters
+    /// ----------
+    /// image : (H, W) uint8
+    ///     Grey image. It is borrowed when its memory is contiguous and copied otherwise (a crop of a wider image, a
+    ///     flipped view).
+    ///
+    /// Returns
+    /// -------
+    /// Markers
+    ///
+    /// Raises
+    /// ------
+    /// ImageError
+    ///     If the array is no grey image.
+    /// DetectError
+    ///     If the image shows nothing that could be measured.
     fn detect(&self, py: Python<'_>, image: &Bound<'_, PyAny>) -> PyResult<Markers> {
         let image = Image::new(image, "image")?;
         let view = image.view()?;

@@ -8,17 +8,38 @@ use gelstereo_core::math::DVec2;
 use gelstereo_core::params::LatticeParams;
 use pyo3::prelude::*;
 
-/// The complete rest lattice.
+/// The lattice of an undisturbed frame, complete.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct RestLattice {
+    /// (rows * cols, 2) positions, pixels.
     #[pyo3(get)]
     positions_px: Matrix,
+    /// (rows * cols,) whether a marker was filled in from its neighbours.
     #[pyo3(get)]
     filled: Array1<bool>,
+    /// Median distance of neighbours, pixels.
     #[pyo3(get)]
     pitch_px: f64,
 }
 
+/// Foresight sort (the paper's Algorithm 1): the order of markers row by row, left to right.
+///
+/// Parameters
+/// ----------
+/// positions_px : (rows * cols, 2) array_like
+/// rows, cols : int
+/// tolerance_px : float
+///     l of the algorithm: markers of one row are at least this far apart in x.
+///
+/// Returns
+/// -------
+/// (rows * cols,) int64
+///     Indices into `positions_px`.
+///
+/// Raises
+/// ------
+/// LabelError
+///     If a row does not fill.
 #[pyfunction]
 pub fn foresight_sort(
     py: Python<'_>,
@@ -35,6 +56,22 @@ pub fn foresight_sort(
     Ok(arrays::list(py, order.into_iter().map(|i| i as i64).collect()))
 }
 
+/// Label an undisturbed frame and fill in the markers that were not detected.
+///
+/// Parameters
+/// ----------
+/// detected_px : (N, 2) array_like
+///     Up to ``lattice.max_missing`` fewer than the lattice has.
+/// params : Params, optional
+///
+/// Returns
+/// -------
+/// RestLattice
+///
+/// Raises
+/// ------
+/// LabelError
+///     Saying what was found.
 #[pyfunction]
 #[pyo3(signature = (detected_px, params=None))]
 pub fn rest_lattice(

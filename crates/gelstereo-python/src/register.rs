@@ -9,7 +9,9 @@ use gelstereo_core::surface::TriangleMesh;
 use pyo3::prelude::*;
 use pyo3::types::{PyTuple, PyType};
 
-/// A part's surface: points with outward unit normals, sampled evenly.
+/// A part's surface: points with outward unit normals in the object frame, sampled evenly.
+///
+/// Made by `from_mesh`, `from_triangles` or `from_points`.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct Template {
     inner: core::Template,
@@ -17,6 +19,24 @@ pub struct Template {
 
 #[pymethods]
 impl Template {
+    /// Sample a mesh file or a ``trimesh.Trimesh``.
+    ///
+    /// Parameters
+    /// ----------
+    /// mesh : path or trimesh.Trimesh
+    /// units : {"mm", "cm", "m", "inch"}
+    ///     Unit of the mesh; mesh files do not say.
+    /// spacing_mm : float
+    ///     Distance of neighbouring points.
+    /// seed : int
+    ///     Of the random stream that samples; the same seed gives the same points.
+    ///
+    /// Raises
+    /// ------
+    /// MeshError
+    ///     If the units are unknown, or absurd for a part in a hand (with a guess), or the triangles are no surface.
+    /// TemplateError
+    ///     If it cannot be sampled at this spacing.
     #[classmethod]
     #[pyo3(signature = (mesh, *, units, spacing_mm=0.3, seed=1))]
     fn from_mesh(
@@ -30,6 +50,23 @@ impl Template {
         Self::from_triangles(cls, &vertices_mm, &triangles, spacing_mm, seed)
     }
 
+    /// Sample triangles.
+    ///
+    /// Parameters
+    /// ----------
+    /// vertices_mm : (V, 3) array_like
+    ///     Object frame.
+    /// triangles : (F, 3) array_like
+    ///     Indices of the corners, counter-clockwise seen from outside.
+    /// spacing_mm : float
+    ///     Distance of neighbouring points.
+    /// seed : int
+    ///     Of the random stream that samples.
+    ///
+    /// Raises
+    /// ------
+    /// MeshError, TemplateError
+    ///     If they are no surface, or cannot be sampled at this spacing.
     #[classmethod]
     #[pyo3(signature = (vertices_mm, triangles, *, spacing_mm=0.3, seed=1))]
     fn from_triangles(
@@ -44,6 +81,19 @@ impl Template {
         Ok(Self { inner })
     }
 
+    /// From points that were sampled elsewhere.
+    ///
+    /// Parameters
+    /// ----------
+    /// points_mm, normals : (N, 3) array_like
+    ///     Object frame; the normals point outward and are normalised here.
+    /// spacing_mm : float
+    ///     Typical distance of neighbouring points.
+    ///
+    /// Raises
+    /// ------
+    /// TemplateError
+    ///     If the points are no template.
     #[classmethod]
     fn from_points(
         cls: &Bound<'_, PyType>,
@@ -57,21 +107,25 @@ impl Template {
         Ok(Self { inner })
     }
 
+    /// (N, 3) points, object frame.
     #[getter]
     fn points_mm(&self, py: Python<'_>) -> PyResult<Matrix> {
         arrays::rows::<_, 3>(py, self.inner.points_mm().to_vec())
     }
 
+    /// (N, 3) outward unit normals, object frame.
     #[getter]
     fn normals(&self, py: Python<'_>) -> PyResult<Matrix> {
         arrays::rows::<_, 3>(py, self.inner.normals().to_vec())
     }
 
+    /// Typical distance of neighbouring points.
     #[getter]
     fn spacing_mm(&self) -> f64 {
         self.inner.spacing_mm()
     }
 
+    /// Digest of points and normals, bit for bit.
     #[getter]
     fn digest(&self) -> u64 {
         self.inner.digest()
@@ -104,7 +158,7 @@ pub fn triangle_mesh(vertices_mm: &Bound<'_, PyAny>, triangles: &Bound<'_, PyAny
     TriangleMesh::new(vertices.rows::<DVec3, 3>()?.to_vec(), triangles).map_err(raise)
 }
 
-/// A direction of motion that the contact does not determine.
+/// A direction of motion that the contact does not determine, in the object's frame; ``str()`` says it in words.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct FreeDirection {
     inner: core::FreeDirection,
@@ -112,33 +166,45 @@ pub struct FreeDirection {
 
 #[pymethods]
 impl FreeDirection {
+    /// (3,) rotation part of the twist about `centre_mm`.
     #[getter]
     fn omega(&self, py: Python<'_>) -> Array1<f64> {
         arrays::list(py, self.inner.omega.to_array().to_vec())
     }
 
+    /// (3,) translation part, mm.
     #[getter]
     fn v(&self, py: Python<'_>) -> Array1<f64> {
         arrays::list(py, self.inner.v.to_array().to_vec())
     }
 
+    /// (3,) the point that the rotation turns about, mm.
     #[getter]
     fn centre_mm(&self, py: Python<'_>) -> Array1<f64> {
         arrays::list(py, self.inner.centre_mm.to_array().to_vec())
     }
 }
 
-/// Where the part sits in the hand, with the evidence.
+/// Where the part sits, with the evidence.
 #[pyclass(frozen, get_all, module = "gelstereo")]
 pub struct Localization {
+    /// (4, 4) maps object coordinates to sensor coordinates.
     t_sensor_object: Matrix,
+    /// (6, 6) information of a left perturbation (ωx ωy ωz vx vy vz) in the sensor frame; singular along `free`.
     information: Matrix,
+    /// Whether the steps fell below ``register.step_tolerance`` before the iterations ran out.
     converged: bool,
+    /// Iterations of the last stage.
     iterations: u32,
+    /// Points within ``register.max_distance_mm`` of the template.
     inliers: usize,
+    /// Points given.
     points: usize,
+    /// Root mean square distance of the inliers.
     rmse_mm: f64,
+    /// The `FreeDirection` s that the contact leaves undetermined; empty when all six are known.
     free: Py<PyTuple>,
+    /// Digest of all results, bit for bit.
     digest: u64,
 }
 
@@ -160,6 +226,26 @@ impl Localization {
     }
 }
 
+/// Find where a part sits: register a contact patch to its template.
+///
+/// Parameters
+/// ----------
+/// points_mm : (N, 3) array_like
+///     Points on the part's surface, sensor frame: `Frame.salient_points_mm`.
+/// template : Template
+/// t_sensor_object : (4, 4) array_like
+///     A guess: maps object coordinates to sensor coordinates.
+/// params : Params, optional
+///     Its ``register`` part is used.
+///
+/// Returns
+/// -------
+/// Localization
+///
+/// Raises
+/// ------
+/// RegisterError
+///     If the patch cannot be registered, for example with too few points.
 #[pyfunction]
 #[pyo3(signature = (points_mm, template, *, t_sensor_object, params=None))]
 pub fn localize(

@@ -13,7 +13,9 @@ use pyo3::types::{PyDict, PyMapping, PyType};
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 
-/// What there is to see, and which effects act.
+/// What there is to see, and which effects act; a value that never changes.
+///
+/// ``Scene()`` is the default sensor with nothing that touches it; `to_dict` shows what can be set.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct Scene {
     inner: sim::Scene,
@@ -23,15 +25,23 @@ pub struct Scene {
 
 #[pymethods]
 impl Scene {
+    /// A scene from TOML text; what is left out keeps its default.
+    ///
+    /// Raises
+    /// ------
+    /// SceneError
+    ///     Naming the line, if a name is unknown or a value makes no sense.
     #[classmethod]
     fn from_toml(_cls: &Bound<'_, PyType>, text: &str) -> PyResult<Self> {
         Ok(Self { inner: tree::from_toml(text).map_err(SceneError::new_err)?, folder: PathBuf::new() })
     }
 
+    /// The scene as TOML text.
     fn to_toml(&self) -> PyResult<String> {
         tree::to_toml(&self.inner).map_err(SceneError::new_err)
     }
 
+    /// A scene from a TOML file; paths of meshes in it are relative to the file.
     #[classmethod]
     fn load(cls: &Bound<'_, PyType>, path: PathBuf) -> PyResult<Self> {
         let folder = path.parent().map(PathBuf::from).unwrap_or_default();
@@ -39,14 +49,22 @@ impl Scene {
         Ok(Self { folder, ..scene })
     }
 
+    /// Write the scene to a TOML file.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         tree::write(py, path, &self.to_toml()?)
     }
 
+    /// The scene as nested dictionaries.
     fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         tree::to_dict(py, &self.inner)
     }
 
+    /// A copy with some settings replaced, as `Params.replace` does.
+    ///
+    /// Raises
+    /// ------
+    /// SceneError
+    ///     If a name is unknown (the valid ones are listed) or a value makes no sense.
     #[pyo3(signature = (changes=None, /, **settings))]
     fn replace(
         &self,
@@ -60,6 +78,7 @@ impl Scene {
         Ok(Self { inner, folder: self.folder.clone() })
     }
 
+    /// The simulated rig.
     #[getter]
     fn rig(&self) -> Rig {
         Rig { inner: self.inner.rig.clone() }
@@ -69,18 +88,36 @@ impl Scene {
 /// One moment of a scene: both images and the truth behind them.
 #[pyclass(frozen, get_all, module = "gelstereo")]
 pub struct SimulatedFrame {
+    /// Which frame of the trajectory; it keys the noise.
     index: u64,
+    /// (H, W) uint8 left image.
     left: Py<PyArray2<u8>>,
+    /// (H, W) uint8 right image.
     right: Py<PyArray2<u8>>,
+    /// (N, 2) true centres in the left image.
     left_px: Matrix,
+    /// (N, 2) true centres in the right image.
     right_px: Matrix,
+    /// (N, 3) true marker positions, sensor frame.
     points_mm: Matrix,
+    /// (N,) true height above the rest surface.
     indentation_mm: Array1<f64>,
+    /// (N,) bool, whether the indenter touches the gel at this marker.
     in_contact: Array1<bool>,
+    /// (4, 4) true pose of the indenter, or None when there is none.
     t_sensor_object: Option<Matrix>,
 }
 
-/// A scene made ready to run.
+/// A scene made ready to run: a sequence of `SimulatedFrame` s, each rendered when it is asked for.
+///
+/// Parameters
+/// ----------
+/// scene : Scene
+///
+/// Raises
+/// ------
+/// SceneError, MeshError
+///     If the scene makes no sense or its mesh cannot be read.
 #[pyclass(frozen, module = "gelstereo", sequence)]
 pub struct Simulator {
     stage: Mutex<sim::Simulator>,
@@ -104,6 +141,7 @@ impl Simulator {
         Ok(Self { stage: Mutex::new(stage), scene })
     }
 
+    /// The scene it was made of.
     #[getter]
     fn scene(&self, py: Python<'_>) -> Py<Scene> {
         self.scene.clone_ref(py)
@@ -123,6 +161,18 @@ impl Simulator {
         self.moment(py, contact.as_ref(), frame as u64)
     }
 
+    /// Render a moment that is not on the trajectory.
+    ///
+    /// Parameters
+    /// ----------
+    /// t_sensor_object : (4, 4) array_like, optional
+    ///     The indenter's pose; nothing touches the gel if it is left out.
+    /// shear_mm : (float, float), optional
+    ///     How far the contact has dragged the surface along, sensor x and y.
+    /// twist_rad : float
+    ///     How far it has turned the surface.
+    /// frame : int
+    ///     Keys the noise.
     #[pyo3(signature = (t_sensor_object=None, *, shear_mm=None, twist_rad=0.0, frame=0))]
     fn press(
         &self,

@@ -13,6 +13,33 @@ fn triangulator(rig: &Bound<'_, Rig>, params: Option<&Bound<'_, Params>>) -> PyR
     Triangulator::new(&rig.get().inner, &Params::or_default(params).triangulate).map_err(raise)
 }
 
+/// Points of corresponding pixels by the Q matrix (the paper's Eq. 3), with signed disparity.
+///
+/// Parameters
+/// ----------
+/// rig : Rig
+/// left_px, right_px : (N, 2) array_like
+///     The same markers in both images, as the cameras saw them (not rectified).
+/// params : Params, optional
+///     Its ``triangulate`` part is used.
+///
+/// Returns
+/// -------
+/// (N, 3) float64
+///     Sensor frame, mm.
+///
+/// Raises
+/// ------
+/// TriangulateError
+///     If a disparity is not above ``triangulate.min_disparity_px`` (swapped views are named as such), or a pixel has
+///     no ray.
+///
+/// Examples
+/// --------
+/// >>> from gelstereo import Rig
+/// >>> rig = Rig.parallel(size_px=(640, 480), f_px=560.0, baseline_mm=8.0)
+/// >>> print(triangulate(rig, [[319.5, 239.5]], [[159.5, 239.5]]))
+/// [[ 0. 0. 28.]]
 #[pyfunction]
 #[pyo3(signature = (rig, left_px, right_px, params=None))]
 pub fn triangulate(
@@ -30,6 +57,21 @@ pub fn triangulate(
     arrays::rows::<DVec3, 3>(py, points.iter().map(|p| p.point_mm).collect())
 }
 
+/// Covariances of triangulated points, to first order.
+///
+/// Parameters
+/// ----------
+/// rig : Rig
+/// points_mm : (N, 3) array_like
+///     Sensor frame.
+/// sigma_px : float, optional
+///     Standard deviation of a centre per axis, in both views; ``triangulate.centre_sigma_px`` if left out.
+/// params : Params, optional
+///
+/// Returns
+/// -------
+/// (N, 3, 3) float64
+///     mm².
 #[pyfunction]
 #[pyo3(signature = (rig, points_mm, sigma_px=None, params=None))]
 pub fn triangulate_covariance(
