@@ -67,6 +67,7 @@ stage_errors! {
     core::math::se3::PoseError => PoseError,
     core::math::so3::RotationError => PoseError,
     core::frames::WidthError => FrameError,
+    gelstereo_sim::SceneError => SceneError,
 }
 
 impl ToPython for core::pipeline::PipelineError {
@@ -83,12 +84,6 @@ impl ToPython for core::pipeline::PipelineError {
             E::Triangulate(_) | E::Epipolar { .. } => TriangulateError::new_err(text),
             E::Contact(_) => ContactError::new_err(text),
         }
-    }
-}
-
-impl ToPython for gelstereo_sim::SceneError {
-    fn to_python(&self) -> PyErr {
-        SceneError::new_err(self.message.clone())
     }
 }
 

@@ -107,6 +107,7 @@ impl Params {
     /// ----------
     /// changes : mapping, optional
     ///     Nested (``{"detect": {"threshold_levels": 20}}``) or with dotted names (``{"detect.threshold_levels": 20}``).
+    ///     None takes a setting back to its default.
     /// **settings
     ///     The same as keywords: ``detect={"threshold_levels": 20}``.
     ///
@@ -122,7 +123,7 @@ impl Params {
     ) -> PyResult<Self> {
         let mut inner = self.inner.clone();
         for mapping in [changes, settings.map(|s| s.as_mapping())].into_iter().flatten() {
-            inner = tree::replace(&inner, tree::table(mapping)?).map_err(ParamsError::new_err)?;
+            inner = tree::replace(&inner, mapping)?.map_err(ParamsError::new_err)?;
         }
         Self::checked(inner)
     }

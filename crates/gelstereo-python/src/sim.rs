@@ -11,7 +11,10 @@ use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyMapping, PyType};
 use std::path::PathBuf;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+const NO_INDENTER: &str =
+    "the scene has no indenter; give it one, for example indenter = { kind = \"sphere\", radius_mm = 4 }";
 
 /// What there is to see, and which effects act; a value that never changes.
 ///
@@ -23,8 +26,20 @@ pub struct Scene {
     folder: PathBuf,
 }
 
+impl Scene {
+    fn checked(inner: sim::Scene, folder: PathBuf) -> PyResult<Self> {
+        inner.validate().map_err(raise)?;
+        Ok(Self { inner, folder })
+    }
+}
+
 #[pymethods]
 impl Scene {
+    #[new]
+    fn new() -> Self {
+        Self { inner: sim::Scene::default(), folder: PathBuf::new() }
+    }
+
     /// A scene from TOML text; what is left out keeps its default.
     ///
     /// Raises
@@ -33,7 +48,7 @@ impl Scene {
     ///     Naming the line, if a name is unknown or a value makes no sense.
     #[classmethod]
     fn from_toml(_cls: &Bound<'_, PyType>, text: &str) -> PyResult<Self> {
-        Ok(Self { inner: tree::from_toml(text).map_err(SceneError::new_err)?, folder: PathBuf::new() })
+        Self::checked(tree::from_toml(text).map_err(SceneError::new_err)?, PathBuf::new())
     }
 
     /// The scene as TOML text.
@@ -73,9 +88,9 @@ impl Scene {
     ) -> PyResult<Self> {
         let mut inner = self.inner.clone();
         for mapping in [changes, settings.map(|s| s.as_mapping())].into_iter().flatten() {
-            inner = tree::replace(&inner, tree::table(mapping)?).map_err(SceneError::new_err)?;
+            inner = tree::replace(&inner, mapping)?.map_err(SceneError::new_err)?;
         }
-        Ok(Self { inner, folder: self.folder.clone() })
+        Self::checked(inner, self.folder.clone())
     }
 
     /// The simulated rig.
@@ -148,7 +163,7 @@ impl Simulator {
     }
 
     fn __len__(&self, py: Python<'_>) -> usize {
-        py.detach(|| self.stage.lock().unwrap_or_else(PoisonError::into_inner).frames())
+        py.detach(|| self.lock().frames())
     }
 
     fn __getitem__(&self, py: Python<'_>, index: isize) -> PyResult<SimulatedFrame> {
@@ -157,8 +172,20 @@ impl Simulator {
         let frame = usize::try_from(counted).ok().filter(|&i| i < frames).ok_or_else(|| {
             PyIndexError::new_err(format!("there is no frame {index}; the scene has {frames}"))
         })?;
-        let contact = py.detach(|| self.stage.lock().unwrap_or_else(PoisonError::into_inner).contact(frame));
+        let contact = py.detach(|| self.lock().contact(frame));
         self.moment(py, contact.as_ref(), frame as u64)
+    }
+
+    /// (4, 4) the pose moved along the sensor's z until the part reaches `press_mm` into the gel.
+    ///
+    /// Raises
+    /// ------
+    /// SceneError
+    ///     If the scene has no indenter.
+    fn pressed(&self, py: Python<'_>, t_sensor_object: &Bound<'_, PyAny>, press_mm: f64) -> PyResult<Matrix> {
+        let pose = arrays::pose(t_sensor_object, "t_sensor_object")?;
+        let pose = py.detach(|| self.lock().pressed(pose, press_mm));
+        arrays::pose_matrix(py, &pose.ok_or_else(|| SceneError::new_err(NO_INDENTER))?)
     }
 
     /// Render a moment that is not on the trajectory.
@@ -188,11 +215,21 @@ impl Simulator {
             shear_mm: shear_mm.unwrap_or_default().into(),
             twist_rad,
         });
+        if let Some(contact) = &contact {
+            contact.validate().map_err(raise)?;
+            if self.scene.get().inner.indenter.is_none() {
+                return Err(SceneError::new_err(NO_INDENTER));
+            }
+        }
         self.moment(py, contact.as_ref(), frame)
     }
 }
 
 impl Simulator {
+    fn lock(&self) -> MutexGuard<'_, sim::Simulator> {
+        self.stage.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn moment(
         &self,
         py: Python<'_>,
@@ -201,7 +238,7 @@ impl Simulator {
     ) -> PyResult<SimulatedFrame> {
         let (mut truth, mut left, mut right) = (sim::Truth::default(), Vec::new(), Vec::new());
         py.detach(|| {
-            let mut stage = self.stage.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut stage = self.lock();
             stage.truth(contact, &mut truth);
             stage.render(&truth, frame, &mut left, &mut right);
         });

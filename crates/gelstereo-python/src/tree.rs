@@ -34,45 +34,55 @@ pub fn to_toml<T: Serialize>(value: &T) -> Result<String, String> {
     toml::to_string(value).map_err(|error| error.to_string())
 }
 
-/// A value with some of its settings replaced, by nested dictionaries or by dotted names.
-pub fn replace<T: Serialize + DeserializeOwned>(value: &T, changes: Table) -> Result<T, String> {
-    let mut tree = Table::try_from(value).map_err(|error| error.to_string())?;
-    merge(&mut tree, changes);
+/// A value with some of its settings replaced, by nested dictionaries or by dotted names; None takes a setting away,
+/// so that it falls back to its default. The inner result is the deserialiser's.
+pub fn replace<T: Serialize + DeserializeOwned>(
+    value: &T,
+    changes: &Bound<'_, PyMapping>,
+) -> PyResult<Result<T, String>> {
+    let mut tree = match Table::try_from(value) {
+        Ok(tree) => tree,
+        Err(error) => return Ok(Err(error.to_string())),
+    };
+    merge(&mut tree, changes)?;
     // Through text, because only the parser's errors say which setting they are about.
-    let text = to_toml(&tree)?;
-    toml::from_str(&text).map_err(|error| named(&text, &error, false))
+    Ok(to_toml(&tree).and_then(|text| toml::from_str(&text).map_err(|error| named(&text, &error, false))))
 }
 
 /// Lays `changes` over `tree`; what is unknown is kept, for deserialisation to refuse by name.
-fn merge(tree: &mut Table, changes: Table) {
-    for (name, change) in changes {
-        match (tree.get_mut(&name), change) {
-            (Some(Value::Table(branch)), Value::Table(changes)) => merge(branch, changes),
-            (_, change) => {
-                tree.insert(name, change);
+fn merge(tree: &mut Table, changes: &Bound<'_, PyMapping>) -> PyResult<()> {
+    for item in changes.items()?.iter() {
+        let (name, change): (String, Bound<'_, PyAny>) = item.extract()?;
+        match name.split_once('.') {
+            Some((first, rest)) => {
+                let nested = PyDict::new(changes.py());
+                nested.set_item(rest, change)?;
+                merge_one(tree, first, nested.as_any())?;
             }
+            None => merge_one(tree, &name, &change)?,
         }
     }
+    Ok(())
 }
 
-/// A mapping's items as a table; a name with dots stands for nested tables.
-pub fn table(mapping: &Bound<'_, PyMapping>) -> PyResult<Table> {
-    let mut out = Table::new();
-    for item in mapping.items()?.iter() {
-        let (name, object): (String, Bound<'_, PyAny>) = item.extract()?;
-        // None means "not there", which TOML says by leaving the name out.
-        if object.is_none() {
-            continue;
-        }
-        let mut nested = value(&object)?;
-        let mut names = name.split('.').rev();
-        let last = names.next_back().unwrap_or_default().to_owned();
-        for name in names {
-            nested = Value::Table(Table::from_iter([(name.to_owned(), nested)]));
-        }
-        merge(&mut out, Table::from_iter([(last, nested)]));
+fn merge_one(tree: &mut Table, name: &str, change: &Bound<'_, PyAny>) -> PyResult<()> {
+    if change.is_none() {
+        tree.remove(name);
+        return Ok(());
     }
-    Ok(out)
+    let Ok(mapping) = change.cast::<PyMapping>() else {
+        tree.insert(name.to_owned(), value(change)?);
+        return Ok(());
+    };
+    // What names its kind is a variant of its own and shares no settings with the one before.
+    let fresh = mapping.contains("kind")? || !tree.get(name).is_some_and(Value::is_table);
+    if fresh {
+        tree.insert(name.to_owned(), Value::Table(Table::new()));
+    }
+    match tree.get_mut(name) {
+        Some(Value::Table(branch)) => merge(branch, mapping),
+        _ => Ok(()),
+    }
 }
 
 fn value(object: &Bound<'_, PyAny>) -> PyResult<Value> {
@@ -89,7 +99,9 @@ fn value(object: &Bound<'_, PyAny>) -> PyResult<Value> {
         return Ok(Value::Integer(object.extract()?));
     }
     if let Ok(mapping) = object.cast::<PyMapping>() {
-        return Ok(Value::Table(table(mapping)?));
+        let mut nested = Table::new();
+        merge(&mut nested, mapping)?;
+        return Ok(Value::Table(nested));
     }
     if object.is_instance_of::<PyList>() || object.is_instance_of::<PyTuple>() {
         return Ok(Value::Array(object.try_iter()?.map(|item| value(&item?)).collect::<PyResult<_>>()?));
