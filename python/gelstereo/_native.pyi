@@ -48,9 +48,11 @@ __all__ = [
     "adjusted_gripper",
     "foresight_sort",
     "localize",
+    "parse_toml",
     "rest_lattice",
     "se3_exp",
     "se3_log",
+    "shape_mesh",
     "so3_exp",
     "so3_from_matrix",
     "so3_left_jacobian",
@@ -417,6 +419,10 @@ class Simulator:
         frame: int = 0,
     ) -> SimulatedFrame: ...
 
+def shape_mesh(
+    shape: Mapping[str, Any], tolerance_mm: float = 0.01
+) -> tuple[_Floats, npt.NDArray[np.int64]]: ...
+def parse_toml(text: str) -> dict[str, Any]: ...
 def so3_exp(omega: npt.ArrayLike) -> _Floats: ...
 def so3_log(q: npt.ArrayLike) -> _Floats: ...
 def so3_from_matrix(matrix: npt.ArrayLike) -> _Floats: ...

@@ -49,7 +49,9 @@ mod _native {
     #[pymodule_export]
     use crate::rig::{Rectification, Rig};
     #[pymodule_export]
-    use crate::sim::{Scene, SimulatedFrame, Simulator};
+    use crate::sim::{Scene, SimulatedFrame, Simulator, shape_mesh};
+    #[pymodule_export]
+    use crate::tree::parse_toml;
     #[pymodule_export]
     use crate::triangulate::{triangulate, triangulate_covariance};
 

@@ -256,3 +256,38 @@ impl Simulator {
         })
     }
 }
+
+/// Triangles of a shape by its dimensions.
+///
+/// Parameters
+/// ----------
+/// shape : mapping
+///     As a scene's ``indenter``, for example ``{"kind": "sphere", "radius_mm": 4.0}``.
+/// tolerance_mm : float
+///     How far the flat triangles may be from a curved surface.
+///
+/// Returns
+/// -------
+/// vertices_mm : (V, 3) float64
+/// triangles : (F, 3) int64
+///
+/// Raises
+/// ------
+/// SceneError
+///     If it is no shape, or a mesh file, which `templates.load_mesh` reads.
+#[pyfunction]
+#[pyo3(signature = (shape, tolerance_mm=0.01))]
+pub fn shape_mesh(
+    py: Python<'_>,
+    shape: &Bound<'_, PyMapping>,
+    tolerance_mm: f64,
+) -> PyResult<(Matrix, Py<PyArray2<i64>>)> {
+    let shape: sim::Shape = tree::from_mapping(shape)?.map_err(SceneError::new_err)?;
+    shape.validate().map_err(raise)?;
+    let mesh = shape.mesh(tolerance_mm).ok_or_else(|| {
+        SceneError::new_err("the shape is a mesh file; gelstereo.templates.load_mesh reads those")
+    })?;
+    let triangles: Vec<i64> = mesh.triangles().iter().flatten().map(|&i| i64::from(i)).collect();
+    let shape = (mesh.triangles().len(), 3);
+    Ok((arrays::rows::<_, 3>(py, mesh.vertices_mm().to_vec())?, arrays::shaped(py, triangles, shape)?))
+}

@@ -49,6 +49,13 @@ pub fn replace<T: Serialize + DeserializeOwned>(
     Ok(to_toml(&tree).and_then(|text| toml::from_str(&text).map_err(|error| named(&text, &error, false))))
 }
 
+/// A value from nested dictionaries. The inner result is the deserialiser's.
+pub fn from_mapping<T: DeserializeOwned>(mapping: &Bound<'_, PyMapping>) -> PyResult<Result<T, String>> {
+    let mut tree = Table::new();
+    merge(&mut tree, mapping)?;
+    Ok(to_toml(&tree).and_then(|text| toml::from_str(&text).map_err(|error| named(&text, &error, false))))
+}
+
 /// Lays `changes` over `tree`; what is unknown is kept, for deserialisation to refuse by name.
 fn merge(tree: &mut Table, changes: &Bound<'_, PyMapping>) -> PyResult<()> {
     for item in changes.items()?.iter() {
@@ -120,6 +127,17 @@ fn value(object: &Bound<'_, PyAny>) -> PyResult<Value> {
 pub fn to_dict<'py, T: Serialize>(py: Python<'py>, value: &T) -> PyResult<Bound<'py, PyDict>> {
     let tree = Table::try_from(value).map_err(|e| crate::errors::Error::new_err(e.to_string()))?;
     dict(py, &tree)
+}
+
+/// TOML text as nested dictionaries; Python itself reads TOML only from 3.11 on.
+///
+/// Raises
+/// ------
+/// Error
+///     Naming the line that is no TOML.
+#[pyfunction]
+pub fn parse_toml<'py>(py: Python<'py>, text: &str) -> PyResult<Bound<'py, PyDict>> {
+    dict(py, &from_toml(text).map_err(crate::errors::Error::new_err)?)
 }
 
 fn dict<'py>(py: Python<'py>, tree: &Table) -> PyResult<Bound<'py, PyDict>> {
