@@ -48,8 +48,10 @@ __all__ = [
     "adjusted_gripper",
     "foresight_sort",
     "localize",
+    "nearest",
     "parse_toml",
     "rest_lattice",
+    "rigid_fit",
     "se3_exp",
     "se3_log",
     "shape_mesh",
@@ -305,7 +307,7 @@ class Template:
         mesh: str | Path | trimesh.Trimesh,
         *,
         units: Literal["mm", "cm", "m", "inch"],
-        spacing_mm: float = 0.3,
+        spacing_mm: float = 0.25,
         seed: int = 1,
     ) -> Template: ...
     @classmethod
@@ -314,7 +316,7 @@ class Template:
         vertices_mm: npt.ArrayLike,
         triangles: npt.ArrayLike,
         *,
-        spacing_mm: float = 0.3,
+        spacing_mm: float = 0.25,
         seed: int = 1,
     ) -> Template: ...
     @classmethod
@@ -344,6 +346,8 @@ class Localization:
     def t_sensor_object(self) -> _Floats: ...
     @property
     def information(self) -> _Floats: ...
+    @property
+    def covariance(self) -> _Floats: ...
     @property
     def converged(self) -> bool: ...
     @property
@@ -430,3 +434,7 @@ def so3_left_jacobian(omega: npt.ArrayLike) -> _Floats: ...
 def so3_left_jacobian_inverse(omega: npt.ArrayLike) -> _Floats: ...
 def se3_exp(twist: npt.ArrayLike) -> _Floats: ...
 def se3_log(pose: npt.ArrayLike) -> _Floats: ...
+def rigid_fit(
+    source: npt.ArrayLike, target: npt.ArrayLike, weights: npt.ArrayLike | None = None
+) -> _Floats: ...
+def nearest(points: npt.ArrayLike, queries: npt.ArrayLike) -> tuple[npt.NDArray[np.int64], _Floats]: ...

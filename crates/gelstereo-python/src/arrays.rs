@@ -85,6 +85,14 @@ impl<'py> Numbers<'py> {
         Ok(bytemuck::cast_slice(self.array.as_slice()?))
     }
 
+    /// The numbers of an (N,) array.
+    pub fn list(&self) -> PyResult<&[f64]> {
+        if self.array.shape().len() != 1 {
+            return Err(self.wrong_shape("(N,)"));
+        }
+        Ok(self.array.as_slice()?)
+    }
+
     /// The numbers of an array of any of the shapes with N numbers that OpenCV uses: (N,), (N, 1), (1, N).
     pub fn flat(&self) -> PyResult<&[f64]> {
         Ok(self.array.as_slice()?)

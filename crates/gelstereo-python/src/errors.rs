@@ -63,11 +63,20 @@ stage_errors! {
     core::contact::ContactError => ContactError,
     core::surface::MeshError => MeshError,
     core::register::TemplateError => TemplateError,
-    core::register::RegisterError => RegisterError,
+    core::register::RigidFitError => RegisterError,
     core::math::se3::PoseError => PoseError,
     core::math::so3::RotationError => PoseError,
     core::frames::WidthError => FrameError,
     gelstereo_sim::SceneError => SceneError,
+}
+
+impl ToPython for core::register::RegisterError {
+    fn to_python(&self) -> PyErr {
+        match self {
+            Self::Params(error) => error.to_python(),
+            error => RegisterError::new_err(error.to_string()),
+        }
+    }
 }
 
 impl ToPython for core::pipeline::PipelineError {

@@ -38,7 +38,7 @@ impl Template {
     /// TemplateError
     ///     If it cannot be sampled at this spacing.
     #[classmethod]
-    #[pyo3(signature = (mesh, *, units, spacing_mm=0.3, seed=1))]
+    #[pyo3(signature = (mesh, *, units, spacing_mm=0.25, seed=1))]
     fn from_mesh(
         cls: &Bound<'_, PyType>,
         mesh: &Bound<'_, PyAny>,
@@ -68,7 +68,7 @@ impl Template {
     /// MeshError, TemplateError
     ///     If they are no surface, or cannot be sampled at this spacing.
     #[classmethod]
-    #[pyo3(signature = (vertices_mm, triangles, *, spacing_mm=0.3, seed=1))]
+    #[pyo3(signature = (vertices_mm, triangles, *, spacing_mm=0.25, seed=1))]
     fn from_triangles(
         cls: &Bound<'_, PyType>,
         vertices_mm: &Bound<'_, PyAny>,
@@ -183,6 +183,14 @@ impl FreeDirection {
     fn centre_mm(&self, py: Python<'_>) -> Array1<f64> {
         arrays::list(py, self.inner.centre_mm.to_array().to_vec())
     }
+
+    fn __str__(&self) -> String {
+        self.inner.to_string()
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<FreeDirection: {}>", self.inner)
+    }
 }
 
 /// Where the part sits, with the evidence.
@@ -192,6 +200,9 @@ pub struct Localization {
     t_sensor_object: Matrix,
     /// (6, 6) information of a left perturbation (ωx ωy ωz vx vy vz) in the sensor frame; singular along `free`.
     information: Matrix,
+    /// (6, 6) covariance of the same perturbation, over the determined directions; zero along `free`, where the
+    /// variance has no bound.
+    covariance: Matrix,
     /// Whether the steps fell below ``register.step_tolerance`` before the iterations ran out.
     converged: bool,
     /// Iterations of the last stage.
@@ -210,11 +221,12 @@ pub struct Localization {
 
 impl Localization {
     fn new(py: Python<'_>, found: core::Registration) -> PyResult<Self> {
-        let digest = found.digest();
-        let free = found.free.into_iter().map(|inner| Py::new(py, FreeDirection { inner }));
+        let (digest, covariance) = (found.digest(), found.covariance());
+        let free = found.free.iter().map(|&inner| Py::new(py, FreeDirection { inner }));
         Ok(Self {
             t_sensor_object: arrays::pose_matrix(py, &found.t_sensor_object)?,
             information: arrays::matrix(py, found.information)?,
+            covariance: arrays::matrix(py, covariance)?,
             converged: found.converged,
             iterations: found.iterations,
             inliers: found.inliers,
@@ -223,6 +235,19 @@ impl Localization {
             free: PyTuple::new(py, free.collect::<PyResult<Vec<_>>>()?)?.unbind(),
             digest,
         })
+    }
+}
+
+#[pymethods]
+impl Localization {
+    fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
+        let end = if self.converged { "converged" } else { "not converged" };
+        let free = self.free.bind(py).len();
+        Ok(format!(
+            "<Localization: {end} after {} iterations, {} of {} points within reach, rmse {:.4} mm, {free} free \
+             directions>",
+            self.iterations, self.inliers, self.points, self.rmse_mm
+        ))
     }
 }
 

@@ -48,7 +48,9 @@ def stereo_pairs(folder: Path) -> list[tuple[Path, Path]]:
     views = [{path.name: path for path in _images(folder / view)} for view in ("left", "right")]
     alone = sorted(set(views[0]) ^ set(views[1]))
     if alone:
-        raise FileError(f"{alone[0]} stands in only one of {folder}/left and {folder}/right; pairs share a name")
+        raise FileError(
+            f"{alone[0]} stands in only one of {folder}/left and {folder}/right; pairs share a name"
+        )
     if not views[0]:
         raise FileError(f"{folder} has no images; valid is left/NAME.png with right/NAME.png")
     return [(views[0][name], views[1][name]) for name in sorted(views[0])]
@@ -99,5 +101,4 @@ def _is_number(text: str) -> bool:
 def _read_ply(path: Path) -> Floats:
     import trimesh
 
-    loaded = trimesh.load(path, process=False)
-    return np.asarray(getattr(loaded, "vertices"), dtype=np.float64)  # noqa: B009: a cloud or a mesh has them
+    return np.asarray(trimesh.load(path, process=False).vertices, dtype=np.float64)

@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
-from typing import TypeVar
+from collections.abc import Iterator
+from typing import Protocol, TypeVar
 
-T = TypeVar("T")
+T_co = TypeVar("T_co", covariant=True)
+
+
+class Items(Protocol[T_co]):
+    """What has a length and can be counted through: a list, a range, a simulator."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, index: int, /) -> T_co: ...
+
 
 _WIDTH = 32
 
 
-def progress(items: Sequence[T], what: str) -> Iterator[T]:
+def progress(items: Items[T_co], what: str) -> Iterator[T_co]:
     """Iterate over `items` behind a bar; nothing is drawn when standard error is no terminal."""
     shown = sys.stderr.isatty()
     total = len(items)

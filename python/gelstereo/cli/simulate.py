@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,9 +22,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("scene", type=Path, help="scene file (TOML)")
     parser.add_argument(
-        "--output", type=Path, required=True, help="folder for left/NNNN.png, right/NNNN.png, truth.npz, rig.toml"
+        "--output",
+        type=Path,
+        required=True,
+        help="folder for left/NNNN.png, right/NNNN.png, truth.npz, rig.toml",
     )
-    parser.add_argument("--frames", type=int, nargs="+", metavar="N", help="frames to render; all if left out")
+    parser.add_argument(
+        "--frames", type=int, nargs="+", metavar="N", help="frames to render; all if left out"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -31,7 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
     simulator = simulate(arguments.scene)
     wanted = range(len(simulator)) if arguments.frames is None else arguments.frames
     frames = [_render(simulator, index, arguments.output) for index in progress(wanted, "rendering")]
-    np.savez_compressed(arguments.output / "truth.npz", **_truth(frames))
+    _write_truth(arguments.output / "truth.npz", frames)
     simulator.scene.rig.save(arguments.output / "rig.toml")
     simulator.scene.save(arguments.output / "scene.toml")
     print(f"wrote {len(frames)} stereo frames and their truth to {arguments.output}")
@@ -45,9 +51,9 @@ def _render(simulator: Simulator, index: int, folder: Path) -> SimulatedFrame:
     return frame
 
 
-def _truth(frames: list[SimulatedFrame]) -> dict[str, np.ndarray]:
+def _write_truth(path: Path, frames: list[SimulatedFrame]) -> None:
     names = ["index", "points_mm", "indentation_mm", "in_contact", "left_px", "right_px"]
-    out = {name: np.stack([np.asarray(getattr(frame, name)) for frame in frames]) for name in names}
     if all(frame.t_sensor_object is not None for frame in frames):
-        out["t_sensor_object"] = np.stack([np.asarray(frame.t_sensor_object) for frame in frames])
-    return out
+        names.append("t_sensor_object")
+    arrays: dict[str, Any] = {name: np.stack([getattr(frame, name) for frame in frames]) for name in names}
+    np.savez_compressed(path, **arrays)
