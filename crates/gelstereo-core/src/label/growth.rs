@@ -166,7 +166,7 @@ impl<'a> Growth<'a> {
         Some(())
     }
 
-    /// Breadth first from the seed: steps near the seed, where most is known, come first.
+    /// From the seed outwards.
     fn grow(&mut self, seed: &Seed) {
         let middle = (self.rows / 2, self.cols / 2);
         let mut places = vec![middle];
