@@ -76,7 +76,7 @@ fn neighbour_distance(points: &[DVec2], grid: &mut Grid) -> Option<f64> {
     median(&mut distances).filter(|&d| d > 0.0)
 }
 
-/// The detection whose neighbours to the right and left, and above and below, are the most symmetric.
+/// The detection whose neighbours to the right and left, and above and below, are the most symmetric and square.
 fn find_seed(points: &[DVec2], grid: &Grid, near_px: f64) -> Option<Seed> {
     let mut best: Option<(f64, Seed)> = None;
     for centre in 0..points.len() {
@@ -84,8 +84,11 @@ fn find_seed(points: &[DVec2], grid: &Grid, near_px: f64) -> Option<Seed> {
         let [right, down, left, up] = around.map(|m| points[m] - points[centre]);
         let size = right.length_squared() + down.length_squared();
         let asymmetry = ((right + left).length_squared() + (down + up).length_squared()) / size;
-        if asymmetry < 0.1 && best.as_ref().is_none_or(|(least, _)| asymmetry < *least) {
-            best = Some((asymmetry, Seed { centre, around }));
+        // The middle of two merged dots can be symmetric as well, but its rows and columns are oblique.
+        let slant = right.dot(down) / (0.5 * size);
+        let score = asymmetry + slant * slant;
+        if asymmetry < 0.1 && best.as_ref().is_none_or(|(least, _)| score < *least) {
+            best = Some((score, Seed { centre, around }));
         }
     }
     best.map(|(_, seed)| seed)
