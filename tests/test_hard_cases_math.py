@@ -147,8 +147,8 @@ def test_row_04_matrix_to_quaternion(direction: np.ndarray, angle: float) -> Non
     matrix = mpmath.eye(3) + k * sinc + k * k * versine
     rounded = np.array(matrix.tolist(), dtype=float)
     q = geometry.so3_from_matrix(rounded)
-    # Entries of the matrix are rounded by U/2 to U; the largest of the four numbers is at least 1/2, so the others, sums
-    # of two entries over four times it, are good to 2 U, and normalisation adds 2 U.
+    # Entries of the matrix are rounded by U/2 to U; the largest of the four numbers is at least 1/2, so the others,
+    # sums of two entries over four times it, are good to 2 U, and normalisation adds 2 U.
     expected = exact_quaternion(omega)
     error = min(worst(q, expected), worst(-q, expected) if abs(q[3]) < 4 * U else np.inf)
     assert error <= 6 * U
