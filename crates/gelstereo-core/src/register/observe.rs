@@ -10,13 +10,13 @@
 //! δn has variance τ² across n and δx has σ² per axis,
 //!
 //! ```text
-//! E[Σ δJ δJᵀ] = N = Σ τ² B (I - n nᵀ) Bᵀ + σ²/ρ² (I - n nᵀ)ₒ,   B = ([x - c]ₓ / ρ ; I),   τ² = κ² (σ² + t²/2)
+//! E[Σ δJ δJᵀ] = N = Σ τ² B (I - n nᵀ) Bᵀ + σ²/ρ² (I - n nᵀ)ₒ,   B = ([x - c]ₓ / ρ ; I)
 //! ```
 //!
-//! (the last term acts on rotations), with κ the template's curvature at the point and t the tangential distance at
-//! which its normal was read: the normal turns by κ per millimetre. An eigenvector u of Σ J Jᵀ with eigenvalue λ is
-//! free when λ is no larger than such noise makes it by itself, or when it is known no better than to the patch's
-//! own size:
+//! (the last term acts on rotations). τ² follows from the template around the point: for the evidence it is the spread
+//! of the normals within half a spacing (`facet`), for a step the turn over the distance at which the normal was read
+//! (`Template::step_variance`). An eigenvector u of Σ J Jᵀ with eigenvalue λ is free when λ is no larger than such
+//! noise makes it by itself, or when it is known no better than to the patch's own size:
 //!
 //! ```text
 //! λ <= (1 + 3 √(2/n)) uᵀ N u + σ²/ρ²
@@ -90,9 +90,9 @@ pub struct Observability {
     pub centre_mm: DVec3,
     /// Rms radius ρ of the patch, which makes rotations comparable to translations.
     pub radius_mm: f64,
-    /// Information along every direction, per mm², ascending; exactly 0 along free ones.
+    /// Information along every direction, per mm²; exactly 0 along free ones.
     pub values: Vector6,
-    /// Unit directions (ρ ω, v), one a row.
+    /// Unit directions (ρ ω, v), one a row, in the order of what they would know if normals were exact.
     pub directions: [Vector6; 6],
 }
 
