@@ -8,7 +8,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import numpy.typing as npt
-
 from gelstereo.calibrate.solve import board_points_mm
 
 Array = npt.NDArray[np.float64]
@@ -46,7 +45,9 @@ class TrueRig:
         in_left = points_mm @ rotation.T + translation_mm
         in_right = in_left @ self.r_right_left.T + self.t_right_left_mm
         left = cv2.projectPoints(in_left, np.zeros(3), np.zeros(3), self.left_matrix, self.left_distortion)[0]
-        right = cv2.projectPoints(in_right, np.zeros(3), np.zeros(3), self.right_matrix, self.right_distortion)[0]
+        right = cv2.projectPoints(
+            in_right, np.zeros(3), np.zeros(3), self.right_matrix, self.right_distortion
+        )[0]
         return np.asarray(left, float).reshape(-1, 2), np.asarray(right, float).reshape(-1, 2)
 
 
@@ -90,7 +91,9 @@ def draw_pair(
             for col in range(-1, cols):
                 if (row + col) % 2 == 0:
                     continue
-                corners = np.array([[col, row, 0], [col + 1, row, 0], [col + 1, row + 1, 0], [col, row + 1, 0]])
+                corners = np.array(
+                    [[col, row, 0], [col + 1, row, 0], [col + 1, row + 1, 0], [col, row + 1, 0]]
+                )
                 pixels = rig.views(*pose, corners * SQUARE_MM)[view]
                 fixed = np.round(((pixels + 0.5) * scale - 0.5) * 256).astype(np.int32)
                 cv2.fillConvexPoly(image, fixed, (40,), lineType=cv2.LINE_AA, shift=8)

@@ -68,23 +68,34 @@ def calibrate_stereo(
     refine_intrinsics: bool = True,
     progress: Progress | None = None,
 ) -> StereoCalibration:
-    """Calibrates a stereo pair from images of a chessboard.
+    """Calibrate a stereo pair from images of a chessboard.
 
-    Args:
-        left_paths: images of the left camera; paired with the right ones by the number in their names.
-        right_paths: images of the right camera.
-        board: inner corners (columns, rows); a board of 10x7 squares has 9x6.
-        square_mm: side of a square.
-        time_limit_s: longest corner search in one image; the image is then left out, and named.
-        drop_outliers: whether pairs whose error stands out are left out of a second calibration. They are named
-            either way.
-        refine_intrinsics: whether the cameras' own parameters are fitted again together with the pair's.
-        progress: called with (steps done, steps in all, what is being done).
+    Parameters
+    ----------
+    left_paths
+        Images of the left camera; paired with the right ones by the number in their names.
+    right_paths
+        Images of the right camera.
+    board
+        Inner corners (columns, rows); a board of 10x7 squares has 9x6.
+    square_mm
+        Side of a square.
+    time_limit_s
+        Longest corner search in one image; the image is then left out, and named.
+    drop_outliers
+        Whether pairs whose error stands out are left out of a second calibration. They are named
+        either way.
+    refine_intrinsics
+        Whether the cameras' own parameters are fitted again together with the pair's.
+    progress
+        Called with (steps done, steps in all, what is being done).
 
-    Raises:
-        UnpairedImagesError, ImageError, BoardNotFoundError, TooFewPairsError, SwappedViewsError,
-        MismatchedPairsError: as their names say.
-        CalibrationError: any of these, or no calibration explains the corners.
+    Raises
+    ------
+    CalibrationError
+        No calibration explains the corners; its subclasses name what is wrong with files, boards and pairs:
+        `UnpairedImagesError`, `ImageError`, `BoardNotFoundError`, `TooFewPairsError`, `SwappedViewsError` and
+        `MismatchedPairsError`.
     """
     _check_board(board, square_mm)
     report = progress or (lambda done, total, what: None)
@@ -128,12 +139,16 @@ def calibrate_corners(
     refine_intrinsics: bool = True,
     progress: Progress | None = None,
 ) -> StereoCalibration:
-    """Calibrates a stereo pair from corners that were found elsewhere.
+    """Calibrate a stereo pair from corners that were found elsewhere.
 
-    Args:
-        left_px: corners (columns * rows, 2) of every left image, row by row; ``right_px`` in the same numbering.
-        size_px: width and height of the images.
-        names: of the pairs, for the report; otherwise "pair 0" and so on.
+    Parameters
+    ----------
+    left_px
+        Corners (columns * rows, 2) of every left image, row by row; ``right_px`` in the same numbering.
+    size_px
+        Width and height of the images.
+    names
+        Of the pairs, for the report; otherwise "pair 0" and so on.
 
     The rest as `calibrate_stereo`.
     """
@@ -202,7 +217,9 @@ def _check_corners(left_px: Sequence[Array], right_px: Sequence[Array], board: t
 
 
 def _too_few(usable: int, unused: Sequence[Observation]) -> TooFewPairsError:
-    message = f"{usable} pairs show the whole board in both views; at least {MIN_PAIRS} are needed, ten are advised"
+    message = (
+        f"{usable} pairs show the whole board in both views; at least {MIN_PAIRS} are needed, ten are advised"
+    )
     reasons = "; ".join(f"{o.pair.name}: {o.problem}" for o in unused[:5])
     return TooFewPairsError(f"{message} ({reasons})" if reasons else message, usable, MIN_PAIRS)
 
@@ -222,7 +239,10 @@ def _rectify(stereo: Stereo, size_px: tuple[int, int]) -> Rectification:
 
 def _with_unused(calibration: StereoCalibration, observations: Sequence[Observation]) -> StereoCalibration:
     by_name = {pair.name: pair for pair in calibration.pairs}
-    pairs = [by_name.get(o.pair.name) or PairReport(o.pair.name, None, None, problem=o.problem) for o in observations]
+    pairs = [
+        by_name.get(o.pair.name) or PairReport(o.pair.name, None, None, problem=o.problem)
+        for o in observations
+    ]
     return replace(calibration, pairs=tuple(pairs))
 
 

@@ -38,7 +38,7 @@ def refuse_contradictions(
     right: Mono,
     names: Sequence[str],
 ) -> None:
-    """Raises when the views, or some pairs, are swapped, or a pair's two images show different moments.
+    """Refuse swapped views, swapped pairs, and pairs whose two images show different moments.
 
     Every pair gives the pose of the right camera by its two board poses. The pose that explains most pairs is taken
     for the rig's, and every pair is held against it.
@@ -47,7 +47,10 @@ def refuse_contradictions(
     boards = [board_pose(object_mm, corners, left.matrix, left.distortion) for corners in left_px]
     errors = np.array(
         [
-            [_transfer_px(object_mm, at, corners, pose, right) for at, corners in zip(boards, right_px, strict=True)]
+            [
+                _transfer_px(object_mm, at, corners, pose, right)
+                for at, corners in zip(boards, right_px, strict=True)
+            ]
             for pose in poses
         ]
     )
@@ -73,7 +76,9 @@ def refuse_contradictions(
         raise MismatchedPairsError(message, [names[i] for i in swapped], [names[i] for i in mismatched])
 
 
-def _relative_pose(object_mm: Array, left_px: Array, right_px: Array, left: Mono, right: Mono) -> tuple[Array, Array]:
+def _relative_pose(
+    object_mm: Array, left_px: Array, right_px: Array, left: Mono, right: Mono
+) -> tuple[Array, Array]:
     r_left, t_left = board_pose(object_mm, left_px, left.matrix, left.distortion)
     r_right, t_right = board_pose(object_mm, right_px, right.matrix, right.distortion)
     rotation = r_right @ r_left.T
@@ -167,16 +172,20 @@ def coverage_hints(
     right: Mono,
     rms_px: float,
 ) -> list[str]:
-    """What the pairs leave unseen: parts of the images, tilts of the board, focal lengths."""
+    """Say what the pairs leave unseen: parts of the images, tilts of the board, focal lengths."""
     hints = []
     if rms_px > _POOR_RMS_PX:
-        hints.append(f"the rms error of {rms_px:.2f} px is large: is the board flat, held still and of the right size?")
+        hints.append(
+            f"the rms error of {rms_px:.2f} px is large: is the board flat, held still and of the right size?"
+        )
     if len(left_px) < _MIN_PAIRS_ADVISED:
         hints.append(f"only {len(left_px)} pairs; {_MIN_PAIRS_ADVISED} or more average corner noise better")
     for view, corners in (("left", left_px), ("right", right_px)):
         empty = _empty_cells(np.concatenate(list(corners)), size_px)
         if empty:
-            hints.append(f"no corner in the {view} view's {', '.join(empty)}: distortion there is extrapolated")
+            hints.append(
+                f"no corner in the {view} view's {', '.join(empty)}: distortion there is extrapolated"
+            )
     spread = _tilt_spread_rad([board_pose(object_mm, c, left.matrix, left.distortion)[0] for c in left_px])
     if spread < _MIN_TILT_SPREAD_RAD:
         hints.append(
@@ -186,7 +195,9 @@ def coverage_hints(
     for view, mono in (("left", left), ("right", right)):
         share = mono.focal_sigma_px / mono.matrix[0, 0]
         if share > 0.005:
-            hints.append(f"the {view} focal length is uncertain by {100 * share:.1f} % (one standard deviation)")
+            hints.append(
+                f"the {view} focal length is uncertain by {100 * share:.1f} % (one standard deviation)"
+            )
     return hints
 
 

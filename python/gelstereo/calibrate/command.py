@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import glob
 import sys
 from pathlib import Path
 
@@ -19,9 +18,13 @@ EXAMPLES = """examples:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Adds the command's arguments."""
-    parser.add_argument("--left", nargs="+", required=True, metavar="IMAGE", help="left images, or a quoted pattern")
-    parser.add_argument("--right", nargs="+", required=True, metavar="IMAGE", help="right images, or a quoted pattern")
+    """Add the command's arguments."""
+    parser.add_argument(
+        "--left", nargs="+", required=True, metavar="IMAGE", help="left images, or a quoted pattern"
+    )
+    parser.add_argument(
+        "--right", nargs="+", required=True, metavar="IMAGE", help="right images, or a quoted pattern"
+    )
     parser.add_argument(
         "--board", type=board_size, required=True, metavar="COLSxROWS", help="inner corners, for example 9x6"
     )
@@ -32,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Calibrates, prints the report, and writes the rig file; the exit code."""
+    """Calibrate, print the report, and write the rig file; return the exit code."""
     calibration = calibrate_stereo(
         expand(arguments.left),
         expand(arguments.right),
@@ -60,7 +63,8 @@ def board_size(text: str) -> tuple[int, int]:
 def expand(patterns: list[str]) -> list[Path]:
     """Files of names and patterns.
 
-    Raises:
+    Raises
+    ------
         CalibrationError: a pattern matches no file.
     """
     paths: list[Path] = []
@@ -68,10 +72,11 @@ def expand(patterns: list[str]) -> list[Path]:
         if Path(pattern).is_file():
             paths.append(Path(pattern))
             continue
-        matches = sorted(glob.glob(pattern))
+        folder, name = Path(pattern).parent, Path(pattern).name
+        matches = sorted(folder.glob(name))
         if not matches:
             raise CalibrationError(f"no file matches {pattern}")
-        paths += [Path(match) for match in matches]
+        paths += matches
     return paths
 
 

@@ -18,7 +18,9 @@ import numpy.typing as npt
 WINDOW_SHARE = 0.2
 
 
-def find_corners(image: npt.NDArray[np.uint8], board: tuple[int, int], method: str) -> npt.NDArray[np.float32] | None:
+def find_corners(
+    image: npt.NDArray[np.uint8], board: tuple[int, int], method: str
+) -> npt.NDArray[np.float32] | None:
     """Inner corners (rows * columns, 2) in pixels, row by row, or ``None``; ``method`` is classic or sectors."""
     if min(board) < 2 or min(image.shape) < 8:
         return None
@@ -44,7 +46,7 @@ def shortest_spacing_px(corners: npt.NDArray[np.float32], board: tuple[int, int]
 
 
 def answer(request: dict[str, Any]) -> dict[str, Any]:
-    """Answers one request: the image's size and its corners, each possibly ``None``."""
+    """Answer one request: the image's size and its corners, each possibly ``None``."""
     image = cv2.imread(request["path"], cv2.IMREAD_GRAYSCALE)
     if image is None:
         return {"size_px": None, "corners_px": None}
@@ -61,7 +63,7 @@ def answer(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Serves requests until standard input closes."""
+    """Serve requests until standard input closes."""
     print("ready", flush=True)
     for line in sys.stdin:
         print(json.dumps(answer(json.loads(line))), flush=True)

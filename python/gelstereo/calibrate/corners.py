@@ -60,15 +60,16 @@ class CornerFinder:
         self.close()
 
     def close(self) -> None:
-        """Ends the worker."""
+        """End the worker."""
         if self._worker is not None:
             self._worker.end()
             self._worker = None
 
     def find(self, path: Path, board: tuple[int, int], method: Method = "classic") -> Corners:
-        """Searches ``board``, inner corners (columns, rows), in one image.
+        """Search ``board``, inner corners (columns, rows), in one image.
 
-        Raises:
+        Raises
+        ------
             ImageError: the file cannot be read as an image.
         """
         if self._worker is None:
@@ -89,7 +90,9 @@ class CornerFinder:
 
         image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
         if image is None:
-            raise ImageError(f"{path} is not an image that OpenCV can read within {self.time_limit_s} s", path)
+            raise ImageError(
+                f"{path} is not an image that OpenCV can read within {self.time_limit_s} s", path
+            )
         return int(image.shape[1]), int(image.shape[0])
 
 
@@ -123,11 +126,13 @@ class _Worker:
             return None
         if not line:
             code = self._process.wait()
-            raise CalibrationError(f"the corner search ended unexpectedly (exit code {code}); its output says why")
+            raise CalibrationError(
+                f"the corner search ended unexpectedly (exit code {code}); its output says why"
+            )
         return line
 
     def ask(self, request: dict[str, Any], limit_s: float) -> dict[str, Any] | None:
-        """The worker's answer, or ``None`` at the time limit."""
+        """Return the worker's answer, or ``None`` at the time limit."""
         self._stdin.write(json.dumps(request) + "\n")
         self._stdin.flush()
         line = self._next_line(limit_s)
@@ -146,8 +151,10 @@ class _Worker:
 
 
 def neighbouring_boards(board: tuple[int, int]) -> list[tuple[int, int]]:
-    """Sizes that people confuse with ``board``, the likeliest first: squares counted instead of corners and the
-    reverse, then one or two rows or columns more or fewer."""
+    """List sizes that people confuse with ``board``, the likeliest first.
+
+    Squares counted instead of corners and the reverse, then one or two rows or columns more or fewer.
+    """
     cols, rows = board
     likely = [(-1, -1), (1, 1)]
     steps = range(-2, 3)

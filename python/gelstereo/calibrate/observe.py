@@ -45,12 +45,13 @@ class Observation:
 def observe(
     pairs: Sequence[ImagePair], board: tuple[int, int], finder: CornerFinder, progress: Progress
 ) -> list[Observation]:
-    """Finds the board, inner corners (columns, rows), in every pair.
+    """Find the board, inner corners (columns, rows), in every pair.
 
     Images in which the classic search fails are tried again with the sector search, but not when the classic search
     finds a board of another size: the sector search would then invent or leave out corners.
 
-    Raises:
+    Raises
+    ------
         ImageError: a file cannot be read, or the sizes within one camera differ.
         BoardNotFoundError: no image shows the board; it says which size was found instead, if any.
     """
@@ -68,7 +69,9 @@ def observe(
         found[path] = finder.find(path, board, "sectors")
     if _count(found) == 0:
         timed_out = sum(corners.timed_out for corners in found.values())
-        raise BoardNotFoundError(_not_found_message(board, len(paths), len(paths), timed_out, None, None), board, None)
+        raise BoardNotFoundError(
+            _not_found_message(board, len(paths), len(paths), timed_out, None, None), board, None
+        )
     return [align(Observation(pair, found[pair.left], found[pair.right]), board) for pair in pairs]
 
 
@@ -87,19 +90,25 @@ def _check_sizes(images: Sequence[tuple[Path, Corners]]) -> None:
             raise ImageError(message, path)
 
 
-def _refuse_other_board(missing: Sequence[Path], images: int, board: tuple[int, int], finder: CornerFinder) -> None:
-    """Raises when images without the board show one of a neighbouring size.
+def _refuse_other_board(
+    missing: Sequence[Path], images: int, board: tuple[int, int], finder: CornerFinder
+) -> None:
+    """Refuse when images without the board show one of a neighbouring size.
 
     A smaller one in a few images is a board cut off by the border. A larger one, or one in most images, is what there
     is: asked for less, the search would number different parts of it in different images.
     """
     for path in missing[:_HINT_IMAGES]:
-        sizes = [size for size in neighbouring_boards(board) if finder.find(path, size).corners_px is not None]
+        sizes = [
+            size for size in neighbouring_boards(board) if finder.find(path, size).corners_px is not None
+        ]
         if not sizes:
             continue
         size = max(sizes, key=_corners_of)
         if _corners_of(size) > _corners_of(board) or 2 * len(missing) >= images:
-            raise BoardNotFoundError(_not_found_message(board, len(missing), images, 0, size, path), board, size)
+            raise BoardNotFoundError(
+                _not_found_message(board, len(missing), images, 0, size, path), board, size
+            )
 
 
 def _corners_of(board: tuple[int, int]) -> int:
@@ -126,7 +135,7 @@ def _not_found_message(
 
 
 def align(observation: Observation, board: tuple[int, int]) -> Observation:
-    """Numbers the right view's corners as the left view's.
+    """Give the right view's corners the left view's numbering.
 
     A chessboard looks the same after half a turn (a square one after a quarter), and the search may start at either
     end. Of these numberings the one wins whose corners lie nearest to the left view's, both about their centroids;

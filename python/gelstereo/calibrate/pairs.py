@@ -26,11 +26,12 @@ class ImagePair:
 
 
 def pair_images(left_paths: Iterable[str | Path], right_paths: Iterable[str | Path]) -> list[ImagePair]:
-    """Pairs files by the last number in their names (``left07.jpg`` with ``right07.jpg``).
+    """Pair files by the last number in their names (``left07.jpg`` with ``right07.jpg``).
 
     Files without numbers are paired in the order given. The result is ordered by number.
 
-    Raises:
+    Raises
+    ------
         UnpairedImagesError: a file has no partner, or one number occurs twice in a list.
         SwappedViewsError: the left files are named "right" and the right files "left".
     """

@@ -101,46 +101,31 @@ class StereoCalibration:
 
     @property
     def rig(self) -> Rig:
-        """The rig that the pipeline takes."""
+        """The rig that the pipeline takes.
+
+        Raises
+        ------
+        RigError
+            What calibration found is no rig.
+        """
         from gelstereo import Rig
 
-        return Rig.from_toml(self.to_toml())
-
-    def to_toml(self) -> str:
-        """The rig as the text of a rig file."""
-        t_right_left = np.eye(4)
-        t_right_left[:3, :3] = self.stereo.r_right_left
-        t_right_left[:3, 3] = self.stereo.t_right_left_mm
-        rows = ",\n".join(f"    {_numbers(row)}" for row in t_right_left)
-        lines = [
-            f"# Stereo rms {self.stereo.rms_px:.3f} px over {self.used} pairs of a {self.board[0]}x{self.board[1]} "
-            f"board with {self.square_mm:g} mm squares.",
-            f"t_right_left = [\n{rows},\n]",
-            "",
-            *self._camera_lines("left", self.stereo.left_matrix, self.stereo.left_distortion),
-            "",
-            *self._camera_lines("right", self.stereo.right_matrix, self.stereo.right_distortion),
-        ]
-        return "\n".join(lines) + "\n"
-
-    def _camera_lines(self, view: str, matrix: Array, distortion: Array) -> list[str]:
-        return [
-            f"[{view}]",
-            f"width_px = {self.size_px[0]}",
-            f"height_px = {self.size_px[1]}",
-            f"fx_px = {float(matrix[0, 0])!r}",
-            f"fy_px = {float(matrix[1, 1])!r}",
-            f"cx_px = {float(matrix[0, 2])!r}",
-            f"cy_px = {float(matrix[1, 2])!r}",
-            f"distortion = {_numbers(distortion)}",
-        ]
+        return Rig.from_opencv(
+            size_px=self.size_px,
+            left_matrix=self.stereo.left_matrix,
+            left_distortion=self.stereo.left_distortion,
+            right_matrix=self.stereo.right_matrix,
+            right_distortion=self.stereo.right_distortion,
+            rotation=self.stereo.r_right_left,
+            translation_mm=self.stereo.t_right_left_mm,
+        )
 
     def save(self, path: str | Path) -> None:
-        """Writes the rig file, after the rig has passed its own checks."""
+        """Write the rig file (TOML)."""
         self.rig.save(path)
 
     def summary(self) -> str:
-        """The report as plain text."""
+        """Write the report as plain text."""
         stereo = self.stereo
         lines = [
             f"{self.used} of {len(self.pairs)} pairs used, board {self.board[0]}x{self.board[1]}, "
@@ -168,7 +153,3 @@ def _pair_line(pair: PairReport) -> str:
         return f"{pair.name:<32}  not used: {pair.problem}"
     mark = "  outlier" if pair.outlier else ""
     return f"{pair.name:<32}  {pair.left_px:7.3f}  {pair.right_px:8.3f}{mark}"
-
-
-def _numbers(values: Array) -> str:
-    return "[" + ", ".join(repr(float(value)) for value in values) + "]"

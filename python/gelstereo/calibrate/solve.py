@@ -59,9 +59,10 @@ def board_points_mm(board: tuple[int, int], square_mm: float) -> Array:
 
 
 def solve_mono(object_mm: Array, corners_px: Sequence[Array], size_px: tuple[int, int]) -> Mono:
-    """Calibrates one camera.
+    """Calibrate one camera.
 
-    Raises:
+    Raises
+    ------
         CalibrationError: OpenCV finds no solution, or one that is not finite.
     """
     objects = [object_mm.astype(np.float32)] * len(corners_px)
@@ -93,12 +94,13 @@ def solve_stereo(
     right: Mono,
     refine_intrinsics: bool,
 ) -> Stereo:
-    """Calibrates the pair from two calibrated cameras.
+    """Calibrate the pair from two calibrated cameras.
 
     With ``refine_intrinsics`` all parameters of both cameras are fitted together: the maximum-likelihood estimate when
     corner noise is equal in both views.
 
-    Raises:
+    Raises
+    ------
         CalibrationError: OpenCV finds no solution, or one that is not finite.
     """
     objects = [object_mm.astype(np.float32)] * len(left_px)
