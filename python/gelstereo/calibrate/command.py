@@ -65,7 +65,8 @@ def expand(patterns: list[str]) -> list[Path]:
 
     Raises
     ------
-        CalibrationError: a pattern matches no file.
+    CalibrationError
+        A pattern matches no file.
     """
     paths: list[Path] = []
     for pattern in patterns:

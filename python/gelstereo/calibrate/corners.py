@@ -70,7 +70,8 @@ class CornerFinder:
 
         Raises
         ------
-            ImageError: the file cannot be read as an image.
+        ImageError
+            The file cannot be read as an image.
         """
         if self._worker is None:
             self._worker = _Worker()

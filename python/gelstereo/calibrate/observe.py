@@ -52,8 +52,10 @@ def observe(
 
     Raises
     ------
-        ImageError: a file cannot be read, or the sizes within one camera differ.
-        BoardNotFoundError: no image shows the board; it says which size was found instead, if any.
+    ImageError
+        A file cannot be read, or the sizes within one camera differ.
+    BoardNotFoundError
+        No image shows the board; it says which size was found instead, if any.
     """
     paths = [path for pair in pairs for path in (pair.left, pair.right)]
     found: dict[Path, Corners] = {}

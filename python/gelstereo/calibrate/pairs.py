@@ -32,8 +32,10 @@ def pair_images(left_paths: Iterable[str | Path], right_paths: Iterable[str | Pa
 
     Raises
     ------
-        UnpairedImagesError: a file has no partner, or one number occurs twice in a list.
-        SwappedViewsError: the left files are named "right" and the right files "left".
+    UnpairedImagesError
+        A file has no partner, or one number occurs twice in a list.
+    SwappedViewsError
+        The left files are named "right" and the right files "left".
     """
     left = [Path(path) for path in left_paths]
     right = [Path(path) for path in right_paths]

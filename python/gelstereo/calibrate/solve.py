@@ -63,7 +63,8 @@ def solve_mono(object_mm: Array, corners_px: Sequence[Array], size_px: tuple[int
 
     Raises
     ------
-        CalibrationError: OpenCV finds no solution, or one that is not finite.
+    CalibrationError
+        OpenCV finds no solution, or one that is not finite.
     """
     objects = [object_mm.astype(np.float32)] * len(corners_px)
     images = [corners.astype(np.float32).reshape(-1, 1, 2) for corners in corners_px]
@@ -101,7 +102,8 @@ def solve_stereo(
 
     Raises
     ------
-        CalibrationError: OpenCV finds no solution, or one that is not finite.
+    CalibrationError
+        OpenCV finds no solution, or one that is not finite.
     """
     objects = [object_mm.astype(np.float32)] * len(left_px)
     images = [[c.astype(np.float32).reshape(-1, 1, 2) for c in view] for view in (left_px, right_px)]

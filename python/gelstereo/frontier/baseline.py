@@ -293,7 +293,8 @@ class Baseline:
 
         Raises
         ------
-            ValueError: the first frame does not show all markers, or a row cannot be sorted.
+        ValueError
+            The first frame does not show all markers, or a row cannot be sorted.
         """
         first = not self._tracks
         views = {"left": left, "right": right}
