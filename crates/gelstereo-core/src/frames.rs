@@ -1,11 +1,15 @@
 //! From the sensor to the robot's base (Eq. 8).
+//!
+//! ```text
+//! base --t_base_gripper--> gripper --t_gripper_sensor(width)--> sensor --t_sensor_object--> object
+//! ```
+//! The gripper frame has its origin at the mount, z along the fingers towards their tips and x along the closing
+//! direction, towards the finger that carries the sensor. The pad frame is parallel to it, with its origin in the
+//! middle of that finger's pad.
 
-use crate::math::{DVec3, Pose};
+use crate::math::{DMat3, DQuat, DVec3, Pose, acos, atan2, cos, hypot, sin};
 
-/// How the sensor moves with the gripper's opening width.
-///
-/// The gripper frame has its origin at the mount, z along the fingers towards the tips, x along the closing direction
-/// from the sensing finger's opposite finger to the sensing finger.
+/// How a finger's pad moves with the opening width.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -13,28 +17,86 @@ use crate::math::{DVec3, Pose};
     serde(rename_all = "snake_case", tag = "kind", deny_unknown_fields)
 )]
 pub enum FingerKinematics {
-    /// Fingers that slide along x: the sensor stands at +width / 2.
-    Parallel {},
-    /// Four-bar fingers as the Robotiq 2F-85's: the pads stay parallel but advance along z while they close.
-    Parallelogram {
-        /// Lever arms of gap(θ) = 2 (offset_mm + a cos θ - b sin θ), z(θ) = a sin θ + b cos θ + z0, millimetres.
-        a_mm: f64,
-        /// Second lever arm.
-        b_mm: f64,
-        /// Half gap's constant part.
-        offset_mm: f64,
-        /// Constant part of the advance.
-        z0_mm: f64,
+    /// Fingers that slide along x: the pad stands at x = width / 2 and z = `reach_mm`.
+    Parallel {
+        /// Distance of the pad's middle from the mount.
+        reach_mm: f64,
+        /// Largest opening.
+        max_width_mm: f64,
     },
+    /// Four-bar fingers: the pads stay parallel, but advance along z while they close.
+    ///
+    /// With the crank at θ from open (0) to `max_theta_rad`:
+    /// width = 2 (offset + a cos θ - b sin θ), z = reach + a sin θ + b cos θ.
+    Parallelogram {
+        /// Crank's share along x when open.
+        a_mm: f64,
+        /// Crank's share along z when open.
+        b_mm: f64,
+        /// Constant part of half the width.
+        offset_mm: f64,
+        /// Constant part of the pad's z.
+        reach_mm: f64,
+        /// Crank angle when closed.
+        max_theta_rad: f64,
+    },
+}
+
+impl FingerKinematics {
+    /// The ideal parallelogram of a Robotiq 2F-85, from the link lengths that simulation models of it share: 85.4 mm
+    /// open, 0.9 mm closed, 13.9 mm of advance. A real gripper wants its own table.
+    #[must_use]
+    pub const fn robotiq_2f85() -> Self {
+        Self::Parallelogram {
+            a_mm: 37.6,
+            b_mm: 43.0,
+            offset_mm: 5.0808,
+            reach_mm: 87.324,
+            max_theta_rad: 0.8,
+        }
+    }
+
+    /// Smallest and largest opening width.
+    #[must_use]
+    pub fn width_range_mm(&self) -> (f64, f64) {
+        match *self {
+            Self::Parallel { max_width_mm, .. } => (0.0, max_width_mm),
+            Self::Parallelogram { a_mm, b_mm, offset_mm, max_theta_rad, .. } => {
+                let width = |theta: f64| 2.0 * (offset_mm + a_mm * cos(theta) - b_mm * sin(theta));
+                (width(max_theta_rad), width(0.0))
+            }
+        }
+    }
+
+    /// Middle of the sensing pad in the gripper frame.
+    ///
+    /// # Errors
+    /// [`WidthError`] for a width that the fingers cannot have.
+    pub fn pad_mm(&self, width_mm: f64) -> Result<DVec3, WidthError> {
+        let (min_mm, max_mm) = self.width_range_mm();
+        if !(width_mm >= min_mm && width_mm <= max_mm) {
+            return Err(WidthError { width_mm, min_mm, max_mm });
+        }
+        let z = match *self {
+            Self::Parallel { reach_mm, .. } => reach_mm,
+            Self::Parallelogram { a_mm, b_mm, offset_mm, reach_mm, .. } => {
+                // a cos θ - b sin θ = R cos(θ + φ) with R = |(a, b)|, φ = atan2(b, a).
+                let cosine = (0.5 * width_mm - offset_mm) / hypot(a_mm, b_mm);
+                let theta = acos(cosine.clamp(-1.0, 1.0)) - atan2(b_mm, a_mm);
+                reach_mm + a_mm * sin(theta) + b_mm * cos(theta)
+            }
+        };
+        Ok(DVec3::new(0.5 * width_mm, 0.0, z))
+    }
 }
 
 /// Where the sensor stands in the gripper.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
 pub struct SensorMount {
-    /// Motion of the finger pad.
+    /// Motion of the pad that carries the sensor.
     pub kinematics: FingerKinematics,
-    /// Sensor frame in the pad's frame (the pad's frame is parallel to the gripper's).
+    /// Maps sensor coordinates to pad coordinates.
     pub t_pad_sensor: Pose,
 }
 
@@ -51,25 +113,38 @@ pub struct WidthError {
 
 impl core::fmt::Display for WidthError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        write!(f, "the opening width is {} mm; valid is {} to {} mm", self.width_mm, self.min_mm, self.max_mm)
+        let Self { width_mm, min_mm, max_mm } = self;
+        write!(
+            f,
+            "the opening width is {width_mm:.3} mm; this gripper can have {min_mm:.3} to {max_mm:.3} mm"
+        )
     }
 }
 
 impl core::error::Error for WidthError {}
 
 impl SensorMount {
+    /// A sensor whose gel surface lies in the pad's middle and looks across the gap at the other finger: its z axis
+    /// is the gripper's -x, its y axis (down in the image) the gripper's z.
+    ///
+    /// `gel_centre_mm` is the middle of the undeformed gel surface in the sensor frame.
+    #[must_use]
+    pub fn facing(kinematics: FingerKinematics, gel_centre_mm: DVec3) -> Self {
+        let rotation = DQuat::from_mat3(&DMat3::from_cols(-DVec3::Y, DVec3::Z, -DVec3::X));
+        Self { kinematics, t_pad_sensor: Pose { rotation, translation_mm: -(rotation * gel_centre_mm) } }
+    }
+
     /// gTgs of Eq. 8: maps sensor coordinates to gripper coordinates at this opening width.
     ///
     /// # Errors
-    /// [`WidthError`].
+    /// [`WidthError`] for a width that the gripper cannot have.
     pub fn t_gripper_sensor(&self, width_mm: f64) -> Result<Pose, WidthError> {
-        let _ = (width_mm, DVec3::ZERO);
-        unimplemented!()
+        Ok(Pose::from_translation_mm(self.kinematics.pad_mm(width_mm)?) * self.t_pad_sensor)
     }
 }
 
 /// Gripper pose that brings the held object to `t_base_goal`: the adjustment between the in-hand pose and the
-/// template pose (section V-A), with the object rigid in the hand.
+/// template pose (section V-A), for an object that is rigid in the hand.
 #[must_use]
 pub fn adjusted_gripper(t_base_goal: &Pose, t_gripper_object: &Pose) -> Pose {
     *t_base_goal * t_gripper_object.inverse()

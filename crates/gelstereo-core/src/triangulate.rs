@@ -1,10 +1,11 @@
 //! From two views of a marker to a point in millimetres (Eq. 3), with its covariance.
 
-use crate::camera::CameraError;
+use crate::camera::{Camera, CameraError};
 use crate::math::linalg::Symmetric;
 use crate::math::{DMat3, DQuat, DVec2, DVec3};
 use crate::params::TriangulateParams;
 use crate::rig::{Rectification, Rig, RigError};
+use alloc::vec::Vec;
 
 /// Why a pair of pixels is no point. `index` counts from 0 in the order given.
 #[derive(Clone, Debug, PartialEq)]
@@ -110,24 +111,43 @@ impl Triangulator {
         &self,
         left_px: &[DVec2],
         right_px: &[DVec2],
-        out: &mut alloc::vec::Vec<StereoPoint>,
+        out: &mut Vec<StereoPoint>,
     ) -> Result<(), TriangulateError> {
         out.clear();
         if left_px.len() != right_px.len() {
             return Err(TriangulateError::LengthMismatch { left: left_px.len(), right: right_px.len() });
         }
         for (index, (&left, &right)) in left_px.iter().zip(right_px).enumerate() {
-            let (l, r) = self.rectify(index, left, right)?;
-            let disparity_px = l.x - r.x;
-            if !(disparity_px >= self.params.min_disparity_px) {
-                return Err(self.disparity_error(index, disparity_px, left_px, right_px));
+            match self.point(index, left, right) {
+                Ok(point) => out.push(point),
+                Err(TriangulateError::Disparity { disparity_px, min_px, .. }) => {
+                    let affected = self.count_bad_disparities(left_px, right_px);
+                    let of = left_px.len();
+                    return Err(TriangulateError::Disparity { index, disparity_px, min_px, affected, of });
+                }
+                Err(error) => return Err(error),
             }
-            out.push(StereoPoint {
-                point_mm: self.to_sensor * self.reproject(l, disparity_px),
-                epipolar_px: l.y - r.y,
-            });
         }
         Ok(())
+    }
+
+    /// The point of one pair of pixels; `index` is only named in errors.
+    ///
+    /// # Errors
+    /// [`TriangulateError::Ray`] or [`TriangulateError::Disparity`].
+    pub fn point(
+        &self,
+        index: usize,
+        left_px: DVec2,
+        right_px: DVec2,
+    ) -> Result<StereoPoint, TriangulateError> {
+        let (l, r) = self.rectify(index, left_px, right_px)?;
+        let disparity_px = l.x - r.x;
+        let min_px = self.params.min_disparity_px;
+        if !(disparity_px >= min_px) {
+            return Err(TriangulateError::Disparity { index, disparity_px, min_px, affected: 1, of: 1 });
+        }
+        Ok(StereoPoint { point_mm: self.to_sensor * self.reproject(l, disparity_px), epipolar_px: l.y - r.y })
     }
 
     /// Covariance of a point of the sensor frame, mm², for independent centre errors of `sigma_px` per axis in both
@@ -155,7 +175,7 @@ impl Triangulator {
     }
 
     fn rectify(&self, index: usize, left: DVec2, right: DVec2) -> Result<(DVec2, DVec2), TriangulateError> {
-        let one = |view, camera: &crate::camera::Camera, r: &DMat3, pixel: DVec2| {
+        let one = |view, camera: &Camera, r: &DMat3, pixel: DVec2| {
             let fail = |error| TriangulateError::Ray { index, view, error };
             let normalised = camera.undistort(pixel).map_err(fail)?;
             self.rectification
@@ -168,20 +188,10 @@ impl Triangulator {
         ))
     }
 
-    #[cold]
-    fn disparity_error(
-        &self,
-        index: usize,
-        disparity_px: f64,
-        left_px: &[DVec2],
-        right_px: &[DVec2],
-    ) -> TriangulateError {
-        let min_px = self.params.min_disparity_px;
-        let faulty = |(i, (&l, &r)): (usize, (&DVec2, &DVec2))| match self.rectify(i, l, r) {
-            Ok((l, r)) => !(l.x - r.x >= min_px),
-            Err(_) => false,
+    fn count_bad_disparities(&self, left_px: &[DVec2], right_px: &[DVec2]) -> usize {
+        let bad = |&(&left, &right): &(&DVec2, &DVec2)| {
+            matches!(self.point(0, left, right), Err(TriangulateError::Disparity { .. }))
         };
-        let affected = left_px.iter().zip(right_px).enumerate().filter(|&pair| faulty(pair)).count();
-        TriangulateError::Disparity { index, disparity_px, min_px, affected, of: left_px.len() }
+        left_px.iter().zip(right_px).filter(bad).count()
     }
 }

@@ -2,15 +2,24 @@
 //!
 //! A [`Scene`] lists what there is (rig, gel, indenter, trajectory) and which effects act. Every effect is a piece
 //! of its own: it is built only when the scene lists it, and draws from a random stream of its own.
+//!
+//! The part presses from beyond (larger z) and moves markers towards the camera (smaller z). The base is the rigid
+//! imprint: a marker under the part lies on the part, every other one stays at rest. [`effects`] add what a real gel
+//! and a real camera do to that.
 #![no_std]
 #![forbid(unsafe_code)]
 
 extern crate alloc;
 
+pub mod effects;
+mod lattice;
+mod render;
 pub mod scene;
 pub mod shapes;
 pub mod simulator;
+mod trajectory;
 
-pub use scene::{Scene, SceneError};
+pub use effects::Effects;
+pub use scene::{Gel, Keyframe, Scene, SceneError};
 pub use shapes::Shape;
 pub use simulator::{ContactState, Simulator, Truth};

@@ -1,0 +1,52 @@
+# Two commands: `make demo` runs the main job, `make test` passes all tests. Both set up what they need.
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+OUT ?= out
+HOST := target/release/gelstereo-host
+
+.PHONY: demo test test-rust test-python lint docs frontier clean prerequisites
+
+demo: prerequisites $(BIN)/python
+	$(BIN)/pip install --quiet '.[recording]'
+	cargo build --release --quiet -p gelstereo-host
+	@mkdir -p $(OUT)/demo
+	$(HOST) run --record $(OUT)/demo/run.mcap
+	$(BIN)/gelstereo view $(OUT)/demo/run.mcap --output $(OUT)/demo/located.png
+	@echo "picture:   $(OUT)/demo/located.png"
+	@echo "recording: $(OUT)/demo/run.mcap"
+
+test: prerequisites test-rust test-python
+	@echo "all tests passed"
+
+# Lints first: they fail soonest.
+test-rust: prerequisites
+	cargo fmt --all --check
+	cargo clippy --workspace --all-targets --quiet -- -D warnings
+	cargo test --workspace --quiet
+	cargo build --quiet --manifest-path tests/no_std_probe/Cargo.toml --target-dir target/no_std_probe
+	RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --quiet
+
+test-python: prerequisites $(BIN)/python
+	$(BIN)/pip install --quiet '.[test]'
+	# It would bring a second OpenCV with it; only its recordings are read.
+	$(BIN)/pip install --quiet --no-deps pytac3d==3.3.0.9
+	cargo build --release --quiet -p gelstereo-host
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy --strict python/gelstereo
+	$(BIN)/python -m mypy.stubtest gelstereo._native
+	GELSTEREO_HOST=$(HOST) $(BIN)/pytest
+
+frontier: prerequisites $(BIN)/python
+	$(BIN)/pip install --quiet '.[bench]'
+	$(BIN)/gelstereo frontier
+
+$(BIN)/python:
+	$(PYTHON) -m venv $(VENV)
+
+prerequisites:
+	@PYTHON=$(PYTHON) .ci/prerequisites.sh
+
+clean:
+	rm -rf target $(VENV) $(OUT)

@@ -1,0 +1,85 @@
+//! Pinhole, distortion and rectification against closed forms.
+
+use gelstereo_core::camera::{Camera, CameraError};
+use gelstereo_core::math::{DVec2, DVec3, Pose, so3};
+use gelstereo_core::rig::{Rig, RigError};
+use proptest::prelude::*;
+
+fn camera(distortion: [f64; 5]) -> Camera {
+    Camera {
+        width_px: 640,
+        height_px: 480,
+        fx_px: 560.0,
+        fy_px: 555.0,
+        cx_px: 320.0,
+        cy_px: 240.0,
+        distortion,
+    }
+}
+
+proptest! {
+    /// Undistorting what was distorted gives the ray back, to the round-off of Newton's last step.
+    #[test]
+    fn undistort_inverts_distort(
+        x in -0.5..0.5_f64, y in -0.4..0.4_f64,
+        k1 in -0.25..0.3_f64, k2 in -0.1..0.2_f64, p1 in -0.01..0.01_f64, p2 in -0.01..0.01_f64,
+    ) {
+        let camera = camera([k1, k2, p1, p2, 0.0]);
+        let ray = DVec3::new(x, y, 1.0) * 30.0;
+        let pixel = camera.project(ray).unwrap();
+        let back = camera.undistort(pixel).unwrap();
+        // Pixels of up to 1000 carry 1e-13 of round-off, that is 2e-16 of the ray, amplified by at most 1 / J < 10.
+        prop_assert!((back - DVec2::new(x, y)).length() < 1e-13, "{back:?}");
+    }
+
+    /// Rectified rows of both views agree and Q gives the point back, for cameras turned by up to 10 degrees.
+    #[test]
+    fn rectified_rows_agree(
+        turn in prop::array::uniform3(-0.17..0.17_f64),
+        point in (-8.0..8.0_f64, -8.0..8.0_f64, 20.0..40.0_f64),
+        baseline in (4.0..12.0_f64, -0.5..0.5_f64, -0.5..0.5_f64),
+    ) {
+        let rotation = so3::exp(DVec3::from_array(turn));
+        let centre = DVec3::new(baseline.0, baseline.1, baseline.2);
+        let rig = Rig {
+            left: camera([0.0; 5]),
+            right: camera([0.0; 5]),
+            t_right_left: Pose { rotation, translation_mm: -(rotation * centre) },
+        };
+        let rect = rig.rectification().unwrap();
+        let p = DVec3::new(point.0, point.1, point.2);
+        let to_ray = |q: DVec3| DVec2::new(q.x / q.z, q.y / q.z);
+        let left = rect.rectify(&rect.r_left, to_ray(p)).unwrap();
+        let right = rect.rectify(&rect.r_right, to_ray(rig.t_right_left.transform_point(p))).unwrap();
+        prop_assert!((left.y - right.y).abs() < 1e-10);
+        let h = rect.q().map(|row| row[0] * left.x + row[1] * left.y + row[2] * (left.x - right.x) + row[3]);
+        let back = rect.r_left.transpose() * (DVec3::new(h[0], h[1], h[2]) / h[3]);
+        prop_assert!((back - p).length() < 1e-10 * p.length() * p.z / baseline.0);
+    }
+}
+
+#[test]
+fn a_pixel_beyond_the_monotone_range_is_refused() {
+    // k1 = -0.4 folds over at r = sqrt(1 / 1.2) = 0.913, where r_d = 0.6086.
+    let camera = camera([-0.4, 0.0, 0.0, 0.0, 0.0]);
+    let at = |r_d: f64| camera.undistort(DVec2::new(320.0 + 560.0 * r_d, 240.0));
+    assert!(at(0.60).is_ok());
+    for r_d in [0.61, 0.7, 5.0] {
+        assert!(matches!(at(r_d), Err(CameraError::BeyondDistortion { .. })), "{r_d}");
+    }
+    assert_eq!(camera.undistort(DVec2::new(f64::NAN, 0.0)), Err(CameraError::PixelNotFinite));
+}
+
+#[test]
+fn impossible_cameras_and_rigs_are_refused_by_name() {
+    let mut bad = camera([0.0; 5]);
+    bad.fy_px = -1.0;
+    let message = Rig::parallel(bad, 8.0).validate().unwrap_err().to_string();
+    assert!(
+        message.contains("left camera") && message.contains("fy_px") && message.contains("-1"),
+        "{message}"
+    );
+    let good = camera([0.0; 5]);
+    assert!(matches!(Rig::parallel(good.clone(), 0.0).validate(), Err(RigError::NoBaseline { .. })));
+    assert!(matches!(Rig::parallel(good, -8.0).validate(), Err(RigError::NotSideBySide { .. })));
+}

@@ -1,0 +1,93 @@
+//! Blur of the lens.
+
+use crate::scene::SceneError;
+use alloc::vec::Vec;
+use gelstereo_core::math::{ceil, erf};
+
+/// Blur of a lens that is not quite in focus: a Gaussian, the same everywhere.
+///
+/// Limit: a real defocus disc has a rim and grows with the distance from the focal plane.
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(default, deny_unknown_fields)
+)]
+pub struct Defocus {
+    /// Standard deviation. Default: `0.8` px.
+    pub sigma_px: f64,
+}
+
+impl Default for Defocus {
+    fn default() -> Self {
+        Self { sigma_px: 0.8 }
+    }
+}
+
+impl Defocus {
+    pub(super) fn validate(&self) -> Result<(), SceneError> {
+        let sigma = self.sigma_px;
+        SceneError::check((0.1..=20.0).contains(&sigma), "effects.defocus.sigma_px", sigma, "0.1 to 20 px")
+    }
+}
+
+/// Separable Gaussian with border pixels repeated.
+#[derive(Clone, Debug)]
+pub(crate) struct Blur {
+    /// Weights from the middle outwards; the whole kernel sums to 1.
+    weights: Vec<f32>,
+    rows: Vec<f32>,
+    padded: Vec<f32>,
+}
+
+impl Blur {
+    pub(crate) fn new(defocus: &Defocus) -> Self {
+        // Gaussian integrated over each pixel, cut off at 4 sigma where 6e-5 of it is left.
+        let radius = ceil(4.0 * defocus.sigma_px) as usize;
+        let scale = 1.0 / (defocus.sigma_px * core::f64::consts::SQRT_2);
+        let cumulative = |x: f64| 0.5 * erf(x * scale);
+        let whole = 2.0 * cumulative(radius as f64 + 0.5);
+        let weight = |k: usize| (cumulative(k as f64 + 0.5) - cumulative(k as f64 - 0.5)) / whole;
+        let weights = (0..=radius).map(|k| weight(k) as f32).collect();
+        Self { weights, rows: Vec::new(), padded: Vec::new() }
+    }
+
+    pub(crate) fn apply(&mut self, image: &mut [f32], width: usize) {
+        self.along_rows(image, width);
+        let height = image.len() / width;
+        for (y, out) in image.chunks_exact_mut(width).enumerate() {
+            let row = |y: usize| &self.rows[y * width..][..width];
+            for (pixel, &v) in out.iter_mut().zip(row(y)) {
+                *pixel = v * self.weights[0];
+            }
+            for (k, &weight) in self.weights.iter().enumerate().skip(1) {
+                let above = row(y.saturating_sub(k));
+                let below = row((y + k).min(height - 1));
+                for ((pixel, &a), &b) in out.iter_mut().zip(above).zip(below) {
+                    *pixel += weight * (a + b);
+                }
+            }
+        }
+    }
+
+    fn along_rows(&mut self, image: &[f32], width: usize) {
+        let radius = self.weights.len() - 1;
+        self.rows.clear();
+        self.rows.resize(image.len(), 0.0);
+        for (row, out) in image.chunks_exact(width).zip(self.rows.chunks_exact_mut(width)) {
+            self.padded.clear();
+            self.padded.resize(radius, row[0]);
+            self.padded.extend_from_slice(row);
+            self.padded.resize(width + 2 * radius, row[width - 1]);
+            for (pixel, &v) in out.iter_mut().zip(row) {
+                *pixel = v * self.weights[0];
+            }
+            for (k, &weight) in self.weights.iter().enumerate().skip(1) {
+                let (left, right) = (&self.padded[radius - k..], &self.padded[radius + k..]);
+                for ((pixel, &a), &b) in out.iter_mut().zip(left).zip(right) {
+                    *pixel += weight * (a + b);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,86 @@
+//! Shear and twist.
+
+use super::check_decay;
+use crate::lattice::Lattice;
+use crate::scene::SceneError;
+use crate::simulator::ContactState;
+use alloc::vec::Vec;
+use gelstereo_core::math::{DVec2, cos, sin};
+
+/// The surface follows the part's shear and twist: it sticks in the contact and decays beside it.
+///
+/// Model: in the contact every marker moves with the part; beside it u - l² Δu = 0 for both components, a shear layer
+/// bonded to its plate. Limits: no slip; the two components do not mix; small strain.
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(default, deny_unknown_fields)
+)]
+pub struct Drag {
+    /// l in gel thicknesses. Default: `0.8`. A layer that follows its surface linearly has 1/√3 across the motion and,
+    /// if incompressible, √(4/3) along it; this is their geometric mean.
+    pub decay_thicknesses: f64,
+}
+
+impl Default for Drag {
+    fn default() -> Self {
+        Self { decay_thicknesses: 0.8 }
+    }
+}
+
+impl Drag {
+    pub(super) fn validate(&self) -> Result<(), SceneError> {
+        check_decay("effects.drag.decay_thicknesses", self.decay_thicknesses)
+    }
+
+    /// Adds the motion of every marker when those `stuck` move with the part; the two fields are scratch.
+    pub(crate) fn pull(
+        &self,
+        lattice: &Lattice,
+        grip: &Grip,
+        rest: &[DVec2],
+        stuck: &[bool],
+        fields: [&mut Vec<f64>; 2],
+        motion: &mut [DVec2],
+    ) {
+        let length = self.decay_thicknesses * lattice.thickness_mm;
+        for (axis, field) in fields.into_iter().enumerate() {
+            let with_part = |i: usize| if stuck[i] { grip.motion_mm(rest[i])[axis] } else { 0.0 };
+            field.clear();
+            field.extend((0..rest.len()).map(with_part));
+            lattice.relax(length, field, |_| 0.0, |i, u| if stuck[i] { with_part(i) } else { u });
+            for (u, &along) in motion.iter_mut().zip(field.iter()) {
+                u[axis] += along;
+            }
+        }
+    }
+}
+
+/// The rigid motion of the part in the plane since it touched.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Grip {
+    pub(crate) centre_mm: DVec2,
+    shear_mm: DVec2,
+    sine: f64,
+    versine: f64,
+}
+
+impl Grip {
+    /// Shear, and twist about `centre_mm` (where the contact's centre was when it touched).
+    pub(crate) fn new(contact: &ContactState, centre_mm: DVec2) -> Self {
+        let half = sin(0.5 * contact.twist_rad);
+        Self {
+            centre_mm,
+            shear_mm: DVec2::from_array(contact.shear_mm),
+            sine: 2.0 * half * cos(0.5 * contact.twist_rad),
+            versine: 2.0 * half * half,
+        }
+    }
+
+    /// Motion of a point that stood at `rest` and moves with the part.
+    pub(crate) fn motion_mm(&self, rest: DVec2) -> DVec2 {
+        let arm = rest - self.centre_mm;
+        self.shear_mm + arm.perp() * self.sine - arm * self.versine
+    }
+}

@@ -1,0 +1,84 @@
+//! Noise of the image sensor.
+
+use crate::scene::SceneError;
+use alloc::vec::Vec;
+use gelstereo_core::digest::Digest;
+use gelstereo_core::math::{erf, exp, random::Stream, sqrt};
+
+/// Gaussian noise of every pixel of every frame, independent of its brightness.
+///
+/// Drawn from 4096 equally likely values (the normal distribution's quantiles, scaled to unit variance), five to a
+/// random number; they end at 3.7 standard deviations. The 8-bit rounding that follows adds a variance of 1/12.
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(default, deny_unknown_fields)
+)]
+pub struct SensorNoise {
+    /// Standard deviation in grey levels. Default: `2`.
+    pub sigma_levels: f64,
+}
+
+impl Default for SensorNoise {
+    fn default() -> Self {
+        Self { sigma_levels: 2.0 }
+    }
+}
+
+impl SensorNoise {
+    pub(super) fn validate(&self) -> Result<(), SceneError> {
+        let sigma = self.sigma_levels;
+        let name = "effects.sensor_noise.sigma_levels";
+        SceneError::check((0.0..=128.0).contains(&sigma), name, sigma, "0 to 128 grey levels")
+    }
+}
+
+const QUANTILES: usize = 4096;
+
+/// Ready-made quantiles.
+#[derive(Clone, Debug)]
+pub(crate) struct Noise {
+    seed: u64,
+    quantiles: Vec<f32>,
+}
+
+impl Noise {
+    pub(crate) fn new(noise: &SensorNoise, seed: u64) -> Self {
+        let mut quantiles: Vec<f64> =
+            (0..QUANTILES).map(|i| normal_quantile((i as f64 + 0.5) / QUANTILES as f64)).collect();
+        let variance = quantiles.iter().map(|q| q * q).sum::<f64>() / QUANTILES as f64;
+        let scale = noise.sigma_levels / sqrt(variance);
+        quantiles.iter_mut().for_each(|q| *q *= scale);
+        Self { seed, quantiles: quantiles.into_iter().map(|q| q as f32).collect() }
+    }
+
+    /// Adds the noise of one view (by name) of one frame.
+    pub(crate) fn apply(&self, view: &str, frame: u64, image: &mut [f32]) {
+        let key = Digest::new().u64(self.seed).u64(frame).bytes(view.as_bytes()).value();
+        let mut stream = Stream::new(key, "sensor_noise");
+        for pixels in image.chunks_mut(5) {
+            let mut bits = stream.next_u64();
+            for pixel in pixels {
+                *pixel += self.quantiles[bits as usize % QUANTILES];
+                bits >>= 12;
+            }
+        }
+    }
+}
+
+/// Inverse of the standard normal distribution, by Newton's method from 0. The distribution function is concave above
+/// 0 and convex below, so the steps overshoot nowhere and always arrive.
+fn normal_quantile(probability: f64) -> f64 {
+    let mut x = 0.0;
+    for _ in 0..64 {
+        let excess = 0.5 * erf(x / core::f64::consts::SQRT_2) + 0.5 - probability;
+        let density = exp(-0.5 * x * x) / sqrt(core::f64::consts::TAU);
+        let step = excess / density;
+        x -= step;
+        if step.abs() < 1e-13 {
+            break;
+        }
+    }
+    x
+}

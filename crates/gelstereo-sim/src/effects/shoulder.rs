@@ -1,0 +1,44 @@
+//! The soft shoulder beside a contact.
+
+use super::check_decay;
+use crate::lattice::Lattice;
+use crate::scene::SceneError;
+use alloc::vec::Vec;
+
+/// The gel sags softly beside the contact instead of ending at the part's silhouette.
+///
+/// Model: a Pasternak foundation (springs joined by a shear layer; Pasternak 1954), h - l² Δh = p / k with pressure
+/// p >= 0 only where the part touches: an obstacle problem, solved on the marker lattice. The surface is never below
+/// the part, meets it without a kink, decays as exp(-d / l) beside it, and the contact is smaller than the part's
+/// silhouette in the rest plane, as in Hertz's theory. Limits: no bulge beside the contact (60 um for a 1 mm press
+/// on an incompressible layer), small strain, and a contact that is resolved to one pitch only.
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(default, deny_unknown_fields)
+)]
+pub struct Shoulder {
+    /// l in gel thicknesses. Default: `0.5`. A layer whose interior follows its surface linearly has
+    /// l² = t² / (3 M / G), 0.17 t at Poisson's ratio 0.45; a half-space has no length at all and decays slowly.
+    pub decay_thicknesses: f64,
+}
+
+impl Default for Shoulder {
+    fn default() -> Self {
+        Self { decay_thicknesses: 0.5 }
+    }
+}
+
+impl Shoulder {
+    pub(super) fn validate(&self) -> Result<(), SceneError> {
+        check_decay("effects.shoulder.decay_thicknesses", self.decay_thicknesses)
+    }
+
+    /// Heights of the settled surface over the part's heights (`obstacle`, negative where it does not protrude).
+    pub(crate) fn settle(&self, lattice: &Lattice, obstacle: &[f64], out: &mut Vec<f64>) {
+        out.clear();
+        out.extend(obstacle.iter().map(|&h| h.max(0.0)));
+        lattice.relax(self.decay_thicknesses * lattice.thickness_mm, out, |_| 0.0, |i, h| h.max(obstacle[i]));
+    }
+}

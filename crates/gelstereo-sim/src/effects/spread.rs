@@ -1,0 +1,64 @@
+//! Sideways motion under a normal load.
+
+use super::check_decay;
+use crate::lattice::Lattice;
+use crate::scene::SceneError;
+use alloc::vec::Vec;
+use gelstereo_core::math::{DVec2, sqrt};
+
+/// Gel that a part displaces moves sideways, away from the contact.
+///
+/// Model: the frictionless, incompressible layer bonded to its plate, whose surface moves sideways by
+/// 2x² / (sinh 2x - 2x) of its height at wave number k = x / t (thickness t). That ratio is replaced by
+/// (3/2) x / ((x² + 1/decay²) (1 + 0.3 x²)): the same 3 / (2x) at long waves (the displaced volume flows below a free
+/// surface) and within 15 % up to x = 2, cut off where the gel's compressibility takes the volume up. In space these are two
+/// screened membranes and a gradient. Limits: `strength` stands for friction, which in truth differs between the
+/// contact and its surroundings; small strain; free sides of the lattice do not bulge.
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(default, deny_unknown_fields)
+)]
+pub struct Spread {
+    /// Share of the frictionless layer's motion, 0 to 1. Default: `0.5`.
+    pub strength: f64,
+    /// Distance over which the volume is taken up, in gel thicknesses. Default: `2`.
+    pub decay_thicknesses: f64,
+}
+
+impl Default for Spread {
+    fn default() -> Self {
+        Self { strength: 0.5, decay_thicknesses: 2.0 }
+    }
+}
+
+impl Spread {
+    pub(super) fn validate(&self) -> Result<(), SceneError> {
+        let strength = self.strength;
+        SceneError::check((0.0..=1.0).contains(&strength), "effects.spread.strength", strength, "0 to 1")?;
+        check_decay("effects.spread.decay_thicknesses", self.decay_thicknesses)
+    }
+
+    /// Adds the sideways motion under these heights; the two fields are scratch.
+    pub(crate) fn push(
+        &self,
+        lattice: &Lattice,
+        heights: &[f64],
+        [smooth, potential]: [&mut Vec<f64>; 2],
+        motion: &mut [DVec2],
+    ) {
+        smooth.clear();
+        smooth.extend_from_slice(heights);
+        lattice.relax(sqrt(0.3) * lattice.thickness_mm, smooth, |i| heights[i], |_, h| h);
+        let length = self.decay_thicknesses * lattice.thickness_mm;
+        potential.clear();
+        potential.extend_from_slice(smooth);
+        lattice.relax(length, potential, |i| smooth[i], |_, p| p);
+        // p / l² - Δp = smooth is solved for p / l².
+        let scale = -self.strength * 1.5 / lattice.thickness_mm * length * length;
+        for (i, u) in motion.iter_mut().enumerate() {
+            *u += lattice.gradient(potential, i) * scale;
+        }
+    }
+}

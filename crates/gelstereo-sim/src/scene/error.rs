@@ -1,0 +1,110 @@
+//! What can be wrong with a scene.
+
+use alloc::string::String;
+use gelstereo_core::rig::RigError;
+
+/// Why a scene cannot be simulated.
+#[derive(Clone, Debug, PartialEq)]
+pub enum SceneError {
+    /// The cameras are no rig.
+    Rig(RigError),
+    /// A number is outside its range.
+    Invalid {
+        /// Where it stands in the file, for example `gel.pitch_mm`.
+        name: &'static str,
+        /// What was found.
+        found: f64,
+        /// What would be valid.
+        valid: &'static str,
+    },
+    /// `gel.missing` names a marker that the lattice does not have.
+    NoSuchMarker {
+        /// Row named.
+        row: usize,
+        /// Column named.
+        col: usize,
+        /// Rows of the lattice.
+        rows: usize,
+        /// Columns of the lattice.
+        cols: usize,
+    },
+    /// A corner of the gel lies behind a camera.
+    BehindCamera {
+        /// The corner marker's row.
+        row: usize,
+        /// Its column.
+        col: usize,
+    },
+    /// Keyframes without an indenter.
+    NothingMoves {
+        /// Keyframes found.
+        keyframes: usize,
+    },
+    /// A keyframe is not later than the one before, or not within a day.
+    KeyframeTime {
+        /// Which keyframe, from 0.
+        keyframe: usize,
+        /// Its time.
+        time_s: f64,
+        /// The time it must be later than.
+        after_s: f64,
+    },
+    /// The indenter is a mesh file whose triangles were not handed over.
+    MeshNeeded {
+        /// The file.
+        path: String,
+    },
+    /// Triangles were handed over for an indenter that is not a mesh file.
+    MeshNotNeeded,
+}
+
+impl core::fmt::Display for SceneError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Rig(error) => write!(f, "rig: {error}"),
+            Self::Invalid { name, found, valid } => write!(f, "{name} is {found}; valid is {valid}"),
+            Self::NoSuchMarker { row, col, rows, cols } => write!(
+                f,
+                "gel.missing names marker [{row}, {col}], but the lattice has {rows} rows and {cols} columns \
+                 (counted from 0)"
+            ),
+            Self::BehindCamera { row, col } => write!(
+                f,
+                "marker [{row}, {col}] can come to lie behind a camera; move gel.surface_mm away or check \
+                 rig.t_right_left"
+            ),
+            Self::NothingMoves { keyframes } => write!(
+                f,
+                "the trajectory has {keyframes} keyframes but there is no indenter; add [indenter] or remove them"
+            ),
+            Self::KeyframeTime { keyframe, time_s, after_s } => write!(
+                f,
+                "keyframe {keyframe} is at {time_s} s; valid is later than the one before ({after_s} s), at least \
+                 0 and at most 86400 s"
+            ),
+            Self::MeshNeeded { path } => {
+                write!(
+                    f,
+                    "the indenter is the mesh file {path:?}; read it and hand its triangles over, in mm"
+                )
+            }
+            Self::MeshNotNeeded => write!(
+                f,
+                "triangles were handed over, but the indenter is no mesh file; use kind = \"mesh\" or leave them out"
+            ),
+        }
+    }
+}
+
+impl core::error::Error for SceneError {}
+
+impl SceneError {
+    pub(crate) fn check(
+        ok: bool,
+        name: &'static str,
+        found: f64,
+        valid: &'static str,
+    ) -> Result<(), SceneError> {
+        if ok { Ok(()) } else { Err(Self::Invalid { name, found, valid }) }
+    }
+}

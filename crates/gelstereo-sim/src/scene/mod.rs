@@ -1,0 +1,268 @@
+//! Scenes, as TOML and as values.
+
+mod error;
+
+pub use crate::simulator::ContactState;
+pub use error::SceneError;
+
+use crate::effects::Effects;
+use crate::shapes::Shape;
+use alloc::vec::Vec;
+use gelstereo_core::camera::Camera;
+use gelstereo_core::math::{DVec2, DVec3, Pose, so3};
+use gelstereo_core::rig::Rig;
+
+/// What there is, and which effects act. A file states only what differs from [`Scene::default`].
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(default, deny_unknown_fields)
+)]
+pub struct Scene {
+    /// Seed of all random streams. Default: `1`.
+    pub seed: u64,
+    /// Frames per second. Default: `30`.
+    pub frame_rate_hz: f64,
+    /// Default: [`Scene::default_rig`].
+    pub rig: Rig,
+    /// The gel and its lattice.
+    pub gel: Gel,
+    /// What presses, if anything. Default: nothing.
+    pub indenter: Option<Shape>,
+    /// Effects that act; absent ones cost nothing. Default: none.
+    pub effects: Effects,
+    /// Poses over time, interpolated; empty means that nothing touches. Default: empty.
+    pub trajectory: Vec<Keyframe>,
+}
+
+impl Default for Scene {
+    fn default() -> Self {
+        Self {
+            seed: 1,
+            frame_rate_hz: 30.0,
+            rig: Self::default_rig(),
+            gel: Gel::default(),
+            indenter: None,
+            effects: Effects::default(),
+            trajectory: Vec::new(),
+        }
+    }
+}
+
+/// The gel and its lattice, seen from the left camera: a plane at z = `surface_mm`, facing the camera.
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(default, deny_unknown_fields)
+)]
+pub struct Gel {
+    /// Default: `25`.
+    pub rows: usize,
+    /// Default: `25`.
+    pub cols: usize,
+    /// Default: `0.9` mm.
+    pub pitch_mm: f64,
+    /// Default: `0.22` mm.
+    pub dot_radius_mm: f64,
+    /// The lattice's centre, sensor x and y. Default: `[4, 0]` mm, between the cameras of the default rig.
+    pub centre_mm: [f64; 2],
+    /// Depth of the undeformed surface. Default: `28.7` mm.
+    pub surface_mm: f64,
+    /// Default: `5` mm.
+    pub thickness_mm: f64,
+    /// Rotation of the lattice in its plane from x towards y, radians. Default: `0`.
+    pub rotation_rad: f64,
+    /// (row, column) of markers that were not printed. Default: none.
+    pub missing: Vec<[usize; 2]>,
+    /// Bright dots on a dark gel. Default: `false`.
+    pub bright_dots: bool,
+    /// Grey level of the darker of dot and gel. Default: `50`.
+    pub dark_level: u8,
+    /// Grey level of the brighter of the two. Default: `170`.
+    pub bright_level: u8,
+}
+
+impl Default for Gel {
+    fn default() -> Self {
+        Self {
+            rows: 25,
+            cols: 25,
+            pitch_mm: 0.9,
+            dot_radius_mm: 0.22,
+            centre_mm: [4.0, 0.0],
+            surface_mm: 28.7,
+            thickness_mm: 5.0,
+            rotation_rad: 0.0,
+            missing: Vec::new(),
+            bright_dots: false,
+            dark_level: 50,
+            bright_level: 170,
+        }
+    }
+}
+
+/// The indenter at one time.
+///
+/// In a file the pose is `position_mm` (the object's origin in the sensor frame) and `rotation_rad` (rotation vector,
+/// default zero): `{ time_s = 0.5, position_mm = [4, 0, 31], rotation_rad = [0, 1.5708, 0], shear_mm = [0.5, 0] }`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(from = "KeyframeFields", into = "KeyframeFields")
+)]
+pub struct Keyframe {
+    /// Time, seconds.
+    pub time_s: f64,
+    /// Contact at that time.
+    pub contact: ContactState,
+}
+
+/// How a keyframe is written in a file.
+#[derive(Clone, Copy, Debug)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
+struct KeyframeFields {
+    time_s: f64,
+    position_mm: [f64; 3],
+    #[cfg_attr(feature = "serde", serde(default))]
+    rotation_rad: [f64; 3],
+    #[cfg_attr(feature = "serde", serde(default))]
+    shear_mm: [f64; 2],
+    #[cfg_attr(feature = "serde", serde(default))]
+    twist_rad: f64,
+}
+
+impl From<KeyframeFields> for Keyframe {
+    fn from(fields: KeyframeFields) -> Self {
+        let t_sensor_object = Pose {
+            rotation: so3::exp(DVec3::from_array(fields.rotation_rad)),
+            translation_mm: DVec3::from_array(fields.position_mm),
+        };
+        let KeyframeFields { time_s, shear_mm, twist_rad, .. } = fields;
+        Self { time_s, contact: ContactState { t_sensor_object, shear_mm, twist_rad } }
+    }
+}
+
+impl From<Keyframe> for KeyframeFields {
+    fn from(Keyframe { time_s, contact }: Keyframe) -> Self {
+        let ContactState { t_sensor_object, shear_mm, twist_rad } = contact;
+        Self {
+            time_s,
+            position_mm: t_sensor_object.translation_mm.to_array(),
+            rotation_rad: so3::log(t_sensor_object.rotation).to_array(),
+            shear_mm,
+            twist_rad,
+        }
+    }
+}
+
+impl Scene {
+    /// Two parallel 640x480 cameras of f = 560 px, 8 mm apart.
+    #[must_use]
+    pub fn default_rig() -> Rig {
+        let camera = Camera {
+            width_px: 640,
+            height_px: 480,
+            fx_px: 560.0,
+            fy_px: 560.0,
+            cx_px: 319.5,
+            cy_px: 239.5,
+            distortion: [0.0; 5],
+        };
+        Rig::parallel(camera, 8.0)
+    }
+
+    /// Checks that the scene can be simulated.
+    ///
+    /// # Errors
+    /// The first [`SceneError`] found. [`SceneError::MeshNeeded`] is not among them: see
+    /// [`Simulator::new`](crate::Simulator::new).
+    pub fn validate(&self) -> Result<(), SceneError> {
+        self.rig.validate().map_err(SceneError::Rig)?;
+        for camera in [&self.rig.left, &self.rig.right] {
+            for side in [camera.width_px, camera.height_px] {
+                SceneError::check(side <= 8192, "rig image side", side as f64, "1 to 8192 px")?;
+            }
+        }
+        self.gel.validate()?;
+        self.check_sight()?;
+        if let Some(indenter) = &self.indenter {
+            indenter.validate()?;
+        }
+        self.effects.validate()?;
+        self.check_trajectory()
+    }
+
+    /// Both cameras must see the whole depth of the gel.
+    fn check_sight(&self) -> Result<(), SceneError> {
+        let gel = &self.gel;
+        let corners = [[0, 0], [0, gel.cols - 1], [gel.rows - 1, 0], [gel.rows - 1, gel.cols - 1]];
+        for [row, col] in corners {
+            let at = gel.marker_mm(row, col);
+            for z in [gel.surface_mm, gel.surface_mm - gel.thickness_mm] {
+                if self.rig.project(DVec3::new(at.x, at.y, z)).is_none() {
+                    return Err(SceneError::BehindCamera { row, col });
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn check_trajectory(&self) -> Result<(), SceneError> {
+        let rate = self.frame_rate_hz;
+        SceneError::check(rate > 0.0 && rate <= 1e4, "frame_rate_hz", rate, "above 0, at most 10000 Hz")?;
+        if self.indenter.is_none() && !self.trajectory.is_empty() {
+            return Err(SceneError::NothingMoves { keyframes: self.trajectory.len() });
+        }
+        for (keyframe, k) in self.trajectory.iter().enumerate() {
+            k.contact.validate()?;
+            let after = keyframe.checked_sub(1).map_or(-1.0, |before| self.trajectory[before].time_s);
+            // A day is far more than a scene needs and keeps the number of frames countable.
+            if !(k.time_s > after && (0.0..=86_400.0).contains(&k.time_s)) {
+                return Err(SceneError::KeyframeTime { keyframe, time_s: k.time_s, after_s: after.max(0.0) });
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Gel {
+    /// Rest position of a marker, sensor x and y.
+    #[must_use]
+    pub fn marker_mm(&self, row: usize, col: usize) -> DVec2 {
+        crate::lattice::Lattice::new(self).marker_mm(DVec2::from_array(self.centre_mm), row, col)
+    }
+
+    fn validate(&self) -> Result<(), SceneError> {
+        let check = SceneError::check;
+        for (name, side) in [("gel.rows", self.rows), ("gel.cols", self.cols)] {
+            check((2..=1000).contains(&side), name, side as f64, "2 to 1000 markers")?;
+        }
+        let lengths = [
+            ("gel.pitch_mm", self.pitch_mm),
+            ("gel.dot_radius_mm", self.dot_radius_mm),
+            ("gel.thickness_mm", self.thickness_mm),
+        ];
+        for (name, found) in lengths {
+            check(found > 0.0 && found <= 1e3, name, found, "above 0, at most 1000 mm")?;
+        }
+        let (radius, surface) = (self.dot_radius_mm, self.surface_mm);
+        check(2.0 * radius < self.pitch_mm, "gel.dot_radius_mm", radius, "below half of gel.pitch_mm")?;
+        let apart = surface > self.thickness_mm && surface <= 1e4;
+        check(apart, "gel.surface_mm", surface, "above gel.thickness_mm, at most 10000 mm")?;
+        for found in self.centre_mm {
+            check(found.abs() <= 1e4, "gel.centre_mm", found, "-10000 to 10000 mm")?;
+        }
+        let turn = self.rotation_rad;
+        check(turn.abs() <= 7.0, "gel.rotation_rad", turn, "-7 to 7 rad")?;
+        let (dark, bright) = (self.dark_level, self.bright_level);
+        check(dark < bright, "gel.dark_level", f64::from(dark), "below gel.bright_level")?;
+        let outside = |&&[row, col]: &&[usize; 2]| row >= self.rows || col >= self.cols;
+        match self.missing.iter().find(outside) {
+            Some(&[row, col]) => Err(SceneError::NoSuchMarker { row, col, rows: self.rows, cols: self.cols }),
+            None => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,140 @@
+//! Height of a triangle mesh at scattered points: triangles drawn over a grid of the points.
+
+use alloc::vec::Vec;
+use gelstereo_core::math::{DVec2, DVec3, Pose, floor};
+use gelstereo_core::surface::TriangleMesh;
+
+/// Finds the surface of a mesh nearest to the camera at many points of the gel, over scratch that is kept.
+#[derive(Clone, Debug)]
+pub(crate) struct MeshHeight {
+    mesh: TriangleMesh,
+    vertices: Vec<DVec3>,
+    /// Points of cell c are `order[starts[c]..starts[c + 1]]`.
+    starts: Vec<u32>,
+    order: Vec<u32>,
+    cells: Grid,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Grid {
+    low: DVec2,
+    high: DVec2,
+    cell: f64,
+    cols: usize,
+    rows: usize,
+}
+
+impl Grid {
+    fn over(points: &[DVec2], cell: f64) -> Self {
+        let (low, high) = points
+            .iter()
+            .fold((DVec2::splat(f64::INFINITY), DVec2::splat(f64::NEG_INFINITY)), |(low, high), &p| {
+                (low.min(p), high.max(p))
+            });
+        // No more cells than a lattice has markers, however far the points stray.
+        let side = |length: f64| (floor(length / cell) as usize + 1).min(1024);
+        let size = high - low;
+        Self { low, high, cell, cols: side(size.x), rows: side(size.y) }
+    }
+
+    /// Column and row of the cell; points outside belong to the cells at the border.
+    fn at(&self, point: DVec2) -> (usize, usize) {
+        let index = |x: f64, n: usize| (floor(x / self.cell).max(0.0) as usize).min(n - 1);
+        (index(point.x - self.low.x, self.cols), index(point.y - self.low.y, self.rows))
+    }
+}
+
+impl MeshHeight {
+    pub(crate) fn new(mesh: &TriangleMesh) -> Self {
+        Self {
+            mesh: mesh.clone(),
+            vertices: Vec::new(),
+            starts: Vec::new(),
+            order: Vec::new(),
+            cells: Grid::default(),
+        }
+    }
+
+    /// Smallest z of the mesh over all of its vertices.
+    pub(crate) fn nearest_z_mm(&self, t_sensor_object: &Pose) -> f64 {
+        let vertices = self.mesh.vertices_mm().iter();
+        vertices.fold(f64::INFINITY, |z, &v| z.min(t_sensor_object.transform_point(v).z))
+    }
+
+    /// Height of the mesh above the plane z = `surface_mm` at every point; negative infinity where no triangle is.
+    /// `cell_mm` is about the distance between points.
+    pub(crate) fn heights_mm(
+        &mut self,
+        t_sensor_object: &Pose,
+        surface_mm: f64,
+        cell_mm: f64,
+        points: &[DVec2],
+        out: &mut Vec<f64>,
+    ) {
+        self.sort_points(points, cell_mm);
+        self.vertices.clear();
+        self.vertices.extend(self.mesh.vertices_mm().iter().map(|&v| t_sensor_object.transform_point(v)));
+        out.clear();
+        out.resize(points.len(), f64::NEG_INFINITY);
+        for triangle in self.mesh.triangles() {
+            let corners = triangle.map(|i| self.vertices[i as usize]);
+            let flat = corners.map(DVec3::truncate);
+            let low = flat[0].min(flat[1]).min(flat[2]);
+            let high = flat[0].max(flat[1]).max(flat[2]);
+            let cells = self.cells;
+            let beside = high.cmplt(cells.low).any() || low.cmpgt(cells.high).any();
+            if beside {
+                continue;
+            }
+            let ((c0, r0), (c1, r1)) = (cells.at(low), cells.at(high));
+            for row in r0..=r1 {
+                let first = self.starts[row * cells.cols + c0] as usize;
+                let last = self.starts[row * cells.cols + c1 + 1] as usize;
+                for &i in &self.order[first..last] {
+                    if let Some(z) = depth_at(&corners, points[i as usize]) {
+                        let height = &mut out[i as usize];
+                        *height = height.max(surface_mm - z);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Counting sort of the points by cell, row after row.
+    fn sort_points(&mut self, points: &[DVec2], cell_mm: f64) {
+        self.cells = Grid::over(points, cell_mm);
+        let cells = self.cells;
+        let cell = |p: DVec2| {
+            let (col, row) = cells.at(p);
+            row * cells.cols + col
+        };
+        self.starts.clear();
+        self.starts.resize(cells.cols * cells.rows + 1, 0);
+        for &p in points {
+            self.starts[cell(p)] += 1;
+        }
+        let mut sum = 0;
+        for start in &mut self.starts {
+            sum += *start;
+            *start = sum;
+        }
+        self.order.clear();
+        self.order.resize(points.len(), 0);
+        // Backwards, so that every count comes down to its cell's start.
+        for (i, &p) in points.iter().enumerate().rev() {
+            let end = &mut self.starts[cell(p)];
+            *end -= 1;
+            self.order[*end as usize] = i as u32;
+        }
+    }
+}
+
+/// Depth of a triangle at a point seen along z, or `None` beside it. Borders belong to it, so no point falls between
+/// two triangles that share an edge; triangles seen edge-on have no depth (their neighbours do).
+fn depth_at(corners: &[DVec3; 3], point: DVec2) -> Option<f64> {
+    let [a, b, c] = corners.map(|v| v.truncate() - point);
+    let (u, v, w) = (b.perp_dot(c), c.perp_dot(a), a.perp_dot(b));
+    let area = u + v + w;
+    let inside = (u >= 0.0 && v >= 0.0 && w >= 0.0) || (u <= 0.0 && v <= 0.0 && w <= 0.0);
+    (inside && area != 0.0).then(|| (u * corners[0].z + v * corners[1].z + w * corners[2].z) / area)
+}

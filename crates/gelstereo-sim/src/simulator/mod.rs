@@ -1,0 +1,190 @@
+//! From a scene to marker positions and images.
+
+mod press;
+
+use crate::effects::{Drag, Shoulder, Spread};
+use crate::lattice::Lattice;
+use crate::render::Renderer;
+use crate::scene::{Scene, SceneError};
+use crate::shapes::{MeshHeight, Shape};
+use crate::trajectory::Trajectory;
+use alloc::vec::Vec;
+use gelstereo_core::math::{DVec2, DVec3, Pose};
+use gelstereo_core::rig::Rig;
+use gelstereo_core::surface::TriangleMesh;
+
+/// How the indenter touches the gel at one moment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
+pub struct ContactState {
+    /// Object frame to sensor frame, now: after shear and twist.
+    pub t_sensor_object: Pose,
+    /// How far the contact has dragged the surface along, sensor x and y, since it touched.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub shear_mm: [f64; 2],
+    /// How far it has turned the surface about the contact's centre, from x towards y, radians.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub twist_rad: f64,
+}
+
+impl ContactState {
+    /// A part that has moved along z only.
+    #[must_use]
+    pub const fn pressed(t_sensor_object: Pose) -> Self {
+        Self { t_sensor_object, shear_mm: [0.0; 2], twist_rad: 0.0 }
+    }
+
+    /// Checks that the numbers describe a contact.
+    ///
+    /// # Errors
+    /// [`SceneError::Invalid`].
+    pub fn validate(&self) -> Result<(), SceneError> {
+        let check = SceneError::check;
+        let Pose { rotation, translation_mm } = self.t_sensor_object;
+        let norm = rotation.length_squared();
+        check((norm - 1.0).abs() < 1e-6, "contact rotation's squared norm", norm, "1 within 1e-6")?;
+        for t in translation_mm.to_array() {
+            check(t.abs() <= 1e4, "contact position_mm", t, "-10000 to 10000 mm")?;
+        }
+        for shear in self.shear_mm {
+            check(shear.abs() <= 1e3, "contact shear_mm", shear, "-1000 to 1000 mm")?;
+        }
+        check(self.twist_rad.abs() <= 7.0, "contact twist_rad", self.twist_rad, "-7 to 7 rad")
+    }
+}
+
+/// Ground truth of one moment; marker `row * cols + col` stands at that index, printed or not.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Truth {
+    /// Marker centres, sensor frame, millimetres.
+    pub points_mm: Vec<DVec3>,
+    /// Height above the rest surface, towards the camera; at most the gel's thickness.
+    pub indentation_mm: Vec<f64>,
+    /// Whether the indenter touches the gel at this marker.
+    pub in_contact: Vec<bool>,
+    /// Projections of the centres in the left image, within it or not. A dot's image has its own centre elsewhere by
+    /// up to f r² sin a cos a / Z² (tilt a): 0.016 px on the default rig.
+    pub left_px: Vec<DVec2>,
+    /// The same in the right image.
+    pub right_px: Vec<DVec2>,
+}
+
+/// Stands for the pixel of a point behind a camera; only a contact that shears the gel out of sight leads there.
+pub const OUT_OF_SIGHT_PX: DVec2 = DVec2::splat(-1e6);
+
+/// A scene made ready to run.
+#[derive(Clone, Debug)]
+pub struct Simulator {
+    rig: Rig,
+    lattice: Lattice,
+    surface_mm: f64,
+    rest: Vec<DVec2>,
+    part: Option<Part>,
+    shoulder: Option<Shoulder>,
+    spread: Option<Spread>,
+    drag: Option<Drag>,
+    trajectory: Trajectory,
+    renderer: Renderer,
+    scratch: Scratch,
+}
+
+/// What presses.
+#[derive(Clone, Debug)]
+enum Part {
+    Solid(Shape),
+    Mesh(MeshHeight),
+}
+
+/// Fields over the lattice, kept from frame to frame.
+#[derive(Clone, Debug, Default)]
+struct Scratch {
+    places: Vec<DVec2>,
+    motion: Vec<DVec2>,
+    obstacle: Vec<f64>,
+    heights: Vec<f64>,
+    stuck: Vec<bool>,
+    fields: [Vec<f64>; 2],
+}
+
+impl Simulator {
+    /// Makes a scene ready; `mesh` is the indenter's surface when its shape is a mesh file.
+    ///
+    /// # Errors
+    /// [`SceneError`].
+    pub fn new(scene: &Scene, mesh: Option<&TriangleMesh>) -> Result<Self, SceneError> {
+        scene.validate()?;
+        let part = match (&scene.indenter, mesh) {
+            (Some(Shape::Mesh { .. }), Some(mesh)) => Some(Part::Mesh(MeshHeight::new(mesh))),
+            (Some(Shape::Mesh { path, .. }), None) => {
+                return Err(SceneError::MeshNeeded { path: path.clone() });
+            }
+            (_, Some(_)) => return Err(SceneError::MeshNotNeeded),
+            (shape, None) => shape.clone().map(Part::Solid),
+        };
+        let (gel, effects) = (&scene.gel, &scene.effects);
+        let lattice = Lattice::new(gel);
+        Ok(Self {
+            rig: scene.rig.clone(),
+            lattice,
+            surface_mm: gel.surface_mm,
+            rest: lattice.rest_mm(DVec2::from_array(gel.centre_mm)),
+            part,
+            shoulder: effects.shoulder.clone(),
+            spread: effects.spread.clone(),
+            drag: effects.drag.clone(),
+            trajectory: Trajectory::new(scene),
+            renderer: Renderer::new(scene),
+            scratch: Scratch::default(),
+        })
+    }
+
+    /// Frames of the trajectory (1 when nothing moves).
+    #[must_use]
+    pub fn frames(&self) -> usize {
+        self.trajectory.frames()
+    }
+
+    /// The trajectory's contact at a frame (beyond the end: the last); `None` without keyframes.
+    #[must_use]
+    pub fn contact(&self, frame: usize) -> Option<ContactState> {
+        self.trajectory.contact(frame)
+    }
+
+    /// The pose moved along z until the part reaches `press_mm` into the gel; `None` without an indenter.
+    #[must_use]
+    pub fn pressed(&self, t_sensor_object: Pose, press_mm: f64) -> Option<Pose> {
+        let nearest_mm = match self.part.as_ref()? {
+            Part::Solid(shape) => {
+                let towards_camera = t_sensor_object.rotation.conjugate() * DVec3::NEG_Z;
+                t_sensor_object.translation_mm.z - shape.support_mm(towards_camera)?
+            }
+            Part::Mesh(mesh) => mesh.nearest_z_mm(&t_sensor_object),
+        };
+        let mut pose = t_sensor_object;
+        pose.translation_mm.z += self.surface_mm - press_mm - nearest_mm;
+        Some(pose)
+    }
+
+    /// Marker positions for a contact (`None`, or one that [`ContactState::validate`] refuses: nothing touches).
+    pub fn truth(&mut self, contact: Option<&ContactState>, out: &mut Truth) {
+        self.scratch.motion.clear();
+        self.scratch.motion.resize(self.rest.len(), DVec2::ZERO);
+        match contact.filter(|contact| self.part.is_some() && contact.validate().is_ok()) {
+            Some(contact) => self.press(contact),
+            None => {
+                self.scratch.heights.clear();
+                self.scratch.heights.resize(self.rest.len(), 0.0);
+                self.scratch.stuck.clear();
+                self.scratch.stuck.resize(self.rest.len(), false);
+            }
+        }
+        self.write(out);
+    }
+
+    /// Renders both views of a moment, `height * width` bytes each; `frame` keys the noise. A truth that has another
+    /// number of markers shows none.
+    pub fn render(&mut self, truth: &Truth, frame: u64, left: &mut Vec<u8>, right: &mut Vec<u8>) {
+        self.renderer.draw(0, &truth.points_mm, frame, left);
+        self.renderer.draw(1, &truth.points_mm, frame, right);
+    }
+}

@@ -1,0 +1,116 @@
+//! The gel under a part.
+
+use super::{OUT_OF_SIGHT_PX, Part, Simulator, Truth};
+use crate::effects::Grip;
+use crate::simulator::ContactState;
+use gelstereo_core::math::{DVec2, DVec3};
+
+impl Simulator {
+    /// Leaves heights, sideways motion and the markers in contact in the scratch.
+    pub(super) fn press(&mut self, contact: &ContactState) {
+        if self.drag.is_none() && self.spread.is_none() {
+            self.place(|_| DVec2::ZERO);
+            return self.imprint(contact);
+        }
+        // What sticks to the part touched it where it stood before the part dragged it here.
+        let grip = self.drag.is_some().then(|| self.grip(contact));
+        self.place(|rest| grip.map_or(DVec2::ZERO, |grip| grip.motion_mm(rest)));
+        self.imprint(contact);
+        let Self { drag, spread, scratch, lattice, rest, .. } = self;
+        let [first, second] = &mut scratch.fields;
+        if let (Some(drag), Some(grip)) = (drag, grip) {
+            drag.pull(lattice, &grip, rest, &scratch.stuck, [first, second], &mut scratch.motion);
+        }
+        if let Some(spread) = spread {
+            spread.push(lattice, &scratch.heights, [first, second], &mut scratch.motion);
+        }
+        // Where markers have moved sideways they meet another spot of the part.
+        self.scratch.places.clear();
+        self.scratch.places.extend(self.rest.iter().zip(&self.scratch.motion).map(|(&rest, &u)| rest + u));
+        self.imprint(contact);
+    }
+
+    /// Markers at their rest positions moved by `motion`.
+    fn place(&mut self, motion: impl Fn(DVec2) -> DVec2) {
+        self.scratch.places.clear();
+        self.scratch.places.extend(self.rest.iter().map(|&rest| rest + motion(rest)));
+    }
+
+    /// The part's motion in the plane, about the centre of the markers that it touches before it twists.
+    fn grip(&mut self, contact: &ContactState) -> Grip {
+        let shear = DVec2::from_array(contact.shear_mm);
+        if contact.twist_rad == 0.0 {
+            return Grip::new(contact, DVec2::ZERO);
+        }
+        self.place(|_| shear);
+        self.touch(contact);
+        let touched = self.rest.iter().zip(&self.scratch.obstacle).filter(|&(_, &height)| height > 0.0);
+        let (sum, count) =
+            touched.fold((DVec2::ZERO, 0.0), |(sum, count), (&rest, _)| (sum + rest, count + 1.0));
+        Grip::new(contact, if count > 0.0 { sum / count } else { DVec2::ZERO })
+    }
+
+    /// The part's height above the rest plane at every place, negative infinity where it is not.
+    fn touch(&mut self, contact: &ContactState) {
+        let scratch = &mut self.scratch;
+        let pose = contact.t_sensor_object;
+        match &mut self.part {
+            Some(Part::Solid(shape)) => {
+                let to_object = pose.inverse();
+                let direction = to_object.transform_vector(DVec3::Z);
+                scratch.obstacle.clear();
+                scratch.obstacle.extend(scratch.places.iter().map(|&place| {
+                    let origin = to_object.transform_point(place.extend(self.surface_mm));
+                    shape.entry_mm(origin, direction).map_or(f64::NEG_INFINITY, |s| -s)
+                }));
+            }
+            Some(Part::Mesh(mesh)) => mesh.heights_mm(
+                &pose,
+                self.surface_mm,
+                self.lattice.pitch_mm,
+                &scratch.places,
+                &mut scratch.obstacle,
+            ),
+            None => {}
+        }
+        // The support plate behind the gel stops everything.
+        scratch.obstacle.iter_mut().for_each(|height| *height = height.min(self.lattice.thickness_mm));
+    }
+
+    /// Heights of the markers at their places, and which of them the part touches.
+    fn imprint(&mut self, contact: &ContactState) {
+        self.touch(contact);
+        let Self { scratch, shoulder, lattice, .. } = self;
+        match shoulder {
+            Some(shoulder) => {
+                shoulder.settle(lattice, &scratch.obstacle, &mut scratch.heights);
+            }
+            None => {
+                scratch.heights.clear();
+                scratch.heights.extend(scratch.obstacle.iter().map(|&height| height.max(0.0)));
+            }
+        }
+        scratch.stuck.clear();
+        let touched = |(&height, &obstacle): (&f64, &f64)| obstacle > 0.0 && height <= obstacle;
+        scratch.stuck.extend(scratch.heights.iter().zip(&scratch.obstacle).map(touched));
+    }
+
+    /// Hands the scratch over as truth.
+    pub(super) fn write(&self, out: &mut Truth) {
+        let Self { scratch, rest, rig, surface_mm, .. } = self;
+        out.indentation_mm.clear();
+        out.indentation_mm.extend_from_slice(&scratch.heights);
+        out.in_contact.clear();
+        out.in_contact.extend_from_slice(&scratch.stuck);
+        let moved = rest.iter().zip(&scratch.motion).zip(&scratch.heights);
+        out.points_mm.clear();
+        out.points_mm.extend(moved.map(|((&rest, &u), &height)| (rest + u).extend(surface_mm - height)));
+        out.left_px.clear();
+        out.right_px.clear();
+        for &point in &out.points_mm {
+            let (left, right) = rig.project(point).unwrap_or((OUT_OF_SIGHT_PX, OUT_OF_SIGHT_PX));
+            out.left_px.push(left);
+            out.right_px.push(right);
+        }
+    }
+}
