@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import cv2
@@ -15,8 +14,8 @@ from gelstereo.calibrate.corner_worker import find_corners
 from gelstereo.calibrate.corners import CornerFinder, Corners, neighbouring_boards
 from gelstereo.calibrate.observe import Observation, align
 from gelstereo.calibrate.solve import board_points_mm
+from real_data import DATA, needs
 
-DATA = Path(os.environ.get("GELSTEREO_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 CHESS = DATA / "opencv_stereo_chess"
 NOISE_PX = 0.1
 PAIRS = 16
@@ -227,9 +226,7 @@ def test_drawn_corners_are_where_they_should_be(rig: TrueRig) -> None:
         assert error < 0.1
 
 
-@pytest.mark.skipif(
-    not CHESS.is_dir(), reason="the real stereo chessboard images are absent (GELSTEREO_DATA)"
-)
+@needs("opencv_stereo_chess")
 def test_real_images_agree_with_the_reference() -> None:
     found = calibrate.calibrate_stereo(
         sorted(CHESS.glob("left[0-9]*.jpg")),
