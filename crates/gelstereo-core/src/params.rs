@@ -362,11 +362,6 @@ impl Params {
     /// # Errors
     /// The first [`ParamsError`] found.
     pub fn validate(&self) -> Result<(), ParamsError> {
-        let check = |ok: bool, name: &'static str, found: f64, valid: &'static str| {
-            if ok { Ok(()) } else { Err(ParamsError { name, found, valid }) }
-        };
-        let positive = |name, x: f64| check(x > 0.0 && x.is_finite(), name, x, "a finite number above 0");
-        let share = |name, x: f64| check((0.0..1.0).contains(&x), name, x, "from 0 to below 1");
         let odd = |name, x: usize, most: usize| {
             check(
                 x % 2 == 1 && x <= most,
@@ -397,7 +392,18 @@ impl Params {
         positive("contact.saliency_mm", self.contact.saliency_mm)?;
         positive("contact.grasp_trigger_px", self.contact.grasp_trigger_px)?;
         positive("contact.insertion_trigger_px", self.contact.insertion_trigger_px)?;
-        let r = &self.register;
+        self.register.validate()
+    }
+}
+
+impl RegisterParams {
+    /// Checks every setting of registration against its meaning.
+    ///
+    /// # Errors
+    /// The first [`ParamsError`] found.
+    pub fn validate(&self) -> Result<(), ParamsError> {
+        let r = self;
+        let share = |name, x: f64| check((0.0..1.0).contains(&x), name, x, "from 0 to below 1");
         check(r.max_iterations >= 1, "register.max_iterations", f64::from(r.max_iterations), "at least 1")?;
         positive("register.step_tolerance", r.step_tolerance)?;
         positive("register.sigma_floor_mm", r.sigma_floor_mm)?;
@@ -419,4 +425,12 @@ impl Params {
         )?;
         positive("register.search_radius_mm", r.search_radius_mm)
     }
+}
+
+fn check(ok: bool, name: &'static str, found: f64, valid: &'static str) -> Result<(), ParamsError> {
+    if ok { Ok(()) } else { Err(ParamsError { name, found, valid }) }
+}
+
+fn positive(name: &'static str, x: f64) -> Result<(), ParamsError> {
+    check(x > 0.0 && x.is_finite(), name, x, "a finite number above 0")
 }

@@ -25,11 +25,10 @@ pub fn eigen<const N: usize>(matrix: &Symmetric<N>) -> Eigen<N> {
         let mut rotated = false;
         for p in 0..N {
             for q in p + 1..N {
-                // Below half an ulp of both diagonal entries the rotation changes nothing.
-                if a[p][q].abs() <= f64::EPSILON * 0.25 * libm::sqrt((a[p][p] * a[q][q]).abs())
-                    && a[p][q].abs() <= f64::EPSILON * (a[p][p].abs() + a[q][q].abs())
-                    || a[p][q] == 0.0
-                {
+                // Relative to both diagonal entries, so that small eigenvalues of a graded matrix keep their digits
+                // (Demmel and Veselić 1992). Two roots, as the product may underflow.
+                let scale = libm::sqrt(a[p][p].abs()) * libm::sqrt(a[q][q].abs());
+                if a[p][q] == 0.0 || a[p][q].abs() <= f64::EPSILON * 0.25 * scale {
                     continue;
                 }
                 rotated = true;
@@ -50,23 +49,21 @@ pub fn eigen<const N: usize>(matrix: &Symmetric<N>) -> Eigen<N> {
 
 /// One Jacobi rotation that zeroes a[p][q]; `v` collects the rotations in its columns.
 fn rotate<const N: usize>(a: &mut Symmetric<N>, v: &mut [[f64; N]; N], p: usize, q: usize) {
-    let tau = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
+    let off = a[p][q];
+    let tau = (a[q][q] - a[p][p]) / (2.0 * off);
     let root = libm::hypot(1.0, tau);
     let t = if tau >= 0.0 { 1.0 / (tau + root) } else { 1.0 / (tau - root) };
     let c = 1.0 / libm::hypot(1.0, t);
     let s = t * c;
-    for row in a.iter_mut() {
-        let (x, y) = (row[p], row[q]);
-        row[p] = c * x - s * y;
-        row[q] = s * x + c * y;
+    // As corrections: c² a - 2 c s b + s² d would cancel for a small eigenvalue beside a large one.
+    let (low, high) = (a[p][p] - t * off, a[q][q] + t * off);
+    let (row_p, row_q) = (a[p], a[q]);
+    a[p] = core::array::from_fn(|i| c * row_p[i] - s * row_q[i]);
+    a[q] = core::array::from_fn(|i| s * row_p[i] + c * row_q[i]);
+    for i in (0..N).filter(|&i| i != p && i != q) {
+        (a[i][p], a[i][q]) = (a[p][i], a[q][i]);
     }
-    for col in 0..N {
-        let (x, y) = (a[p][col], a[q][col]);
-        a[p][col] = c * x - s * y;
-        a[q][col] = s * x + c * y;
-    }
-    a[p][q] = 0.0;
-    a[q][p] = 0.0;
+    (a[p][p], a[q][q], a[p][q], a[q][p]) = (low, high, 0.0, 0.0);
     for row in v.iter_mut() {
         let (x, y) = (row[p], row[q]);
         row[p] = c * x - s * y;

@@ -188,12 +188,11 @@ fn sine_minus_cosine_series(h2: f64) -> f64 {
     sum / 3.0
 }
 
-/// Length, without underflow for components down to 1e-300.
+/// Length, without underflow or overflow of the squares.
 fn norm(v: DVec3) -> f64 {
-    let scale = v.x.abs().max(v.y.abs()).max(v.z.abs());
-    if scale == 0.0 || scale > 1e-140 {
-        return sqrt(v.x * v.x + v.y * v.y + v.z * v.z);
+    let scale = v.abs().max_element();
+    if scale == 0.0 || (scale > 1e-140 && scale < 1e140) {
+        return sqrt(v.length_squared());
     }
-    let u = v / scale;
-    scale * sqrt(u.x * u.x + u.y * u.y + u.z * u.z)
+    scale * sqrt((v / scale).length_squared())
 }

@@ -1,86 +1,35 @@
 //! Registration of a contact patch to a part's template (Eq. 5 to 7).
+//!
+//! The source is the patch of salient points, the target the template at the guess; what is returned maps the
+//! object's frame to the sensor's, so it is Eq. 7's inverse already.
 
-use crate::math::{DVec3, Pose, linalg::Symmetric};
-use crate::params::RegisterParams;
+mod assess;
+mod error;
+mod filterreg;
+mod free;
+mod icp;
+mod observe;
+mod ransac;
+mod rigid;
+mod sample;
+mod soft;
+mod template;
+mod tree;
+
+pub use error::{RegisterError, TemplateError};
+pub use free::{FreeDirection, FreeDirections, Motion};
+pub use observe::Observability;
+pub use rigid::{RigidFit, RigidFitError, rigid_fit};
+pub use soft::{SoftMatch, soft_match};
+pub use template::Template;
+pub use tree::Tree;
+
+use crate::digest::Digest;
+use crate::math::linalg::Symmetric;
+use crate::math::{DVec3, Pose, sqrt};
+use crate::params::{RegisterMethod, RegisterParams};
 use alloc::vec::Vec;
-
-/// A part's surface: points with outward unit normals in the object frame, sampled evenly, and their tree.
-#[derive(Clone, Debug)]
-pub struct Template {
-    points_mm: Vec<DVec3>,
-    normals: Vec<DVec3>,
-    spacing_mm: f64,
-}
-
-/// Why points are no template.
-#[derive(Clone, Debug, PartialEq)]
-pub enum TemplateError {
-    /// Too few.
-    TooFew { found: usize, least: usize },
-    // room owner: extend as needed
-}
-
-/// Why a registration has no answer.
-#[derive(Clone, Debug, PartialEq)]
-pub enum RegisterError {
-    /// Too few salient points.
-    TooFewPoints { found: usize, least: usize },
-    // room owner: extend as needed
-}
-
-impl core::fmt::Display for TemplateError {
-    fn fmt(&self, _f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        unimplemented!()
-    }
-}
-impl core::error::Error for TemplateError {}
-impl core::fmt::Display for RegisterError {
-    fn fmt(&self, _f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        unimplemented!()
-    }
-}
-impl core::error::Error for RegisterError {}
-
-impl Template {
-    /// From points and outward normals (normalised here).
-    ///
-    /// # Errors
-    /// [`TemplateError`].
-    pub fn new(points_mm: &[DVec3], normals: &[DVec3], spacing_mm: f64) -> Result<Self, TemplateError> {
-        Ok(Self { points_mm: points_mm.to_vec(), normals: normals.to_vec(), spacing_mm })
-    }
-    /// Points, object frame.
-    #[must_use]
-    pub fn points_mm(&self) -> &[DVec3] {
-        &self.points_mm
-    }
-    /// Outward unit normals, object frame.
-    #[must_use]
-    pub fn normals(&self) -> &[DVec3] {
-        &self.normals
-    }
-    /// Typical distance of neighbouring points.
-    #[must_use]
-    pub const fn spacing_mm(&self) -> f64 {
-        self.spacing_mm
-    }
-    /// Digest of the points and normals.
-    #[must_use]
-    pub fn digest(&self) -> u64 {
-        unimplemented!()
-    }
-}
-
-/// A direction of motion that the contact does not determine, in the object's frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FreeDirection {
-    /// Rotation part of the unit twist (rad), about [`Self::centre_mm`].
-    pub omega: DVec3,
-    /// Translation part (mm).
-    pub v: DVec3,
-    /// The point that the rotation turns about (object frame): the patch's centroid.
-    pub centre_mm: DVec3,
-}
+use error::LEAST_PATCH;
 
 /// What registration found, with its evidence.
 #[derive(Clone, Debug, PartialEq)]
@@ -88,8 +37,11 @@ pub struct Registration {
     /// Maps object coordinates to sensor coordinates.
     pub t_sensor_object: Pose,
     /// Information matrix of a left perturbation (ω, v) of `t_sensor_object` in the sensor frame:
-    /// T_true = exp(ω, v) T; order ωx ωy ωz (rad) vx vy vz (mm).
+    /// T_true = exp(ω, v) T; order ωx ωy ωz (rad) vx vy vz (mm). It is singular along [`Self::free`] directions:
+    /// ask [`Self::covariance`] instead of inverting it.
     pub information: Symmetric<6>,
+    /// The same information about the patch's centroid, by eigenvectors.
+    pub observability: Observability,
     /// Whether the steps fell below `register.step_tolerance` before the iterations ran out.
     pub converged: bool,
     /// Iterations done by the last stage.
@@ -101,31 +53,117 @@ pub struct Registration {
     /// Root mean square distance of the inliers (along the normal for point-to-plane rungs).
     pub rmse_mm: f64,
     /// Directions that the contact leaves free; empty when all six are determined.
-    pub free: Vec<FreeDirection>,
+    pub free: FreeDirections,
 }
 
 impl Registration {
+    /// Covariance of the perturbation that [`Self::information`] speaks of, over the determined directions.
+    ///
+    /// It is always finite. Along [`Self::free`] directions the variance has no bound, and there the matrix is zero:
+    /// it describes where the pose can be once a value for each free direction has been chosen.
+    #[must_use]
+    pub fn covariance(&self) -> Symmetric<6> {
+        self.observability.covariance()
+    }
+
     /// Digest of all results.
     #[must_use]
     pub fn digest(&self) -> u64 {
-        unimplemented!()
+        let (pose, seen) = (&self.t_sensor_object, &self.observability);
+        let free = self.free.iter().flat_map(|d| [d.omega, d.v, d.centre_mm]);
+        Digest::new()
+            .f64s(pose.rotation.to_array())
+            .f64s(pose.translation_mm.to_array())
+            .f64s(self.information.into_iter().flatten())
+            .f64s(seen.centre_mm.to_array())
+            .f64s([seen.radius_mm])
+            .f64s(seen.values)
+            .f64s(seen.directions.into_iter().flatten())
+            .u64(u64::from(self.converged))
+            .u64(u64::from(self.iterations))
+            .u64(self.inliers as u64)
+            .u64(self.points as u64)
+            .f64s([self.rmse_mm])
+            .u64(self.free.len() as u64)
+            .f64s(free.flat_map(|v| v.to_array()))
+            .value()
     }
+}
+
+/// Where a stage ended.
+#[derive(Clone, Copy, Debug)]
+struct Outcome {
+    t_sensor_object: Pose,
+    converged: bool,
+    iterations: u32,
+}
+
+/// One patch and one template, with the settings; what every stage looks at.
+#[derive(Clone, Copy)]
+struct Problem<'a> {
+    params: &'a RegisterParams,
+    points_mm: &'a [DVec3],
+    template: &'a Template,
+}
+
+/// Vectors that the stages share and reuse.
+#[derive(Clone, Debug, Default)]
+struct Scratch {
+    /// The patch in the object's frame, at the current pose.
+    placed: Vec<DVec3>,
+    /// Sources and targets of a rigid fit, and their weights.
+    sources: Vec<DVec3>,
+    targets: Vec<DVec3>,
+    weights: Vec<f64>,
+    soft: Vec<SoftMatch>,
+}
+
+impl Scratch {
+    /// Places the patch in the object's frame. The translation is taken off first, so that an offset of both costs
+    /// nothing.
+    fn place(&mut self, points_mm: &[DVec3], t_sensor_object: &Pose) {
+        let back = t_sensor_object.rotation.conjugate();
+        self.placed.clear();
+        self.placed.extend(points_mm.iter().map(|&p| back * (p - t_sensor_object.translation_mm)));
+    }
+
+    fn clear_pairs(&mut self) {
+        self.sources.clear();
+        self.targets.clear();
+        self.weights.clear();
+        self.soft.clear();
+    }
+
+    /// How far a motion in the object's frame moves the point of the patch that it moves most.
+    fn largest_move_mm(&self, motion: &Pose) -> f64 {
+        let squared = |p: &DVec3| motion.transform_point(*p).distance_squared(*p);
+        sqrt(self.placed.iter().map(squared).fold(0.0, f64::max))
+    }
+}
+
+/// The pose after the patch has been moved by `motion` in the object's frame: T D⁻¹.
+fn compose(t_sensor_object: &Pose, motion: &Pose) -> Pose {
+    let product = *t_sensor_object * motion.inverse();
+    product.normalized().unwrap_or(*t_sensor_object)
 }
 
 /// The registration stage and its scratch.
 #[derive(Clone, Debug)]
 pub struct Registrar {
     params: RegisterParams,
+    scratch: Scratch,
 }
 
 impl Registrar {
     /// With these settings.
     #[must_use]
     pub fn new(params: &RegisterParams) -> Self {
-        Self { params: params.clone() }
+        Self { params: params.clone(), scratch: Scratch::default() }
     }
 
     /// Registers a patch of salient points (sensor frame) to the template, from a guess.
+    ///
+    /// Allocates nothing once a patch as large has been seen. The same input gives the same bits.
     ///
     /// # Errors
     /// [`RegisterError`].
@@ -135,7 +173,49 @@ impl Registrar {
         template: &Template,
         guess: &Pose,
     ) -> Result<Registration, RegisterError> {
-        let _ = (&self.params, points_mm, template, guess);
-        unimplemented!()
+        self.params.validate()?;
+        let guess = check(points_mm, guess)?;
+        let problem = Problem { params: &self.params, points_mm, template };
+        let scratch = &mut self.scratch;
+        let outcome = match self.params.method {
+            RegisterMethod::FilterregPoint => {
+                filterreg::run(&problem, scratch, &guess, filterreg::Metric::Point)
+            }
+            RegisterMethod::FilterregPlane => {
+                filterreg::run(&problem, scratch, &guess, filterreg::Metric::Plane)
+            }
+            RegisterMethod::RansacIcp => {
+                let start = ransac::search(&problem, scratch, &guess)?;
+                icp::point_to_point(&problem, scratch, &start)
+            }
+            RegisterMethod::IcpPlane => icp::point_to_plane(&problem, scratch, &guess),
+        }?;
+        assess::registration(&problem, scratch, &outcome)
     }
+}
+
+/// Refuses what has no answer; returns the guess at unit length.
+fn check(points_mm: &[DVec3], guess: &Pose) -> Result<Pose, RegisterError> {
+    let far = |v: &DVec3| !v.is_finite() || v.abs().max_element() > template::REACH_MM;
+    if let Some(index) = points_mm.iter().position(far) {
+        return Err(RegisterError::PointNotFinite { index });
+    }
+    if points_mm.len() < LEAST_PATCH {
+        return Err(RegisterError::TooFewPoints { found: points_mm.len(), least: LEAST_PATCH });
+    }
+    if far(&guess.translation_mm) {
+        return Err(RegisterError::BadGuess);
+    }
+    guess.normalized().map_err(|_| RegisterError::BadGuess)
+}
+
+/// Refuses a placed patch of which fewer points than needed lie within `reach_mm` of the template.
+fn check_reach(problem: &Problem<'_>, placed: &[DVec3], reach_mm: f64) -> Result<(), RegisterError> {
+    let distances = || placed.iter().filter_map(|&p| problem.template.tree().nearest(p)).map(|(_, d)| d);
+    let within = distances().filter(|d| *d <= reach_mm * reach_mm).count();
+    if within >= LEAST_PATCH {
+        return Ok(());
+    }
+    let nearest_mm = sqrt(distances().fold(f64::INFINITY, f64::min));
+    Err(RegisterError::OutOfReach { within, least: LEAST_PATCH, nearest_mm, reach_mm })
 }

@@ -12,8 +12,8 @@ use gelstereo_core::math::{DVec2, sqrt};
 /// 2x² / (sinh 2x - 2x) of its height at wave number k = x / t (thickness t). That ratio is replaced by
 /// (3/2) x / ((x² + 1/decay²) (1 + 0.3 x²)): the same 3 / (2x) at long waves (the displaced volume flows below a free
 /// surface) and within 15 % up to x = 2, cut off where the gel's compressibility takes the volume up. In space these are two
-/// screened membranes and a gradient. Limits: `strength` stands for friction, which in truth differs between the
-/// contact and its surroundings; small strain; free sides of the lattice do not bulge.
+/// screened membranes and a gradient. Limits: no friction, which holds the surface back within the contact
+/// (`strength` does so everywhere); small strain; free sides of the lattice do not bulge.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -21,7 +21,8 @@ use gelstereo_core::math::{DVec2, sqrt};
     serde(default, deny_unknown_fields)
 )]
 pub struct Spread {
-    /// Share of the frictionless layer's motion, 0 to 1. Default: `0.5`.
+    /// Share of the frictionless, incompressible layer's motion, 0 to 1. Default: `1`: whether the part sticks or not, the
+    /// displaced volume has to pass beside it.
     pub strength: f64,
     /// Distance over which the volume is taken up, in gel thicknesses. Default: `2`.
     pub decay_thicknesses: f64,
@@ -29,7 +30,7 @@ pub struct Spread {
 
 impl Default for Spread {
     fn default() -> Self {
-        Self { strength: 0.5, decay_thicknesses: 2.0 }
+        Self { strength: 1.0, decay_thicknesses: 2.0 }
     }
 }
 

@@ -1,0 +1,170 @@
+//! Smoothing and surround: row by row, in fixed point, without multiplying images in memory.
+//!
+//! All rows are unsigned with [`FRACTION_BITS`] fractional bits, so that two of them can be subtracted without the
+//! double rounding of 8-bit images, and every kernel sums to exactly one: a constant image stays constant.
+
+use crate::image::GrayView;
+use crate::math::exp;
+use alloc::vec;
+use alloc::vec::Vec;
+
+/// Fractional bits of a filtered grey level: 255 becomes 32 640, and the sum of two still fits 16 bits.
+pub const FRACTION_BITS: u32 = 7;
+
+/// Fractional bits of a kernel weight: the weight 1 still fits 16 bits.
+const WEIGHT_BITS: u32 = 15;
+
+/// Index of the pixel that stands for `index` of a line of `len` pixels mirrored about its end pixels
+/// (`gfedcb|abcdefgh|gfedcba`), as often as needed.
+#[must_use]
+pub const fn reflect101(index: isize, len: usize) -> usize {
+    if len < 2 {
+        return 0;
+    }
+    let period = 2 * (len - 1);
+    let folded = index.rem_euclid(period as isize) as usize;
+    if folded < len { folded } else { period - folded }
+}
+
+/// Separable Gaussian as a finite impulse response with mirrored borders, equal to `cv2.GaussianBlur(image, (k, k), 0)`
+/// up to that function's coarser weights.
+///
+/// sigma = 0.3 ((k - 1) / 2 - 1) + 0.8 px, but kernels up to 9 px are OpenCV's fixed ones.
+#[derive(Clone, Debug)]
+pub struct GaussianBlur {
+    /// From the centre outwards.
+    weights: Vec<u16>,
+    sums: Vec<u32>,
+    padded: Vec<u16>,
+}
+
+impl GaussianBlur {
+    /// For an odd kernel side, 1 to 255 px; an even side counts as the next smaller odd one.
+    #[must_use]
+    pub fn new(kernel_px: usize) -> Self {
+        Self { weights: gaussian_weights(kernel_px / 2), sums: Vec::new(), padded: Vec::new() }
+    }
+
+    /// Writes filtered row `y` of `image` to `out`, which has the image's width.
+    pub fn row(&mut self, image: GrayView<'_>, y: usize, out: &mut [u16]) {
+        let (width, height, radius) = (image.width(), image.height(), self.weights.len() - 1);
+        self.sums.clear();
+        self.sums.resize(width, 1 << (WEIGHT_BITS - FRACTION_BITS - 1));
+        add_centre(&mut self.sums, image.row(y), self.weights[0]);
+        for (k, &weight) in (1_isize..).zip(&self.weights[1..]) {
+            let above = image.row(reflect101(y as isize - k, height));
+            let below = image.row(reflect101(y as isize + k, height));
+            add_pair(&mut self.sums, above, below, weight);
+        }
+        self.padded.clear();
+        self.padded.resize(width + 2 * radius, 0);
+        for (padded, &sum) in self.padded[radius..].iter_mut().zip(&self.sums) {
+            *padded = (sum >> (WEIGHT_BITS - FRACTION_BITS)) as u16;
+        }
+        mirror_ends(&mut self.padded, radius);
+        self.sums.fill(1 << (WEIGHT_BITS - 1));
+        add_centre(&mut self.sums, &self.padded[radius..radius + width], self.weights[0]);
+        for (k, &weight) in (1..).zip(&self.weights[1..]) {
+            let (before, after) = (&self.padded[radius - k..], &self.padded[radius + k..]);
+            add_pair(&mut self.sums, &before[..width], &after[..width], weight);
+        }
+        for (out, &sum) in out.iter_mut().zip(&self.sums) {
+            *out = (sum >> WEIGHT_BITS) as u16;
+        }
+    }
+}
+
+/// Half of a kernel whose whole sums to 2^15, from the centre outwards.
+fn gaussian_weights(radius: usize) -> Vec<u16> {
+    // OpenCV's kernels of 1 to 9 px, in 256ths.
+    const FIXED: [&[u16]; 5] = [&[256], &[128, 64], &[96, 64, 16], &[72, 56, 28, 8], &[60, 51, 30, 13, 4]];
+    if let Some(half) = FIXED.get(radius) {
+        return half.iter().map(|w| w << (WEIGHT_BITS - 8)).collect();
+    }
+    let sigma_px = 0.3 * (radius as f64 - 1.0) + 0.8;
+    let samples: Vec<f64> =
+        (0..=radius).map(|k| exp(-0.5 * (k as f64 / sigma_px) * (k as f64 / sigma_px))).collect();
+    let total = samples[0] + 2.0 * samples[1..].iter().sum::<f64>();
+    let one = f64::from(1_u32 << WEIGHT_BITS);
+    let mut weights: Vec<u16> = samples.iter().map(|s| crate::math::round(s / total * one) as u16).collect();
+    // What rounding took or gave goes to the centre, where it changes the variance least.
+    let sides: u32 = weights[1..].iter().map(|&w| 2 * u32::from(w)).sum();
+    weights[0] = ((1 << WEIGHT_BITS) - sides) as u16;
+    weights
+}
+
+/// `sums += line * weight`. No sum of this module exceeds (255 << 7 | 127) << 15, which is below 2^31.
+fn add_centre<T: Copy + Into<u32>>(sums: &mut [u32], line: &[T], weight: u16) {
+    for (sum, &value) in sums.iter_mut().zip(line) {
+        *sum = sum.wrapping_add(value.into() * u32::from(weight));
+    }
+}
+
+/// `sums += (a + b) * weight`; adding before multiplying halves the products of a symmetric kernel.
+fn add_pair<T: Copy + Into<u16>>(sums: &mut [u32], a: &[T], b: &[T], weight: u16) {
+    for ((sum, &a), &b) in sums.iter_mut().zip(a).zip(b) {
+        let pair: u16 = a.into().wrapping_add(b.into()); // at most 2 x 32 640
+        *sum = sum.wrapping_add(u32::from(pair).wrapping_mul(u32::from(weight)));
+    }
+}
+
+/// Fills `radius` elements at both ends from the line between them.
+fn mirror_ends<T: Copy>(padded: &mut [T], radius: usize) {
+    let len = padded.len() - 2 * radius;
+    for k in 1..=radius {
+        padded[radius - k] = padded[radius + reflect101(-(k as isize), len)];
+        padded[radius + len - 1 + k] = padded[radius + reflect101((len - 1 + k) as isize, len)];
+    }
+}
+
+/// Mean over a square with mirrored borders, by running sums: its cost per pixel does not depend on the square.
+#[derive(Clone, Debug)]
+pub struct BoxMean {
+    radius: usize,
+    /// round(2^39 / side²).
+    reciprocal: u64,
+    columns: Vec<u32>,
+    padded: Vec<u32>,
+}
+
+impl BoxMean {
+    /// For an odd side, 1 to 255 px; an even side counts as the next smaller odd one.
+    #[must_use]
+    pub fn new(kernel_px: usize) -> Self {
+        let radius = kernel_px / 2;
+        let area = (2 * radius as u64 + 1).pow(2);
+        Self { radius, reciprocal: ((1 << 39) + area / 2) / area, columns: vec![], padded: vec![] }
+    }
+
+    /// Writes filtered row `y` of `image` to `out`. Row 0 starts an image; the others must follow in order.
+    pub fn row(&mut self, image: GrayView<'_>, y: usize, out: &mut [u16]) {
+        let (width, radius) = (image.width(), self.radius as isize);
+        let source = |dy: isize| image.row(reflect101(y as isize + dy, image.height()));
+        if y == 0 {
+            self.columns.clear();
+            self.columns.resize(width, 0);
+            for dy in -radius..=radius {
+                add_centre(&mut self.columns, source(dy), 1);
+            }
+        } else {
+            for ((column, &enters), &leaves) in
+                self.columns.iter_mut().zip(source(radius)).zip(source(-radius - 1))
+            {
+                *column = column.wrapping_add(u32::from(enters)).wrapping_sub(u32::from(leaves));
+            }
+        }
+        self.padded.clear();
+        self.padded.resize(width + 2 * self.radius, 0);
+        self.padded[self.radius..self.radius + width].copy_from_slice(&self.columns);
+        mirror_ends(&mut self.padded, self.radius);
+        let side = 2 * self.radius + 1;
+        let mut sum: u32 = self.padded[..side - 1].iter().sum();
+        for (x, out) in out.iter_mut().enumerate() {
+            sum += self.padded[x + side - 1];
+            // The reciprocal is off by at most a half: the error is below 255 x 255² / 2 / 2^32 of the last place, so
+            // that the mean of equal pixels is exact after rounding.
+            *out = ((u64::from(sum) * self.reciprocal + (1 << 31)) >> 32) as u16;
+            sum -= self.padded[x];
+        }
+    }
+}

@@ -1,0 +1,271 @@
+//! The rest lattice, grown from a seed by predicted steps.
+
+use super::fill::{Partial, mean};
+use super::{LabelError, RestLattice, check_regular};
+use crate::math::{DVec2, atan2, median, sqrt};
+use crate::params::LatticeParams;
+use crate::track::grid::Grid;
+use alloc::vec;
+use alloc::vec::Vec;
+
+/// A square lattice turned by 45 degrees looks the same turned either way: beyond this angle it is refused.
+const MOST_ROTATION_DEG: f64 = 40.0;
+
+/// Right, down, left, up as (row, column).
+const STEPS: [(isize, isize); 4] = [(0, 1), (1, 0), (0, -1), (-1, 0)];
+
+/// Labels an undisturbed frame and fills in up to `lattice.max_missing` markers that were not detected.
+///
+/// From the marker whose four neighbours are the most regular, the lattice grows along rows and columns. Each step is
+/// predicted from the steps already known around it, so that curved rows are followed, and taken when a detection lies within
+/// `tolerance_pitches` of the prediction. Detections off the lattice are ignored. The labels are right for any
+/// rotation up to 40 degrees: row 0 is the upper one, column 0 the left one.
+///
+/// # Errors
+/// [`LabelError`] naming what was found. A lattice is refused unless exactly one placement of rows x cols covers it.
+pub fn rest_lattice(
+    detected_px: &[DVec2],
+    lattice: &LatticeParams,
+    tolerance_pitches: f64,
+) -> Result<RestLattice, LabelError> {
+    let (found, expected, max_missing) = (detected_px.len(), lattice.len(), lattice.max_missing);
+    if found + max_missing < expected || found > 4 * expected {
+        return Err(LabelError::Count { found, expected, max_missing });
+    }
+    if let Some(index) = detected_px.iter().position(|p| !p.is_finite()) {
+        return Err(LabelError::NotFinite { index });
+    }
+    let mut grid = Grid::default();
+    let near_px = neighbour_distance(detected_px, &mut grid).ok_or(LabelError::NoLattice { found })?;
+    let seed = find_seed(detected_px, &grid, near_px).ok_or(LabelError::NoLattice { found })?;
+    check_rotation(detected_px, &seed)?;
+    let mut growth = Growth::new(detected_px, &grid, lattice, tolerance_pitches);
+    growth.grow(&seed);
+    let partial = growth.place(lattice)?;
+    let pitch_px = pitch(&partial);
+    check_regular(lattice.rows, lattice.cols, tolerance_pitches * pitch_px, |r, c| {
+        partial.get(r as isize, c as isize)
+    })?;
+    let filled = partial.at.iter().map(Option::is_none).collect();
+    let positions_px = partial.filled().ok_or(LabelError::Count { found, expected, max_missing })?;
+    Ok(RestLattice { positions_px, filled, pitch_px })
+}
+
+/// A detection and its right, lower, left and upper neighbour.
+struct Seed {
+    centre: usize,
+    around: [usize; 4],
+}
+
+/// Median distance to the nearest neighbour; leaves the detections in the grid.
+fn neighbour_distance(points: &[DVec2], grid: &mut Grid) -> Option<f64> {
+    let first = *points.first()?;
+    let (low, high) = points.iter().fold((first, first), |(low, high), &p| (low.min(p), high.max(p)));
+    let spread = high - low;
+    let side = sqrt(spread.x.max(1.0) * spread.y.max(1.0) / points.len() as f64);
+    grid.build(points, side);
+    let nearest = |(n, &p): (usize, &DVec2)| {
+        grid.nearest(points, p, 3.0 * side, |m| m != n).map(|m| p.distance(points[m]))
+    };
+    let mut distances: Vec<f64> = points.iter().enumerate().filter_map(nearest).collect();
+    median(&mut distances).filter(|&d| d > 0.0)
+}
+
+/// The detection whose neighbours to the right and left, and above and below, are the most symmetric.
+fn find_seed(points: &[DVec2], grid: &Grid, near_px: f64) -> Option<Seed> {
+    let mut best: Option<(f64, Seed)> = None;
+    for centre in 0..points.len() {
+        let Some(around) = nearest_in_quadrants(points, grid, centre, 2.0 * near_px) else { continue };
+        let [right, down, left, up] = around.map(|m| points[m] - points[centre]);
+        let size = right.length_squared() + down.length_squared();
+        let asymmetry = ((right + left).length_squared() + (down + up).length_squared()) / size;
+        if asymmetry < 0.1 && best.as_ref().is_none_or(|(least, _)| asymmetry < *least) {
+            best = Some((asymmetry, Seed { centre, around }));
+        }
+    }
+    best.map(|(_, seed)| seed)
+}
+
+/// The nearest detection within 45 degrees of each image axis: right, down, left, up.
+fn nearest_in_quadrants(points: &[DVec2], grid: &Grid, centre: usize, radius_px: f64) -> Option<[usize; 4]> {
+    let mut nearest = [(f64::INFINITY, usize::MAX); 4];
+    grid.visit(points[centre], radius_px, |m| {
+        let step = points[m] - points[centre];
+        if m == centre {
+            return;
+        }
+        let quadrant = match (step.x.abs() >= step.y.abs(), step.x > 0.0, step.y > 0.0) {
+            (true, true, _) => 0,
+            (false, _, true) => 1,
+            (true, false, _) => 2,
+            (false, _, false) => 3,
+        };
+        let key = (step.length_squared(), m);
+        if key < nearest[quadrant] {
+            nearest[quadrant] = key;
+        }
+    });
+    nearest.iter().all(|&(_, m)| m != usize::MAX).then(|| nearest.map(|(_, m)| m))
+}
+
+fn check_rotation(points: &[DVec2], seed: &Seed) -> Result<(), LabelError> {
+    let [right, down, left, up] = seed.around.map(|m| points[m]);
+    let (row, col) = (right - left, down - up);
+    let angles = [atan2(row.y, row.x), atan2(-col.x, col.y)].map(f64::to_degrees);
+    match angles.into_iter().find(|angle| angle.abs() > MOST_ROTATION_DEG) {
+        Some(found_deg) => Err(LabelError::Rotated { found_deg, most_deg: MOST_ROTATION_DEG }),
+        None => Ok(()),
+    }
+}
+
+/// Labels on a canvas that is wide enough for the lattice wherever in it the seed lies, with a place to spare on each side.
+struct Growth<'a> {
+    points: &'a [DVec2],
+    grid: &'a Grid,
+    tolerance_pitches: f64,
+    /// Canvas size, odd; the seed lies in the middle.
+    rows: isize,
+    cols: isize,
+    /// Detection at each place.
+    at: Vec<Option<u32>>,
+    taken: Vec<bool>,
+}
+
+impl<'a> Growth<'a> {
+    fn new(points: &'a [DVec2], grid: &'a Grid, lattice: &LatticeParams, tolerance_pitches: f64) -> Self {
+        let (rows, cols) = (2 * lattice.rows + 1, 2 * lattice.cols + 1);
+        Self {
+            points,
+            grid,
+            tolerance_pitches,
+            rows: rows as isize,
+            cols: cols as isize,
+            at: vec![None; rows * cols],
+            taken: vec![false; points.len()],
+        }
+    }
+
+    fn index(&self, row: isize, col: isize) -> Option<usize> {
+        let inside = (0..self.rows).contains(&row) && (0..self.cols).contains(&col);
+        inside.then(|| (row * self.cols + col) as usize)
+    }
+
+    fn position(&self, row: isize, col: isize) -> Option<DVec2> {
+        self.at[self.index(row, col)?].map(|m| self.points[m as usize])
+    }
+
+    fn label(&mut self, place: (isize, isize), detection: usize) -> Option<()> {
+        let index = self.index(place.0, place.1)?;
+        self.at[index] = Some(detection as u32);
+        self.taken[detection] = true;
+        Some(())
+    }
+
+    /// Breadth first from the seed: steps near the seed, where most is known, come first.
+    fn grow(&mut self, seed: &Seed) {
+        let middle = (self.rows / 2, self.cols / 2);
+        let mut queue = vec![middle];
+        self.label(middle, seed.centre);
+        for (&(dr, dc), &detection) in STEPS.iter().zip(&seed.around) {
+            let place = (middle.0 + dr, middle.1 + dc);
+            self.label(place, detection);
+            queue.push(place);
+        }
+        let mut next = 0;
+        while let Some(&(row, col)) = queue.get(next) {
+            next += 1;
+            for step in STEPS {
+                let place = (row + step.0, col + step.1);
+                if self.index(place.0, place.1).is_some_and(|index| self.at[index].is_none())
+                    && let Some(detection) = self.find((row, col), step)
+                {
+                    self.label(place, detection);
+                    queue.push(place);
+                }
+            }
+        }
+    }
+
+    /// The free detection at one step from a labelled place; none if a labelled one is nearer to the prediction.
+    fn find(&self, from: (isize, isize), (dr, dc): (isize, isize)) -> Option<usize> {
+        let here = self.position(from.0, from.1)?;
+        let straight = self.position(from.0 - dr, from.1 - dc).map(|before| here * 2.0 - before);
+        // The same step one row or column to either side.
+        let beside = [-1, 1].into_iter().filter_map(|side| {
+            let (r, c) = (from.0 + side * dc, from.1 + side * dr);
+            Some(here + self.position(r + dr, c + dc)? - self.position(r, c)?)
+        });
+        let predicted = mean(straight.into_iter().chain(beside))?;
+        let radius_px = self.tolerance_pitches * predicted.distance(here);
+        self.grid.nearest(self.points, predicted, radius_px, |_| true).filter(|&m| !self.taken[m])
+    }
+
+    /// The one placement of rows x cols on the canvas that misses no more markers than it may.
+    fn place(&self, lattice: &LatticeParams) -> Result<Partial, LabelError> {
+        let (rows, cols) = (lattice.rows, lattice.cols);
+        let least = lattice.len().saturating_sub(lattice.max_missing);
+        let (sums, width) = self.summed_counts();
+        let count = |r: usize, c: usize| {
+            sums[(r + rows) * width + c + cols] + sums[r * width + c]
+                - sums[r * width + c + cols]
+                - sums[(r + rows) * width + c]
+        };
+        let mut fitting = (0..=self.rows as usize - rows)
+            .flat_map(|r| (0..=self.cols as usize - cols).map(move |c| (r, c)))
+            .filter(|&(r, c)| count(r, c) as usize >= least);
+        match (fitting.next(), fitting.next()) {
+            (Some((top, left)), None) => {
+                let place = |n: usize| self.position((top + n / cols) as isize, (left + n % cols) as isize);
+                Ok(Partial { rows, cols, at: (0..lattice.len()).map(place).collect() })
+            }
+            _ => Err(self.shape_error(lattice)),
+        }
+    }
+
+    /// Labelled places above and left of each corner of the canvas, and how many corners a row has.
+    fn summed_counts(&self) -> (Vec<u32>, usize) {
+        let (rows, cols) = (self.rows as usize, self.cols as usize);
+        let width = cols + 1;
+        let mut sums = vec![0_u32; (rows + 1) * width];
+        for r in 0..rows {
+            let mut row = 0;
+            for c in 0..cols {
+                row += u32::from(self.at[r * cols + c].is_some());
+                sums[(r + 1) * width + c + 1] = sums[r * width + c + 1] + row;
+            }
+        }
+        (sums, width)
+    }
+
+    fn shape_error(&self, lattice: &LatticeParams) -> LabelError {
+        let cols = self.cols as usize;
+        let used = || self.at.iter().enumerate().filter(|(_, detection)| detection.is_some()).map(|(n, _)| n);
+        let extent = |key: fn(usize, usize) -> usize| {
+            let low = used().map(|n| key(n, cols)).min().unwrap_or(0);
+            used().map(|n| key(n, cols)).max().map_or(0, |high| high - low + 1)
+        };
+        LabelError::Shape {
+            rows: extent(|n, cols| n / cols),
+            cols: extent(|n, cols| n % cols),
+            labelled: used().count(),
+            expected_rows: lattice.rows,
+            expected_cols: lattice.cols,
+            max_missing: lattice.max_missing,
+        }
+    }
+}
+
+/// Median distance between neighbours of a row or a column.
+fn pitch(partial: &Partial) -> f64 {
+    let mut distances = Vec::new();
+    for row in 0..partial.rows as isize {
+        for col in 0..partial.cols as isize {
+            for (dr, dc) in [(0, 1), (1, 0)] {
+                if let (Some(a), Some(b)) = (partial.get(row, col), partial.get(row + dr, col + dc)) {
+                    distances.push(a.distance(b));
+                }
+            }
+        }
+    }
+    median(&mut distances).unwrap_or(0.0)
+}

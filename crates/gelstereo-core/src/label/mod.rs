@@ -1,0 +1,181 @@
+//! Row and column of every marker: foresight sort (Algorithm 1) and the rest lattice.
+//!
+//! Both refuse rather than mislabel: what they return is a lattice in which every marker stands where its neighbours
+//! say.
+
+mod fill;
+mod foresight;
+mod growth;
+
+pub use foresight::foresight_sort;
+pub use growth::rest_lattice;
+
+use crate::math::DVec2;
+use alloc::vec::Vec;
+
+/// Why markers could not be labelled.
+#[derive(Clone, Debug, PartialEq)]
+pub enum LabelError {
+    /// Too few or too many markers.
+    Count {
+        /// Markers found.
+        found: usize,
+        /// Markers of the lattice.
+        expected: usize,
+        /// How many of them may be missing.
+        max_missing: usize,
+    },
+    /// A position is NaN or infinite.
+    NotFinite {
+        /// Which position.
+        index: usize,
+    },
+    /// A row of the foresight sort did not fill.
+    RowNotFilled {
+        /// Which row, from the top.
+        row: usize,
+        /// Markers found for it.
+        found: usize,
+        /// Markers of a row.
+        expected: usize,
+    },
+    /// No marker has four neighbours as in a lattice.
+    NoLattice {
+        /// Markers found.
+        found: usize,
+    },
+    /// The lattice is turned so far that rows cannot be told from columns.
+    Rotated {
+        /// Angle between the lattice and the image axes, degrees.
+        found_deg: f64,
+        /// Largest valid one.
+        most_deg: f64,
+    },
+    /// The lattice found is not the one configured.
+    Shape {
+        /// Rows found.
+        rows: usize,
+        /// Columns found.
+        cols: usize,
+        /// Markers found on it.
+        labelled: usize,
+        /// Rows configured.
+        expected_rows: usize,
+        /// Columns configured.
+        expected_cols: usize,
+        /// How many markers may be missing.
+        max_missing: usize,
+    },
+    /// A marker does not stand where its neighbours say.
+    Irregular {
+        /// Its row.
+        row: usize,
+        /// Its column.
+        col: usize,
+        /// Distance from the middle of its neighbours, pixels; infinite where the lattice folds over.
+        off_px: f64,
+        /// Largest valid one.
+        most_px: f64,
+    },
+}
+
+impl core::fmt::Display for LabelError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match *self {
+            Self::Count { found, expected, max_missing } => {
+                write!(
+                    f,
+                    "found {found} markers; the lattice has {expected}, of which {max_missing} may be missing"
+                )
+            }
+            Self::NotFinite { index } => write!(f, "the position of marker {index} is NaN or infinite"),
+            Self::RowNotFilled { row, found, expected } => write!(
+                f,
+                "row {row} filled with {found} of {expected} markers: the lattice is turned or deformed too far for \
+                 the foresight sort; label.method = \"temporal\" keeps labels through tracks"
+            ),
+            Self::NoLattice { found } => write!(
+                f,
+                "none of the {found} markers found has four neighbours as in a lattice; check detect.threshold_levels \
+                 and detect.polarity"
+            ),
+            Self::Rotated { found_deg, most_deg } => write!(
+                f,
+                "the lattice is turned by {found_deg:.1} degrees against the image; beyond {most_deg} degrees its rows \
+                 cannot be told from its columns: turn the camera or the gel"
+            ),
+            Self::Shape { rows, cols, labelled, expected_rows, expected_cols, max_missing } => write!(
+                f,
+                "found a lattice of {rows} rows x {cols} columns with {labelled} markers; lattice.rows x lattice.cols \
+                 is {expected_rows} x {expected_cols}, of which {max_missing} may be missing"
+            ),
+            Self::Irregular { row, col, off_px, most_px } if off_px.is_finite() => write!(
+                f,
+                "the marker labelled row {row}, column {col} lies {off_px:.1} px from the middle of its neighbours; at \
+                 most {most_px:.1} px is a lattice"
+            ),
+            Self::Irregular { row, col, .. } => {
+                write!(f, "the lattice folds over at the marker labelled row {row}, column {col}")
+            }
+        }
+    }
+}
+
+impl core::error::Error for LabelError {}
+
+/// The rest lattice, complete.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RestLattice {
+    /// Position of marker `row * cols + col`, pixels.
+    pub positions_px: Vec<DVec2>,
+    /// Whether it was filled in from its neighbours (never printed or not detected).
+    pub filled: Vec<bool>,
+    /// Median distance of neighbours, pixels.
+    pub pitch_px: f64,
+}
+
+/// Whether a labelling is a lattice: no cell folds over, and every marker lies within `most_px` of the middle of
+/// its left and right, and of its upper and lower, neighbours. `at(row, col)` may be unknown; such markers are not checked.
+///
+/// A marker that took its neighbour's label, or a row that slips into the next one, is at least half a pitch off.
+fn check_regular(
+    rows: usize,
+    cols: usize,
+    most_px: f64,
+    at: impl Fn(usize, usize) -> Option<DVec2>,
+) -> Result<(), LabelError> {
+    let off = |row: usize, col: usize, before: Option<DVec2>, after: Option<DVec2>| {
+        let (Some(here), Some(before), Some(after)) = (at(row, col), before, after) else {
+            return Ok(());
+        };
+        let off_px = here.distance((before + after) * 0.5);
+        if off_px <= most_px { Ok(()) } else { Err(LabelError::Irregular { row, col, off_px, most_px }) }
+    };
+    for row in 0..rows {
+        for col in 0..cols {
+            if row > 0 && row + 1 < rows {
+                off(row, col, at(row - 1, col), at(row + 1, col))?;
+            }
+            if col > 0 && col + 1 < cols {
+                off(row, col, at(row, col - 1), at(row, col + 1))?;
+            }
+            if row + 1 < rows
+                && col + 1 < cols
+                && folds(
+                    [(row, col), (row, col + 1), (row + 1, col + 1), (row + 1, col)].map(|(r, c)| at(r, c)),
+                )
+            {
+                return Err(LabelError::Irregular { row, col, off_px: f64::INFINITY, most_px });
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Whether a cell, given in the order of its outline, turns the wrong way at one of its corners.
+fn folds(corners: [Option<DVec2>; 4]) -> bool {
+    (0..4).any(|k| match (corners[(k + 3) % 4], corners[k], corners[(k + 1) % 4]) {
+        (Some(before), Some(here), Some(after)) => !((after - here).perp_dot(before - here) > 0.0),
+        _ => false,
+    })
+}

@@ -1,0 +1,65 @@
+//! The evidence at the end: inliers, residual, information and free directions at the returned pose.
+
+use super::error::LEAST_PATCH;
+use super::filterreg::width_floor_mm;
+use super::observe::{PatchFrame, Sighting, System};
+use super::soft::soft_match;
+use super::{FreeDirections, Outcome, Problem, RegisterError, Registration, Scratch, check_reach};
+use crate::math::{centroid, sqrt};
+use crate::params::RegisterMethod;
+
+/// The result of a stage that ended at `outcome`. All rungs are judged alike, on the soft matches of the points
+/// within `max_distance_mm`.
+pub(super) fn registration(
+    problem: &Problem<'_>,
+    scratch: &mut Scratch,
+    outcome: &Outcome,
+) -> Result<Registration, RegisterError> {
+    let Problem { params, points_mm, template } = *problem;
+    let pose = &outcome.t_sensor_object;
+    scratch.place(points_mm, pose);
+    match_inliers(problem, scratch);
+    if scratch.sources.len() < LEAST_PATCH {
+        check_reach(problem, &scratch.placed, params.max_distance_mm)?;
+    }
+    let frame = PatchFrame::new(&scratch.sources, template.spacing_mm());
+    let mut system = System::evidence(frame.radius_mm, params.point_sigma_mm);
+    let by_plane = matches!(params.method, RegisterMethod::FilterregPlane | RegisterMethod::IcpPlane);
+    let mut sum_squared = 0.0;
+    for (soft, &point) in scratch.soft.iter().zip(&scratch.sources) {
+        let lever = point - frame.centre_mm;
+        let residual_mm =
+            if by_plane { soft.sighting(template, lever, 1.0).residual } else { soft.distance_mm };
+        sum_squared += residual_mm * residual_mm;
+        // The nearest point's own normal: a mean of two faces' normals would claim to see sideways motion at every
+        // edge of a flat contact.
+        system.add(&Sighting::nearest(template, soft.nearest, point, lever));
+    }
+    let in_object = system.observe(frame.centre_mm);
+    let observability = in_object.turned(pose, centroid(&scratch.targets));
+    Ok(Registration {
+        t_sensor_object: *pose,
+        information: observability.information(),
+        observability,
+        converged: outcome.converged,
+        iterations: outcome.iterations,
+        inliers: scratch.sources.len(),
+        points: points_mm.len(),
+        rmse_mm: sqrt(sum_squared / scratch.sources.len() as f64),
+        free: FreeDirections::new(&in_object, params.point_sigma_mm),
+    })
+}
+
+/// Leaves the inliers in the scratch: sources in the object's frame, targets the same points in the sensor's.
+fn match_inliers(problem: &Problem<'_>, scratch: &mut Scratch) {
+    let width_mm = width_floor_mm(problem);
+    scratch.clear_pairs();
+    for (&placed, &point) in scratch.placed.iter().zip(problem.points_mm) {
+        let soft = soft_match(problem.template, placed, width_mm);
+        if soft.distance_mm <= problem.params.max_distance_mm {
+            scratch.sources.push(placed);
+            scratch.targets.push(point);
+            scratch.soft.push(soft);
+        }
+    }
+}

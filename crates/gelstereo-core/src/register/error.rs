@@ -1,0 +1,149 @@
+//! What can be wrong with a template or with a patch, said so that the reader knows what to do.
+
+use super::template::{LEAST_POINTS, MOST_POINTS, REACH_MM};
+use crate::params::ParamsError;
+
+/// Why points or a mesh are no template.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum TemplateError {
+    /// Too few points, or a mesh that gives too few at this spacing.
+    TooFew {
+        /// Points found.
+        found: usize,
+        /// Points needed.
+        least: usize,
+    },
+    /// More points than a template holds.
+    TooMany {
+        /// Points found, or expected from the mesh's area.
+        found: f64,
+        /// The spacing.
+        spacing_mm: f64,
+    },
+    /// Points and normals are not equally many.
+    Lengths {
+        /// Points found.
+        points: usize,
+        /// Normals found.
+        normals: usize,
+    },
+    /// A point or normal is NaN, infinite or beyond 1e12 mm.
+    NotFinite {
+        /// Which one.
+        index: usize,
+    },
+    /// A normal has no direction.
+    ZeroNormal {
+        /// Which one.
+        index: usize,
+    },
+    /// The spacing is not positive, or does not go with the size of the points.
+    Spacing {
+        /// The spacing found.
+        found_mm: f64,
+        /// Largest extent of the points along an axis.
+        extent_mm: f64,
+    },
+}
+
+impl core::fmt::Display for TemplateError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::TooFew { found, least } => {
+                write!(f, "{found} template points; at least {least} are needed: reduce the spacing")
+            }
+            Self::TooMany { found, spacing_mm } => write!(
+                f,
+                "a spacing of {spacing_mm} mm gives {found:.0} template points; at most {MOST_POINTS} are held: \
+                 increase the spacing, or check the units of the part (millimetres)"
+            ),
+            Self::Lengths { points, normals } => {
+                write!(f, "{points} points but {normals} normals; every point needs one normal")
+            }
+            Self::NotFinite { index } => write!(
+                f,
+                "template point or normal {index} is NaN, infinite or beyond {REACH_MM:e} mm; remove it"
+            ),
+            Self::ZeroNormal { index } => {
+                write!(f, "normal {index} has length zero; every point needs an outward normal")
+            }
+            Self::Spacing { found_mm, extent_mm } => write!(
+                f,
+                "the spacing is {found_mm} mm for points that extend over {extent_mm} mm; valid is a positive \
+                 spacing from {:e} times the extent to the extent itself (are both in millimetres?)",
+                super::template::LEAST_SPACING
+            ),
+        }
+    }
+}
+
+impl core::error::Error for TemplateError {}
+
+/// Why a registration has no answer.
+#[derive(Clone, Debug, PartialEq)]
+pub enum RegisterError {
+    /// A setting makes no sense.
+    Params(ParamsError),
+    /// Too few salient points.
+    TooFewPoints {
+        /// Points found.
+        found: usize,
+        /// Points needed.
+        least: usize,
+    },
+    /// A salient point is NaN, infinite or beyond 1e12 mm.
+    PointNotFinite {
+        /// Which one.
+        index: usize,
+    },
+    /// The guess has a component that is NaN, infinite or beyond 1e12 mm, or its quaternion has no direction.
+    BadGuess,
+    /// Fewer points than needed lie within reach of the template.
+    OutOfReach {
+        /// Points within reach.
+        within: usize,
+        /// Points needed.
+        least: usize,
+        /// Distance of the nearest point to the template.
+        nearest_mm: f64,
+        /// The reach.
+        reach_mm: f64,
+    },
+}
+
+impl core::fmt::Display for RegisterError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Params(error) => error.fmt(f),
+            Self::TooFewPoints { found, least } => write!(
+                f,
+                "{found} salient points; at least {least} are needed: press harder, or lower contact.saliency_mm"
+            ),
+            Self::PointNotFinite { index } => write!(
+                f,
+                "salient point {index} is NaN, infinite or beyond {REACH_MM:e} mm; leave lost markers out"
+            ),
+            Self::BadGuess => write!(
+                f,
+                "the guess t_sensor_object is no rigid motion of finite size (below {REACH_MM:e} mm); give a \
+                 rotation and a translation in millimetres"
+            ),
+            Self::OutOfReach { within, least, nearest_mm, reach_mm } => write!(
+                f,
+                "{within} salient points lie within {reach_mm} mm of the template, {least} are needed; the nearest \
+                 is {nearest_mm:.3} mm away: give a better guess, or check frames and units"
+            ),
+        }
+    }
+}
+
+impl core::error::Error for RegisterError {}
+
+impl From<ParamsError> for RegisterError {
+    fn from(error: ParamsError) -> Self {
+        Self::Params(error)
+    }
+}
+
+/// Points that a rigid motion in space needs.
+pub(crate) const LEAST_PATCH: usize = LEAST_POINTS;

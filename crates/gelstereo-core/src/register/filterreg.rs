@@ -1,0 +1,121 @@
+//! FilterReg (W. Gao and R. Tedrake, "FilterReg: Robust and Efficient Probabilistic Point-Set Registration", 2019).
+//!
+//! The patch is the model, the template the observation: every point of the patch is drawn to the Gaussian mean of
+//! the template around it (E step), the patch moves rigidly (M step), and the Gaussian shrinks to fit.
+
+use super::error::LEAST_PATCH;
+use super::icp;
+use super::observe::{PatchFrame, System};
+use super::soft::soft_match;
+use super::{Outcome, Problem, RegisterError, Scratch, check_reach, compose};
+use crate::math::{Pose, exp, ln, sqrt};
+
+/// What the M step makes small.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Metric {
+    /// Distances to the means (the paper).
+    Point,
+    /// Distances to the means along their normals.
+    Plane,
+}
+
+/// Registers from the guess.
+pub(super) fn run(
+    problem: &Problem<'_>,
+    scratch: &mut Scratch,
+    guess: &Pose,
+    metric: Metric,
+) -> Result<Outcome, RegisterError> {
+    let (params, spacing_mm) = (problem.params, problem.template.spacing_mm());
+    let floor_mm = width_floor_mm(problem);
+    let tolerance_mm = params.step_tolerance * spacing_mm;
+    let mut sigma_mm = params.sigma_start_mm.max(floor_mm);
+    let mut outcome = Outcome { t_sensor_object: *guess, converged: false, iterations: 0 };
+    scratch.place(problem.points_mm, guess);
+    check_reach(problem, &scratch.placed, params.search_radius_mm)?;
+    while outcome.iterations < params.max_iterations && !outcome.converged {
+        let motion = step(problem, scratch, metric, sigma_mm);
+        let moved_mm = scratch.largest_move_mm(&motion);
+        let next_sigma_mm = width_mm(scratch, &motion).clamp(floor_mm, params.sigma_start_mm.max(floor_mm));
+        outcome.converged = moved_mm <= tolerance_mm && (next_sigma_mm - sigma_mm).abs() <= tolerance_mm;
+        sigma_mm = next_sigma_mm;
+        outcome.t_sensor_object = compose(&outcome.t_sensor_object, &motion);
+        outcome.iterations += 1;
+        scratch.place(problem.points_mm, &outcome.t_sensor_object);
+    }
+    Ok(outcome)
+}
+
+/// Least width. Over samples a spacing s apart the sum of Gaussians of width s/2 ripples by 2 e^(-π²/2) = 1.4 % (Poisson
+/// summation); narrower ones see single points rather than a surface, and hold the patch to them.
+pub(super) fn width_floor_mm(problem: &Problem<'_>) -> f64 {
+    problem.params.sigma_floor_mm.max(0.5 * problem.template.spacing_mm())
+}
+
+/// One E step and one M step; the motion of the patch in the object's frame. Leaves the pairs in `scratch`.
+fn step(problem: &Problem<'_>, scratch: &mut Scratch, metric: Metric, sigma_mm: f64) -> Pose {
+    expect(problem, scratch, sigma_mm);
+    match metric {
+        Metric::Point => icp::fit(scratch),
+        Metric::Plane => plane_step(problem, scratch),
+    }
+}
+
+/// Soft matches, targets and responsibilities of all points.
+fn expect(problem: &Problem<'_>, scratch: &mut Scratch, sigma_mm: f64) {
+    scratch.clear_pairs();
+    let log_outlier = log_outlier_mass(problem, sigma_mm);
+    for &point in &scratch.placed {
+        let soft = soft_match(problem.template, point, sigma_mm);
+        scratch.sources.push(point);
+        scratch.targets.push(point + soft.offset_mm);
+        scratch.weights.push(1.0 / (1.0 + exp(log_outlier - soft.log_mass)));
+        scratch.soft.push(soft);
+    }
+    // A width far too small for the distances calls every point an outlier, and no step would be left. Then the
+    // points count alike: the width will follow from how far they are.
+    if scratch.weights.iter().sum::<f64>() < LEAST_PATCH as f64 {
+        scratch.weights.fill(1.0);
+    }
+}
+
+/// One Gauss-Newton step on the distances along the normals.
+fn plane_step(problem: &Problem<'_>, scratch: &Scratch) -> Pose {
+    let frame = PatchFrame::new(&scratch.sources, problem.template.spacing_mm());
+    let mut system =
+        System::step(frame.radius_mm, problem.params.point_sigma_mm, problem.template.spacing_mm());
+    for ((soft, &point), &weight) in scratch.soft.iter().zip(&scratch.sources).zip(&scratch.weights) {
+        system.add(&soft.sighting(problem.template, point - frame.centre_mm, weight));
+    }
+    frame.motion(system.solve())
+}
+
+/// Standard deviation per axis of the points around their Gaussian means' samples, at the coordinates after `motion`:
+/// Σ w (|D x - m|² + Σ p |y - m|²) / 3 Σ w, a sum of squares that nothing can make negative.
+fn width_mm(scratch: &Scratch, motion: &Pose) -> f64 {
+    let (mut sum, mut total) = (0.0, 0.0);
+    for (((&x, &m), soft), &w) in
+        scratch.sources.iter().zip(&scratch.targets).zip(&scratch.soft).zip(&scratch.weights)
+    {
+        sum += w * (motion.transform_point(x).distance_squared(m) + soft.spread_mm2);
+        total += w;
+    }
+    sqrt(sum / (3.0 * total))
+}
+
+/// ln c, with M / (M + c) the responsibility of a point with Gaussian mass M = Σ exp(-|y - x|² / 2σ²).
+///
+/// Outliers are uniform over the slab within D = `max_distance_mm` of a surface with one sample for every s², so of
+/// the density 1 / (2 D s²) for each sample: c = (2π σ²)^(3/2) w / (1 - w) / (2 D s²). The unit-free 1/N of the
+/// original would change the answer with the unit of length.
+fn log_outlier_mass(problem: &Problem<'_>, sigma_mm: f64) -> f64 {
+    let share = problem.params.outlier_share;
+    if share == 0.0 {
+        // ln 0, which the exponential takes back to 0.
+        return f64::NEG_INFINITY;
+    }
+    let spacing_mm = problem.template.spacing_mm();
+    let variance = core::f64::consts::TAU * sigma_mm * sigma_mm;
+    let slab = 2.0 * problem.params.max_distance_mm * spacing_mm * spacing_mm;
+    1.5 * ln(variance) + ln(share / (1.0 - share)) - ln(slab)
+}

@@ -1,0 +1,89 @@
+//! Random sample consensus (Fischler and Bolles 1981) over triplets with equal mutual distances.
+
+use super::rigid::rigid_fit;
+use super::{Problem, RegisterError, Scratch, check_reach, compose};
+use crate::math::random::Stream;
+use crate::math::{DVec3, Pose, centroid};
+
+/// The best of `ransac_hypotheses` poses near the guess; the guess itself competes.
+///
+/// A hypothesis draws three points of the patch and, near where the guess puts them, three template points at the
+/// same mutual distances to within the template's spacing. Its score is the sum over the patch of the squared
+/// distance to the template, each limited to that of an outlier (MSAC, Torr and Zisserman 2000).
+pub(super) fn search(
+    problem: &Problem<'_>,
+    scratch: &mut Scratch,
+    guess: &Pose,
+) -> Result<Pose, RegisterError> {
+    let params = problem.params;
+    scratch.place(problem.points_mm, guess);
+    check_reach(problem, &scratch.placed, params.search_radius_mm)?;
+    let mut random = Stream::new(params.seed, "ransac");
+    let centre = centroid(&scratch.placed);
+    let mut best = (Pose::IDENTITY, score(problem, &scratch.placed, &Pose::IDENTITY, f64::INFINITY));
+    for _ in 0..params.ransac_hypotheses {
+        let Some(motion) = hypothesis(problem, &scratch.placed, &mut random) else { continue };
+        if motion.transform_point(centre).distance(centre) > params.search_radius_mm {
+            continue;
+        }
+        let cost = score(problem, &scratch.placed, &motion, best.1);
+        if cost < best.1 {
+            best = (motion, cost);
+        }
+    }
+    Ok(compose(guess, &best.0))
+}
+
+/// A motion of the placed patch from one random triplet, where the template has one like it.
+fn hypothesis(problem: &Problem<'_>, placed: &[DVec3], random: &mut Stream) -> Option<Pose> {
+    let [a, b, c] = core::array::from_fn(|_| placed[random.below(placed.len())]);
+    let margin_mm = problem.template.spacing_mm();
+    let (ab, bc, ca) = (a.distance(b), b.distance(c), c.distance(a));
+    // A triplet narrower than the sampling says nothing of rotation.
+    if ab.min(bc).min(ca) <= 2.0 * margin_mm {
+        return None;
+    }
+    let points = problem.template.points_mm();
+    let reach_mm = problem.params.search_radius_mm;
+    let first = draw(problem, a, reach_mm, random, |_| true)?;
+    let at = |q: DVec3, from: DVec3, distance: f64| (q.distance(from) - distance).abs() <= margin_mm;
+    let second = draw(problem, b, reach_mm, random, |q| at(q, points[first], ab))?;
+    let third =
+        draw(problem, c, reach_mm, random, |q| at(q, points[first], ca) && at(q, points[second], bc))?;
+    let targets = [points[first], points[second], points[third]];
+    rigid_fit(&[a, b, c], &targets, &[]).ok().map(|fit| fit.t_target_source)
+}
+
+/// A uniformly drawn template point within reach of `near` that suits; one random number per candidate.
+fn draw(
+    problem: &Problem<'_>,
+    near: DVec3,
+    reach_mm: f64,
+    random: &mut Stream,
+    suits: impl Fn(DVec3) -> bool,
+) -> Option<usize> {
+    let (mut chosen, mut seen) = (None, 0);
+    problem.template.tree().within(near, reach_mm * reach_mm, &mut |k, _| {
+        if suits(problem.template.points_mm()[k]) {
+            seen += 1;
+            if random.below(seen) == 0 {
+                chosen = Some(k);
+            }
+        }
+    });
+    chosen
+}
+
+/// Mean limited squared distance of the moved patch; gives up, above `limit`, as soon as it is certain to be worse.
+fn score(problem: &Problem<'_>, placed: &[DVec3], motion: &Pose, limit: f64) -> f64 {
+    let most = problem.params.max_distance_mm * problem.params.max_distance_mm;
+    let mut sum = 0.0;
+    for &point in placed {
+        let nearest = problem.template.tree().nearest(motion.transform_point(point));
+        sum += nearest.map_or(most, |(_, distance_squared)| distance_squared.min(most));
+        if sum >= limit {
+            break;
+        }
+    }
+    sum
+}

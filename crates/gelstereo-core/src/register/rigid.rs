@@ -1,0 +1,172 @@
+//! The rigid motion between two sets of corresponding points (Horn 1987).
+
+use crate::math::linalg::{self, Symmetric};
+use crate::math::{DQuat, DVec3, Pose, so3};
+
+/// The best motion, and how much of it the points determine.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RigidFit {
+    /// Least squares motion, source to target. Where several are equally good, the one that turns least.
+    pub t_target_source: Pose,
+    /// Rotations that change the sum of squares by less than round-off: 0 for points that span a plane, 1 for
+    /// collinear points (spin about their line), 3 for a single or identical points.
+    pub free_rotations: usize,
+}
+
+/// Why points have no rigid motion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum RigidFitError {
+    /// No points.
+    Empty,
+    /// Sources, targets and weights are not equally many.
+    Lengths {
+        /// Source points found.
+        source: usize,
+        /// Target points found.
+        target: usize,
+        /// Weights found.
+        weights: usize,
+    },
+    /// A coordinate is NaN, infinite or beyond 1e150.
+    NotFinite {
+        /// Which pair.
+        index: usize,
+    },
+    /// A weight is negative, NaN or infinite.
+    Weight {
+        /// Which pair.
+        index: usize,
+        /// The weight found.
+        found: f64,
+    },
+    /// All weights are zero.
+    ZeroWeight,
+}
+
+impl core::fmt::Display for RigidFitError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Empty => write!(f, "no points to align; a rigid fit needs at least one pair"),
+            Self::Lengths { source, target, weights } => write!(
+                f,
+                "{source} source points, {target} target points and {weights} weights; they must be equally many"
+            ),
+            Self::NotFinite { index } => {
+                write!(f, "pair {index} has a coordinate that is NaN, infinite or beyond 1e150; remove it")
+            }
+            Self::Weight { index, found } => {
+                write!(f, "weight {index} is {found}; weights are finite and at least 0")
+            }
+            Self::ZeroWeight => write!(f, "all weights are zero; at least one pair must count"),
+        }
+    }
+}
+
+impl core::error::Error for RigidFitError {}
+
+/// Sums over pairs of which the largest weight, source radius and target radius are the units, so that nothing
+/// overflows and the answer does not depend on the units of the input.
+struct Moments {
+    source_mean: DVec3,
+    target_mean: DVec3,
+    /// Rows of Σ w a bᵀ, with a and b measured from the means.
+    correlation: [DVec3; 3],
+    /// Error of the correlation from round-off, the input's included.
+    round_off: f64,
+}
+
+/// The rotation and translation with the least weighted sum of squared distances R aᵢ + t to bᵢ. Never a reflection.
+///
+/// `weights` empty means that all pairs count alike; a weight of zero leaves a pair out. Sums are taken from the
+/// means, so that an offset of the clouds costs only the digits that it took from the input.
+///
+/// # Errors
+/// [`RigidFitError`].
+pub fn rigid_fit(source: &[DVec3], target: &[DVec3], weights: &[f64]) -> Result<RigidFit, RigidFitError> {
+    check(source, target, weights)?;
+    let moments = moments(source, target, weights)?;
+    let (rotation, free_rotations) = best_rotation(&moments);
+    let translation_mm = moments.target_mean - rotation * moments.source_mean;
+    Ok(RigidFit { t_target_source: Pose { rotation, translation_mm }, free_rotations })
+}
+
+fn check(source: &[DVec3], target: &[DVec3], weights: &[f64]) -> Result<(), RigidFitError> {
+    if source.len() != target.len() || !(weights.is_empty() || weights.len() == source.len()) {
+        let (source, target, weights) = (source.len(), target.len(), weights.len());
+        return Err(RigidFitError::Lengths { source, target, weights });
+    }
+    if source.is_empty() {
+        return Err(RigidFitError::Empty);
+    }
+    let good = |p: &DVec3| p.abs().max_element() <= 1e150;
+    // A NaN fails the comparison of max_element only where it is not masked, hence is_finite as well.
+    let bad = |(a, b): (&DVec3, &DVec3)| !(a.is_finite() && b.is_finite() && good(a) && good(b));
+    if let Some(index) = source.iter().zip(target).position(bad) {
+        return Err(RigidFitError::NotFinite { index });
+    }
+    match weights.iter().position(|w| !(w.is_finite() && *w >= 0.0)) {
+        Some(index) => Err(RigidFitError::Weight { index, found: weights[index] }),
+        None => Ok(()),
+    }
+}
+
+fn moments(source: &[DVec3], target: &[DVec3], weights: &[f64]) -> Result<Moments, RigidFitError> {
+    let heaviest = if weights.is_empty() { 1.0 } else { weights.iter().fold(0.0_f64, |m, &w| m.max(w)) };
+    if heaviest == 0.0 {
+        return Err(RigidFitError::ZeroWeight);
+    }
+    let weight = |i: usize| if weights.is_empty() { 1.0 } else { weights[i] / heaviest };
+    let total: f64 = (0..source.len()).map(weight).sum();
+    let (source_mean, source_radius) = mean_and_radius(source, &weight, total);
+    let (target_mean, target_radius) = mean_and_radius(target, &weight, total);
+    let mut correlation = [DVec3::ZERO; 3];
+    for (i, (&a, &b)) in source.iter().zip(target).enumerate() {
+        let (a, b) = ((a - source_mean) / source_radius, (b - target_mean) / target_radius);
+        for (axis, row) in correlation.iter_mut().enumerate() {
+            *row += b * (weight(i) * a[axis]);
+        }
+    }
+    // A coordinate x was rounded by eps |x|, the offset of its cloud included; each product and sum adds another eps.
+    let offset = |mean: DVec3, radius: f64| mean.abs().max_element() / radius;
+    let digits_lost = 8.0 + offset(source_mean, source_radius) + offset(target_mean, target_radius);
+    Ok(Moments { source_mean, target_mean, correlation, round_off: f64::EPSILON * total * digits_lost })
+}
+
+/// Weighted mean, and the largest distance along an axis from it (1 where all points are one).
+fn mean_and_radius(points: &[DVec3], weight: &impl Fn(usize) -> f64, total: f64) -> (DVec3, f64) {
+    let origin = points[0];
+    // Twice, because the first mean of far-off points is itself rounded.
+    let mean = (0..2).fold(origin, |about, _| {
+        let sum = points.iter().enumerate().fold(DVec3::ZERO, |sum, (i, &p)| sum + (p - about) * weight(i));
+        about + sum / total
+    });
+    let radius = points
+        .iter()
+        .enumerate()
+        .filter(|&(i, _)| weight(i) > 0.0)
+        .fold(0.0_f64, |r, (_, &p)| r.max((p - mean).abs().max_element()));
+    (mean, if radius > 0.0 { radius } else { 1.0 })
+}
+
+/// Unit quaternion with the largest qᵀ N q, and how many more directions of q are as good.
+fn best_rotation(moments: &Moments) -> (DQuat, usize) {
+    let [x, y, z] = moments.correlation;
+    // Horn's N for the order (x, y, z, w).
+    let n: Symmetric<4> = [
+        [x.x - y.y - z.z, x.y + y.x, z.x + x.z, y.z - z.y],
+        [x.y + y.x, y.y - x.x - z.z, y.z + z.y, z.x - x.z],
+        [z.x + x.z, y.z + z.y, z.z - x.x - y.y, x.y - y.x],
+        [y.z - z.y, z.x - x.z, x.y - y.x, x.x + y.y + z.z],
+    ];
+    let eigen = linalg::eigen(&n);
+    let tied = |k: &usize| eigen.values[3] - eigen.values[*k] <= moments.round_off;
+    let free = (0..3).filter(tied).count();
+    // The identity's share in the space of best quaternions is the best rotation that turns least.
+    let nearest = (0..4).filter(tied).fold([0.0; 4], |sum: [f64; 4], k| {
+        core::array::from_fn(|i| sum[i] + eigen.vectors[k][3] * eigen.vectors[k][i])
+    });
+    let quaternion = |q: [f64; 4]| so3::canonical(DQuat::from_array(q));
+    let share = nearest.iter().fold(0.0_f64, |m, q| m.max(q.abs()));
+    let rotation = if free > 0 && share > 1e-8 { quaternion(nearest) } else { quaternion(eigen.vectors[3]) };
+    (rotation.unwrap_or(DQuat::IDENTITY), free)
+}

@@ -1,0 +1,104 @@
+//! Even sampling of a mesh by dart throwing (Cook 1986).
+
+use super::error::TemplateError;
+use super::template::{LEAST_POINTS, MOST_POINTS};
+use crate::math::random::Stream;
+use crate::math::{DVec3, floor, sqrt};
+use crate::surface::{TriangleMesh, area_vector};
+use alloc::collections::BTreeMap;
+use alloc::vec::Vec;
+
+/// Darts per point wanted. A maximal set has about 0.81 A / r² points of an area A at distance r; with 30 darts for
+/// each, the free gaps left are too small to matter.
+const DARTS_PER_POINT: f64 = 30.0;
+/// Least distance in spacings: with it a maximal set has one point for every spacing², as 0.81 / 0.9² = 1.
+const LEAST_DISTANCE: f64 = 0.9;
+
+/// Points and unit normals, spread evenly over the mesh.
+pub(super) fn evenly(
+    mesh: &TriangleMesh,
+    spacing_mm: f64,
+    seed: u64,
+) -> Result<(Vec<DVec3>, Vec<DVec3>), TemplateError> {
+    let cumulative_mm2 = cumulative_areas(mesh);
+    let area_mm2 = cumulative_mm2.last().copied().unwrap_or(0.0);
+    if !(spacing_mm.is_finite() && spacing_mm > 0.0) {
+        let (low, high) = mesh.bounds_mm();
+        return Err(TemplateError::Spacing { found_mm: spacing_mm, extent_mm: (high - low).max_element() });
+    }
+    let expected = area_mm2 / spacing_mm / spacing_mm;
+    if expected.is_nan() || expected > MOST_POINTS as f64 {
+        return Err(TemplateError::TooMany { found: expected, spacing_mm });
+    }
+    if expected < LEAST_POINTS as f64 {
+        return Err(TemplateError::TooFew { found: expected as usize, least: LEAST_POINTS });
+    }
+    let mut random = Stream::new(seed, "template");
+    let mut darts = Darts::new(LEAST_DISTANCE * spacing_mm);
+    for _ in 0..(expected * DARTS_PER_POINT) as usize {
+        // Every dart draws three numbers whether it lands or not.
+        let (pick, u, v) = (random.uniform() * area_mm2, random.uniform(), random.uniform());
+        let triangle = cumulative_mm2.partition_point(|&sum| sum <= pick).min(cumulative_mm2.len() - 1);
+        let corners = mesh.triangles()[triangle].map(|i| mesh.vertices_mm()[i as usize]);
+        let area = area_vector(&corners);
+        let length = sqrt(area.length_squared());
+        if length > 0.0 {
+            darts.throw(inside(&corners, u, v), area / length);
+        }
+    }
+    Ok((darts.points_mm, darts.normals))
+}
+
+fn cumulative_areas(mesh: &TriangleMesh) -> Vec<f64> {
+    let mut sum = 0.0;
+    mesh.corners()
+        .map(|corners| {
+            sum += sqrt(area_vector(&corners).length_squared());
+            sum
+        })
+        .collect()
+}
+
+/// The point of a triangle at two uniform numbers, evenly by area.
+fn inside([a, b, c]: &[DVec3; 3], u: f64, v: f64) -> DVec3 {
+    let (u, v) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };
+    *a + (*b - *a) * u + (*c - *a) * v
+}
+
+/// Points accepted so far, in cells as wide as their least distance.
+struct Darts {
+    least_mm: f64,
+    cells: BTreeMap<[i64; 3], Vec<u32>>,
+    points_mm: Vec<DVec3>,
+    normals: Vec<DVec3>,
+}
+
+impl Darts {
+    const fn new(least_mm: f64) -> Self {
+        Self { least_mm, cells: BTreeMap::new(), points_mm: Vec::new(), normals: Vec::new() }
+    }
+
+    fn throw(&mut self, point: DVec3, normal: DVec3) {
+        let cell = point.to_array().map(|x| floor(x / self.least_mm) as i64);
+        if self.is_free(cell, point, normal) {
+            self.cells.entry(cell).or_default().push(self.points_mm.len() as u32);
+            self.points_mm.push(point);
+            self.normals.push(normal);
+        }
+    }
+
+    /// Faces that look different ways keep their own points, so that edges stay sharp and thin plates two-sided.
+    fn is_free(&self, [x, y, z]: [i64; 3], point: DVec3, normal: DVec3) -> bool {
+        let least_squared = self.least_mm * self.least_mm;
+        let blocks = |&k: &u32| {
+            let k = k as usize;
+            self.points_mm[k].distance_squared(point) < least_squared && self.normals[k].dot(normal) > 0.5
+        };
+        let near = |x: i64| x.saturating_sub(1)..=x.saturating_add(1);
+        !near(x).any(|i| {
+            near(y).any(|j| {
+                near(z).any(|k| self.cells.get(&[i, j, k]).is_some_and(|cell| cell.iter().any(blocks)))
+            })
+        })
+    }
+}

@@ -1,0 +1,158 @@
+//! The surface of a part as registration sees it.
+
+use super::error::TemplateError;
+use super::sample;
+use super::tree::Tree;
+use crate::digest::Digest;
+use crate::math::{DVec3, sqrt};
+use crate::surface::TriangleMesh;
+use alloc::vec::Vec;
+
+/// Fewest points that can carry a pose.
+pub(crate) const LEAST_POINTS: usize = 3;
+/// Most points that a template holds: a 100 mm cube at 0.5 mm.
+pub(crate) const MOST_POINTS: usize = 250_000;
+/// Coordinates beyond this, a million kilometres, are taken for a mistake.
+pub(crate) const REACH_MM: f64 = 1e12;
+/// Least spacing as a share of the extent: no template that can be held is finer, and squares do not underflow.
+pub(crate) const LEAST_SPACING: f64 = 1e-6;
+
+/// A part's surface: points with outward unit normals in the object frame, sampled evenly, and their tree.
+///
+/// It never changes after construction.
+#[derive(Clone, Debug)]
+pub struct Template {
+    points_mm: Vec<DVec3>,
+    normals: Vec<DVec3>,
+    curvatures_per_mm: Vec<f64>,
+    spacing_mm: f64,
+    tree: Tree,
+}
+
+impl Template {
+    /// From points and outward normals (normalised here), and the typical distance of neighbouring points.
+    ///
+    /// # Errors
+    /// [`TemplateError`].
+    pub fn new(points_mm: &[DVec3], normals: &[DVec3], spacing_mm: f64) -> Result<Self, TemplateError> {
+        check(points_mm, normals, spacing_mm)?;
+        let normals = unit(normals)?;
+        let tree = Tree::new(points_mm);
+        let curvatures_per_mm = curvatures(points_mm, &normals, &tree, spacing_mm);
+        Ok(Self { points_mm: points_mm.to_vec(), normals, curvatures_per_mm, spacing_mm, tree })
+    }
+
+    /// Samples a mesh evenly: on average one point for every `spacing_mm`² of its area, no two points of faces that
+    /// look the same way closer than 0.9 of the spacing. The same seed gives the same points.
+    ///
+    /// # Errors
+    /// [`TemplateError::TooFew`] or [`TemplateError::TooMany`] when the spacing does not suit the mesh's area,
+    /// [`TemplateError::Spacing`] when it is not positive.
+    pub fn from_mesh(mesh: &TriangleMesh, spacing_mm: f64, seed: u64) -> Result<Self, TemplateError> {
+        let (points_mm, normals) = sample::evenly(mesh, spacing_mm, seed)?;
+        Self::new(&points_mm, &normals, spacing_mm)
+    }
+
+    /// Points, object frame.
+    #[must_use]
+    pub fn points_mm(&self) -> &[DVec3] {
+        &self.points_mm
+    }
+
+    /// Outward unit normals, object frame.
+    #[must_use]
+    pub fn normals(&self) -> &[DVec3] {
+        &self.normals
+    }
+
+    /// How fast the normal turns around each point: the largest difference of normals per distance among its
+    /// neighbours, rad/mm. 1/R on a sphere or cylinder of radius R; an edge has about twice its angle over the spacing.
+    #[must_use]
+    pub fn curvatures_per_mm(&self) -> &[f64] {
+        &self.curvatures_per_mm
+    }
+
+    /// Typical distance of neighbouring points.
+    #[must_use]
+    pub const fn spacing_mm(&self) -> f64 {
+        self.spacing_mm
+    }
+
+    /// The nearest-neighbour tree of the points.
+    #[must_use]
+    pub const fn tree(&self) -> &Tree {
+        &self.tree
+    }
+
+    /// Digest of the points, normals and spacing.
+    #[must_use]
+    pub fn digest(&self) -> u64 {
+        let numbers = |v: &DVec3| v.to_array();
+        Digest::new()
+            .f64s(self.points_mm.iter().flat_map(numbers))
+            .f64s(self.normals.iter().flat_map(numbers))
+            .f64s([self.spacing_mm])
+            .value()
+    }
+}
+
+fn check(points_mm: &[DVec3], normals: &[DVec3], spacing_mm: f64) -> Result<(), TemplateError> {
+    if points_mm.len() != normals.len() {
+        return Err(TemplateError::Lengths { points: points_mm.len(), normals: normals.len() });
+    }
+    if points_mm.len() < LEAST_POINTS {
+        return Err(TemplateError::TooFew { found: points_mm.len(), least: LEAST_POINTS });
+    }
+    if points_mm.len() > MOST_POINTS {
+        return Err(TemplateError::TooMany { found: points_mm.len() as f64, spacing_mm });
+    }
+    let bad = |p: &DVec3| !p.is_finite() || p.abs().max_element() > REACH_MM;
+    if let Some(index) = points_mm.iter().zip(normals).position(|(p, n)| bad(p) || !n.is_finite()) {
+        return Err(TemplateError::NotFinite { index });
+    }
+    let (low, high) =
+        points_mm.iter().fold((points_mm[0], points_mm[0]), |(low, high), &p| (low.min(p), high.max(p)));
+    let extent_mm = (high - low).max_element();
+    // Squares of the spacing must be ordinary numbers.
+    let fits = spacing_mm.is_finite() && spacing_mm > 1e-100;
+    if !(fits && spacing_mm <= extent_mm && spacing_mm >= LEAST_SPACING * extent_mm) {
+        return Err(TemplateError::Spacing { found_mm: spacing_mm, extent_mm });
+    }
+    Ok(())
+}
+
+fn unit(normals: &[DVec3]) -> Result<Vec<DVec3>, TemplateError> {
+    let mut out = Vec::with_capacity(normals.len());
+    for (index, &normal) in normals.iter().enumerate() {
+        let largest = normal.abs().max_element();
+        if largest == 0.0 {
+            return Err(TemplateError::ZeroNormal { index });
+        }
+        let scaled = normal / largest;
+        // The quotient of a denormal by itself is good, but its neighbours may have overflowed or lost all digits.
+        if !scaled.is_finite() {
+            return Err(TemplateError::ZeroNormal { index });
+        }
+        out.push(scaled / sqrt(scaled.length_squared()));
+    }
+    Ok(out)
+}
+
+/// Largest difference of normals per distance in the neighbourhood of two spacings, about a dozen points.
+fn curvatures(points_mm: &[DVec3], normals: &[DVec3], tree: &Tree, spacing_mm: f64) -> Vec<f64> {
+    let radius = 2.0 * spacing_mm;
+    // Samples closer than half a spacing do not place an edge any better than the sampling does.
+    let least = 0.25 * spacing_mm * spacing_mm;
+    let mut out = Vec::with_capacity(points_mm.len());
+    for (&point, &normal) in points_mm.iter().zip(normals) {
+        let mut largest = 0.0_f64;
+        tree.within(point, radius * radius, &mut |k, distance_squared| {
+            // The far side of a thin plate is no neighbour along the surface; a right angle is.
+            if normals[k].dot(normal) > -0.5 {
+                largest = largest.max(normals[k].distance_squared(normal) / distance_squared.max(least));
+            }
+        });
+        out.push(sqrt(largest));
+    }
+    out
+}

@@ -1,0 +1,206 @@
+//! Identity of markers from frame to frame (Eq. 1 and 2).
+
+pub(crate) mod grid;
+
+use crate::label::RestLattice;
+use crate::math::DVec2;
+use crate::params::TrackParams;
+use alloc::vec::Vec;
+use grid::Grid;
+
+/// What is known of a marker in the present frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[repr(u8)]
+pub enum MarkerState {
+    /// Measured in this frame.
+    Seen = 0,
+    /// Not measured; its position is carried along by its neighbours, from the last one measured or, if it was never
+    /// printed, from the one filled in.
+    Held = 1,
+    /// Not measured for longer than `track.max_held_frames`; its position is still carried along.
+    Lost = 2,
+}
+
+/// Every marker's position and state, in the order of the lattice: row by row, `row * cols + col`.
+///
+/// All that tracking remembers from one frame to the next is in here: a copy is a checkpoint, and `clone_from` makes
+/// one without allocating.
+#[derive(Debug, Default, PartialEq)]
+pub struct Tracks {
+    /// Positions, pixels.
+    pub positions_px: Vec<DVec2>,
+    /// States.
+    pub state: Vec<MarkerState>,
+    /// Frames since the marker was measured, or [`NEVER_SEEN`].
+    unseen_frames: Vec<u32>,
+    /// Displacement since the rest frame, less the mean one of its neighbours, when the marker was last measured.
+    own_px: Vec<DVec2>,
+}
+
+/// A marker that was filled in at rest is held for ever, until it is seen.
+const NEVER_SEEN: u32 = u32::MAX;
+
+impl Clone for Tracks {
+    fn clone(&self) -> Self {
+        let mut copy = Self::default();
+        copy.clone_from(self);
+        copy
+    }
+
+    fn clone_from(&mut self, source: &Self) {
+        self.positions_px.clone_from(&source.positions_px);
+        self.state.clone_from(&source.state);
+        self.unseen_frames.clone_from(&source.unseen_frames);
+        self.own_px.clone_from(&source.own_px);
+    }
+}
+
+/// Follows the markers of one view.
+///
+/// Eq. 2 gives a marker the detection nearest to its last position, if closer than the gate d. Two things are added:
+/// the pair must be nearest to each other both ways, so that two markers never share a detection; and where the paper
+/// freezes a marker that was not detected, its position moves with its lattice neighbours that were, and a detection
+/// within the gate of that position is taken as well. Eq. 1's direct update when all N are found needs the same
+/// correspondence, since detections come in no particular order.
+///
+/// A frame in which the whole lattice moves by more than the gate cannot be told from one that moves by a
+/// pitch less: cameras must be fast enough for that not to happen.
+#[derive(Clone, Debug)]
+pub struct Tracker {
+    params: TrackParams,
+    gate_px: f64,
+    cols: usize,
+    rest_px: Vec<DVec2>,
+    tracks_grid: Grid,
+    detections_grid: Grid,
+    /// Detection of each marker in this frame.
+    detection_of: Vec<Option<u32>>,
+    taken: Vec<bool>,
+    pairs: Vec<(u32, u32)>,
+    previous_px: Vec<DVec2>,
+}
+
+impl Tracker {
+    /// Not yet initialised: [`Self::run`] leaves `out` alone until [`Self::initialise`] was called.
+    #[must_use]
+    pub fn new(params: &TrackParams) -> Self {
+        Self {
+            params: params.clone(),
+            gate_px: 0.0,
+            cols: 1,
+            rest_px: Vec::new(),
+            tracks_grid: Grid::default(),
+            detections_grid: Grid::default(),
+            detection_of: Vec::new(),
+            taken: Vec::new(),
+            pairs: Vec::new(),
+            previous_px: Vec::new(),
+        }
+    }
+
+    /// Starts from a labelled rest frame of `cols` columns: seen where detected, held where filled in (a filled-in
+    /// marker is held for ever, moving with its lattice neighbours, until it is seen).
+    pub fn initialise(&mut self, rest: &RestLattice, cols: usize, out: &mut Tracks) {
+        self.gate_px = self.params.gate_pitches * rest.pitch_px;
+        self.cols = cols.max(1);
+        self.rest_px.clone_from(&rest.positions_px);
+        out.positions_px.clone_from(&rest.positions_px);
+        let held = rest.filled.iter();
+        out.state.clear();
+        out.state.extend(held.clone().map(|&held| if held { MarkerState::Held } else { MarkerState::Seen }));
+        out.unseen_frames.clear();
+        out.unseen_frames.extend(held.map(|&held| if held { NEVER_SEEN } else { 0 }));
+        out.own_px.clear();
+        out.own_px.resize(self.rest_px.len(), DVec2::ZERO);
+    }
+
+    /// Updates the tracks by the detections of the next frame (Eq. 2): gate, mutual nearest, states.
+    ///
+    /// `out` holds the tracks of the frame before.
+    pub fn run(&mut self, detected_px: &[DVec2], out: &mut Tracks) {
+        if out.positions_px.len() != self.rest_px.len() {
+            return;
+        }
+        self.previous_px.clone_from(&out.positions_px);
+        self.detection_of.clear();
+        self.detection_of.resize(self.rest_px.len(), None);
+        self.taken.clear();
+        self.taken.resize(detected_px.len(), false);
+        self.detections_grid.build(detected_px, self.gate_px);
+        self.pair(detected_px, out);
+        // Again for those left over, now where their neighbours' motion has carried them.
+        self.carry(out);
+        self.pair(detected_px, out);
+        self.carry(out);
+        self.update_states(out);
+    }
+
+    /// Pairs free markers and free detections that are each other's nearest, closer than the gate.
+    fn pair(&mut self, detected_px: &[DVec2], out: &mut Tracks) {
+        let Self { tracks_grid, detections_grid, detection_of, taken, pairs, gate_px, .. } = self;
+        tracks_grid.build(&out.positions_px, *gate_px);
+        pairs.clear();
+        for (n, &position) in out.positions_px.iter().enumerate().filter(|&(n, _)| detection_of[n].is_none())
+        {
+            let nearest = detections_grid.nearest(detected_px, position, *gate_px, |m| !taken[m]);
+            let back = nearest.and_then(|m| {
+                tracks_grid
+                    .nearest(&out.positions_px, detected_px[m], *gate_px, |n| detection_of[n].is_none())
+            });
+            if let (Some(m), true) = (nearest, back == Some(n)) {
+                pairs.push((n as u32, m as u32));
+            }
+        }
+        for &(n, m) in pairs.iter() {
+            detection_of[n as usize] = Some(m);
+            taken[m as usize] = true;
+            out.positions_px[n as usize] = detected_px[m as usize];
+        }
+    }
+
+    /// Moves the markers without a detection by the mean displacement of their neighbours with one.
+    ///
+    /// Displacements are counted from the rest frame: adding up steps would let errors grow without bound.
+    fn carry(&self, out: &mut Tracks) {
+        for n in (0..self.rest_px.len()).filter(|&n| self.detection_of[n].is_none()) {
+            let (mut now, mut before, mut seen) = (DVec2::ZERO, DVec2::ZERO, 0.0);
+            for m in neighbours(n, self.cols, self.rest_px.len()) {
+                if self.detection_of[m].is_some() {
+                    now += out.positions_px[m] - self.rest_px[m];
+                    before += self.previous_px[m] - self.rest_px[m];
+                    seen += 1.0;
+                }
+            }
+            if seen > 0.0 {
+                if out.unseen_frames[n] == 0 {
+                    out.own_px[n] = self.previous_px[n] - self.rest_px[n] - before / seen;
+                }
+                out.positions_px[n] = self.rest_px[n] + now / seen + out.own_px[n];
+            }
+        }
+    }
+
+    fn update_states(&self, out: &mut Tracks) {
+        let states = out.state.iter_mut().zip(&mut out.unseen_frames);
+        for ((state, unseen), detection) in states.zip(&self.detection_of) {
+            *unseen = match (detection, *unseen) {
+                (Some(_), _) => 0,
+                (None, NEVER_SEEN) => NEVER_SEEN,
+                (None, frames) => (frames + 1).min(NEVER_SEEN - 1),
+            };
+            *state = match *unseen {
+                0 => MarkerState::Seen,
+                NEVER_SEEN => MarkerState::Held,
+                frames if frames <= self.params.max_held_frames => MarkerState::Held,
+                _ => MarkerState::Lost,
+            };
+        }
+    }
+}
+
+/// The up to eight lattice neighbours of marker `n`.
+fn neighbours(n: usize, cols: usize, len: usize) -> impl Iterator<Item = usize> {
+    let (row, col, rows) = (n / cols, n % cols, len / cols);
+    let around = |at: usize, end: usize| at.saturating_sub(1)..(at + 2).min(end);
+    around(row, rows).flat_map(move |r| around(col, cols).map(move |c| r * cols + c)).filter(move |&m| m != n)
+}

@@ -1,0 +1,148 @@
+//! Labels against generated lattices: right, or refused.
+
+mod support;
+
+use gelstereo_core::label::{LabelError, foresight_sort, rest_lattice};
+use gelstereo_core::math::DVec2;
+use gelstereo_core::math::random::Stream;
+use gelstereo_core::params::LatticeParams;
+use proptest::prelude::*;
+use support::lattice;
+
+const PITCH: f64 = 17.56;
+const TOLERANCE: f64 = 1.0 / 3.0;
+
+fn params(rows: usize, cols: usize, max_missing: usize) -> LatticeParams {
+    LatticeParams { rows, cols, max_missing, ..LatticeParams::default() }
+}
+
+/// A permutation of 0..n from a random stream.
+fn shuffled(n: usize, stream: &mut Stream) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..n).collect();
+    for i in (1..n).rev() {
+        order.swap(i, stream.below(i + 1));
+    }
+    order
+}
+
+/// Detections of a lattice: some missing, some spurious (none where a marker could be, missing or not), shaken and
+/// shuffled.
+fn detections(truth: &[DVec2], missing: usize, spurious: usize, jitter_px: f64, seed: u64) -> Vec<DVec2> {
+    let mut stream = Stream::new(seed, "detections");
+    let mut kept = shuffled(truth.len(), &mut stream);
+    kept.truncate(truth.len() - missing);
+    let mut found: Vec<DVec2> = kept
+        .iter()
+        .map(|&n| {
+            let (dx, dy) = stream.normal_pair();
+            truth[n] + DVec2::new(dx, dy) * jitter_px
+        })
+        .collect();
+    while found.len() < truth.len() - missing + spurious {
+        let at = DVec2::new(stream.uniform() * 640.0, stream.uniform() * 480.0);
+        if truth.iter().all(|t| t.distance(at) > 0.4 * PITCH) {
+            found.push(at);
+        }
+    }
+    let order = shuffled(found.len(), &mut stream);
+    order.iter().map(|&n| found[n]).collect()
+}
+
+/// The truth, labelled as it is seen: a square lattice turned by more than 45 degrees is one turned back by a quarter.
+fn as_seen(side: usize, turn_deg: f64, shear: f64) -> Vec<DVec2> {
+    let turn_deg = if turn_deg > 45.0 { turn_deg - 90.0 } else { turn_deg };
+    lattice(side, side, PITCH, DVec2::new(330.3, 240.7), turn_deg, shear)
+}
+
+fn farthest(found: &[DVec2], truth: &[DVec2]) -> f64 {
+    assert_eq!(found.len(), truth.len());
+    found.iter().zip(truth).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max)
+}
+
+#[test]
+fn row_15_moderate_rotation_is_labelled_not_refused() {
+    for turn_deg in [-39.0, -20.0, -5.0, 0.0, 3.0, 12.0, 30.0, 39.0] {
+        let truth = as_seen(25, turn_deg, 0.0);
+        let found = detections(&truth, 5, 5, 0.1, 3);
+        let rest = rest_lattice(&found, &params(25, 25, 6), TOLERANCE).unwrap();
+        assert!(farthest(&rest.positions_px, &truth) < 0.1 * PITCH, "{turn_deg}");
+        assert_eq!(rest.filled.iter().filter(|&&f| f).count(), 5);
+        assert!((rest.pitch_px - PITCH).abs() < 0.1);
+    }
+}
+
+#[test]
+fn row_15_foresight_sorts_up_to_five_degrees() {
+    let mut order = Vec::new();
+    for turn_deg in [-5.0, -2.0, 0.0, 1.0, 5.0] {
+        let truth = as_seen(25, turn_deg, 0.0);
+        let found = detections(&truth, 0, 0, 0.1, 4);
+        foresight_sort(&found, &params(25, 25, 0), PITCH * TOLERANCE, &mut order).unwrap();
+        let sorted: Vec<DVec2> = order.iter().map(|&n| found[n]).collect();
+        assert!(farthest(&sorted, &truth) < 1.0, "{turn_deg}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(400))]
+
+    /// Any turn, shear, 10 missing, 5 spurious: right labels or a refusal.
+    #[test]
+    fn row_15_rest_lattice_never_mislabels(
+        turn_deg in 0.0..90.0_f64, shear in -0.4..0.4_f64, missing in 0..=10_usize, spurious in 0..=5_usize,
+        jitter_px in 0.0..0.8_f64, seed: u64,
+    ) {
+        let truth = lattice(25, 25, PITCH, DVec2::new(330.3, 240.7), turn_deg, shear);
+        let found = detections(&truth, missing, spurious, jitter_px, seed);
+        if let Ok(rest) = rest_lattice(&found, &params(25, 25, 6), TOLERANCE) {
+            // A turned square is its own copy turned by a quarter: that labelling is as right, seen from the image.
+            let quarter: Vec<DVec2> = (0..625).map(|n| truth[(24 - n % 25) * 25 + n / 25]).collect();
+            let off = farthest(&rest.positions_px, &truth).min(farthest(&rest.positions_px, &quarter));
+            // Those filled in at an edge are extrapolated: 3 sigma of jitter times sqrt 5.
+            prop_assert!(off < 0.5 * PITCH, "{off}");
+        }
+    }
+
+    #[test]
+    fn row_15_foresight_never_mislabels(
+        turn_deg in 0.0..90.0_f64, shear in -0.4..0.4_f64, swapped in 0..=10_usize, jitter_px in 0.0..0.8_f64,
+        seed: u64,
+    ) {
+        let truth = lattice(25, 25, PITCH, DVec2::new(330.3, 240.7), turn_deg, shear);
+        // As many spurious as missing: the count alone says nothing.
+        let found = detections(&truth, swapped, swapped, jitter_px, seed);
+        let mut order = Vec::new();
+        if foresight_sort(&found, &params(25, 25, 0), PITCH * TOLERANCE, &mut order).is_ok() {
+            let sorted: Vec<DVec2> = order.iter().map(|&n| found[n]).collect();
+            let quarter: Vec<DVec2> = (0..625).map(|n| truth[(24 - n % 25) * 25 + n / 25]).collect();
+            let off = farthest(&sorted, &truth).min(farthest(&sorted, &quarter));
+            prop_assert!(off < 0.5 * PITCH, "{off}");
+        }
+    }
+}
+
+/// The paper's own sensor: the marker in the upper left corner was never printed.
+#[test]
+fn row_16_a_missing_corner_is_filled_in() {
+    for corner in [0, 24, 600, 624] {
+        let truth = as_seen(25, 2.0, 0.0);
+        let found: Vec<DVec2> = (0..625).filter(|&n| n != corner).map(|n| truth[n]).collect();
+        let rest = rest_lattice(&found, &params(25, 25, 6), TOLERANCE).unwrap();
+        assert!(farthest(&rest.positions_px, &truth) < 1e-9);
+        assert!((0..625).all(|n| rest.filled[n] == (n == corner)));
+    }
+}
+
+#[test]
+fn what_is_no_such_lattice_is_refused_by_name() {
+    let truth = as_seen(25, 0.0, 0.0);
+    let fit = |found: &[DVec2], rows, cols| rest_lattice(found, &params(rows, cols, 6), TOLERANCE);
+    assert!(matches!(fit(&truth[..600], 25, 25), Err(LabelError::Count { found: 600, .. })));
+    let wider = lattice(25, 26, PITCH, DVec2::new(330.0, 240.0), 0.0, 0.0);
+    assert!(matches!(fit(&wider, 25, 25), Err(LabelError::Shape { rows: 25, cols: 26, .. })));
+    let nan: Vec<DVec2> = truth.iter().copied().chain([DVec2::NAN]).collect();
+    assert_eq!(fit(&nan, 25, 25), Err(LabelError::NotFinite { index: 625 }));
+    let turned = as_seen(25, 43.0, 0.0);
+    assert!(matches!(fit(&turned, 25, 25), Err(LabelError::Rotated { .. })));
+    assert_eq!(fit(&[DVec2::ONE; 625], 25, 25), Err(LabelError::NoLattice { found: 625 }));
+}
