@@ -4,12 +4,12 @@
 
 mod contact_patch;
 
+use contact_patch::{Contact, Shape};
 use gelstereo_core::math::linalg::eigen;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::params::{RegisterMethod, RegisterParams};
 use gelstereo_core::register::{Registrar, Registration};
-use contact_patch::{Contact, Shape};
 
 const NOISE_MM: f64 = 0.03;
 const CONTACTS: usize = 20;
