@@ -35,6 +35,17 @@ pub enum ImageError {
         /// Bytes found.
         found: usize,
     },
+    /// A part reaches beyond the image.
+    Outside {
+        /// One past the part's last column.
+        right: usize,
+        /// One past the part's last row.
+        bottom: usize,
+        /// Width of the image, pixels.
+        width: usize,
+        /// Height of the image, pixels.
+        height: usize,
+    },
 }
 
 impl core::fmt::Display for ImageError {
@@ -49,6 +60,10 @@ impl core::fmt::Display for ImageError {
             Self::BufferTooShort { needed, found } => {
                 write!(f, "the buffer holds {found} bytes, but the shape and stride need {needed}")
             }
+            Self::Outside { right, bottom, width, height } => write!(
+                f,
+                "the part ends at column {right}, row {bottom}; the image has {width} columns and {height} rows"
+            ),
         }
     }
 }
@@ -90,6 +105,21 @@ impl<'a> GrayView<'a> {
     #[must_use]
     pub fn row(&self, y: usize) -> &'a [u8] {
         &self.data[y * self.stride..y * self.stride + self.width]
+    }
+
+    /// The part of `width` x `height` pixels whose first pixel is (`x`, `y`), without copying.
+    ///
+    /// # Errors
+    /// [`ImageError`] when the part is empty or reaches beyond the image.
+    pub fn crop(&self, x: usize, y: usize, width: usize, height: usize) -> Result<Self, ImageError> {
+        if width == 0 || height == 0 {
+            return Err(ImageError::Empty { width, height });
+        }
+        let (right, bottom) = (x.saturating_add(width), y.saturating_add(height));
+        if right > self.width || bottom > self.height {
+            return Err(ImageError::Outside { right, bottom, width: self.width, height: self.height });
+        }
+        Self::new(&self.data[y * self.stride + x..], width, height, self.stride)
     }
 
     /// The darkest and brightest value.

@@ -298,7 +298,7 @@ impl Default for RegisterParams {
         Self {
             method: RegisterMethod::FilterregPoint,
             max_iterations: 100,
-            step_tolerance: 1e-4,
+            step_tolerance: 1e-3,
             sigma_start_mm: 0.7,
             sigma_floor_mm: 0.1,
             outlier_share: 0.1,

@@ -84,7 +84,7 @@ fn row_15_foresight_sorts_up_to_five_degrees() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(400))]
+    #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
 
     /// Any turn, shear, 10 missing, 5 spurious: right labels or a refusal.
     #[test]
@@ -140,9 +140,37 @@ fn what_is_no_such_lattice_is_refused_by_name() {
     assert!(matches!(fit(&truth[..600], 25, 25), Err(LabelError::Count { found: 600, .. })));
     let wider = lattice(25, 26, PITCH, DVec2::new(330.0, 240.0), 0.0, 0.0);
     assert!(matches!(fit(&wider, 25, 25), Err(LabelError::Shape { rows: 25, cols: 26, .. })));
+    // One placement fits, but half of the printed lattice lies outside of it.
+    let cut: Vec<DVec2> = (0..650).filter(|n| n % 26 != 25 || n / 26 % 2 == 0).map(|n| wider[n]).collect();
+    assert!(matches!(fit(&cut, 25, 25), Err(LabelError::Shape { rows: 25, cols: 26, labelled: 638, .. })));
     let nan: Vec<DVec2> = truth.iter().copied().chain([DVec2::NAN]).collect();
     assert_eq!(fit(&nan, 25, 25), Err(LabelError::NotFinite { index: 625 }));
     let turned = as_seen(25, 43.0, 0.0);
     assert!(matches!(fit(&turned, 25, 25), Err(LabelError::Rotated { .. })));
     assert_eq!(fit(&[DVec2::ONE; 625], 25, 25), Err(LabelError::NoLattice { found: 625 }));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 500, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Whatever the points, an answer is an error by name or a lattice of finite positions.
+    #[test]
+    fn any_points_have_an_answer(
+        scale in prop_oneof![Just(0.0), Just(1e-300), Just(3.0), Just(1e3), Just(1e160), Just(1e308)],
+        points in prop::collection::vec((-4..5_i8, -4..5_i8, -0.2..0.2_f64), 0..60),
+        (rows, cols, max_missing) in (2..6_usize, 2..6_usize, 0..12_usize),
+        strange in prop_oneof![4 => Just(None), 1 => Just(Some(f64::NAN)), 1 => Just(Some(f64::INFINITY))],
+    ) {
+        let mut points: Vec<DVec2> =
+            points.iter().map(|&(x, y, shake)| DVec2::new(f64::from(x) + shake, f64::from(y) - shake) * scale).collect();
+        points.extend(strange.map(|value| DVec2::new(1.0, value)));
+        let lattice = params(rows, cols, max_missing);
+        if let Ok(rest) = rest_lattice(&points, &lattice, TOLERANCE) {
+            prop_assert!(rest.positions_px.len() == rows * cols && rest.positions_px.iter().all(|p| p.is_finite()));
+            prop_assert!(rest.pitch_px > 0.0);
+        }
+        points.resize(rows * cols, DVec2::ONE);
+        let mut order = Vec::new();
+        let _ = foresight_sort(&points, &lattice, 0.3 * scale, &mut order);
+    }
 }

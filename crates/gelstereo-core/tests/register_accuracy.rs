@@ -69,46 +69,83 @@ fn runs(scene: &Scene, method: RegisterMethod) -> Vec<(f64, Registration)> {
     out
 }
 
-/// Share of runs within 4 x the bound, and the median ratio.
-fn summary(scene: &Scene, method: RegisterMethod) -> (f64, f64) {
+struct Summary {
+    /// Share of runs with an error below four times the bound.
+    success: f64,
+    /// Error over the bound.
+    median: f64,
+    /// Share of runs that name exactly the free directions of the closed form, and that name at least as many.
+    exactly_free: f64,
+    at_least_free: f64,
+}
+
+fn summary(scene: &Scene, method: RegisterMethod) -> Summary {
     let runs = runs(scene, method);
+    let share = |of: &dyn Fn(&(f64, Registration)) -> f64| runs.iter().map(of).sum::<f64>() / CONTACTS as f64;
+    let is = |yes: bool| f64::from(u8::from(yes));
     let mut ratios: Vec<f64> = runs.iter().map(|(ratio, _)| *ratio).collect();
     ratios.sort_by(f64::total_cmp);
-    let within = ratios.iter().filter(|&&ratio| ratio < 4.0).count() as f64 / CONTACTS as f64;
-    let mean = |of: &dyn Fn(&Registration) -> f64| {
-        runs.iter().map(|(_, found)| of(found)).sum::<f64>() / CONTACTS as f64
+    let out = Summary {
+        success: share(&|(ratio, _)| is(*ratio < 4.0)),
+        median: ratios[CONTACTS / 2],
+        exactly_free: share(&|(_, found)| is(found.free.len() == scene.free)),
+        at_least_free: share(&|(_, found)| is(found.free.len() >= scene.free)),
     };
     println!(
-        "{:11} {:15} {:4.0} points  success {:4.2}  error/bound median {:6.2} p90 {:6.2}  converged {:4.2}  \
-         iterations {:4.0}  right free {:4.2}  rmse {:.3} mm",
+        "{:11} {:15} {:4.0} points  success {:4.2}  error/bound {:6.2} (p90 {:6.2})  converged {:4.2} after {:3.0}  \
+         free {:4.2} {:4.2}  rmse {:.3} mm",
         scene.name,
         format!("{method:?}"),
-        mean(&|found| found.points as f64),
-        within,
-        ratios[CONTACTS / 2],
+        share(&|(_, found)| found.points as f64),
+        out.success,
+        out.median,
         ratios[CONTACTS * 9 / 10],
-        mean(&|found| f64::from(u8::from(found.converged))),
-        mean(&|found| f64::from(found.iterations)),
-        mean(&|found| f64::from(u8::from(found.free.len() == scene.free))),
-        mean(&|found| found.rmse_mm),
+        share(&|(_, found)| is(found.converged)),
+        share(&|(_, found)| f64::from(found.iterations)),
+        out.exactly_free,
+        out.at_least_free,
+        share(&|(_, found)| found.rmse_mm),
     );
-    (within, ratios[CONTACTS / 2])
+    out
+}
+
+// At the bound the squared ratio is χ² with d degrees of freedom over d: its median is just below 1, and ratios of 4
+// do not occur. What is asserted leaves room for the sampled template (1.4 x) and for the starts that fail.
+
+#[test]
+fn filterreg_plane_reaches_the_bound() {
+    for scene in scenes() {
+        let found = summary(&scene, RegisterMethod::FilterregPlane);
+        // A corner gives ten points for six degrees of freedom: one start in six ends in another minimum.
+        let least = if scene.free == 3 || scene.free == 2 { 0.95 } else { 0.8 };
+        assert!(found.success >= least && found.median < 1.4, "{}", scene.name);
+        // Few points near an edge may leave more open than exact normals would; they must not claim more.
+        assert!(found.at_least_free >= 0.9, "{}", scene.name);
+    }
 }
 
 #[test]
-fn plane_rungs_reach_the_bound() {
-    for scene in scenes() {
-        for method in [RegisterMethod::FilterregPlane, RegisterMethod::IcpPlane] {
-            let (_within, _median) = summary(&scene, method);
+fn icp_plane_reaches_the_bound_on_broad_contacts() {
+    for scene in &scenes()[..4] {
+        let found = summary(scene, RegisterMethod::IcpPlane);
+        assert!(found.success >= 0.95 && found.median < 1.4, "{}", scene.name);
+    }
+}
+
+#[test]
+fn row_10_smooth_contacts_leave_their_directions_free_for_every_rung() {
+    use RegisterMethod::{FilterregPlane, FilterregPoint, IcpPlane, RansacIcp};
+    for scene in &scenes()[..2] {
+        for method in [FilterregPoint, FilterregPlane, RansacIcp, IcpPlane] {
+            assert_eq!(summary(scene, method).exactly_free, 1.0, "{} {method:?}", scene.name);
         }
     }
 }
 
 #[test]
-fn point_rungs_do_what_they_can() {
+fn filterreg_point_finds_what_a_point_to_point_fit_can() {
     for scene in scenes() {
-        for method in [RegisterMethod::FilterregPoint, RegisterMethod::RansacIcp] {
-            let (_within, _median) = summary(&scene, method);
-        }
+        let found = summary(&scene, RegisterMethod::FilterregPoint);
+        assert!(found.success >= 0.8 && found.median < 3.0, "{}", scene.name);
     }
 }

@@ -1,8 +1,64 @@
-//! Python bindings: thin conversions, no logic.
+//! Python bindings: thin conversions, no logic. One file per topic of the public surface.
+#![forbid(unsafe_code)]
+// Python's docstrings carry the documentation of what is exported; `pub` here is for the sibling files.
+#![allow(clippy::needless_pass_by_value)]
+
+mod arrays;
+mod contact;
+mod detect;
+mod errors;
+mod frames;
+mod geometry;
+mod label;
+mod params;
+mod pipeline;
+mod register;
+mod rig;
+mod sim;
+mod tree;
+mod triangulate;
+
 use pyo3::prelude::*;
 
-/// gelstereo._native
+/// The compiled part of gelstereo; import its names from `gelstereo` instead.
 #[pymodule]
-fn _native(_module: &Bound<'_, PyModule>) -> PyResult<()> {
-    Ok(())
+mod _native {
+    #[pymodule_export]
+    use crate::contact::RestSurface;
+    #[pymodule_export]
+    use crate::detect::{Detector, Markers};
+    #[pymodule_export]
+    use crate::errors::{
+        ContactError, DetectError, Error, FrameError, ImageError, LabelError, MeshError, ParamsError,
+        PoseError, RegisterError, RigError, SceneError, ShapeError, TemplateError, TriangulateError,
+    };
+    #[pymodule_export]
+    use crate::frames::{FingerKinematics, SensorMount, adjusted_gripper};
+    #[pymodule_export]
+    use crate::geometry::{
+        nearest, rigid_fit, se3_exp, se3_log, so3_exp, so3_from_matrix, so3_left_jacobian,
+        so3_left_jacobian_inverse, so3_log,
+    };
+    #[pymodule_export]
+    use crate::label::{RestLattice, foresight_sort, rest_lattice};
+    #[pymodule_export]
+    use crate::params::Params;
+    #[pymodule_export]
+    use crate::pipeline::{Frame, Pipeline, ViewEvidence};
+    #[pymodule_export]
+    use crate::register::{FreeDirection, Localization, Template, localize};
+    #[pymodule_export]
+    use crate::rig::{Rectification, Rig};
+    #[pymodule_export]
+    use crate::sim::{Scene, SimulatedFrame, Simulator, shape_mesh};
+    #[pymodule_export]
+    use crate::tree::parse_toml;
+    #[pymodule_export]
+    use crate::triangulate::{triangulate, triangulate_covariance};
+
+    #[pymodule_init]
+    fn init(module: &pyo3::Bound<'_, pyo3::types::PyModule>) -> pyo3::PyResult<()> {
+        use pyo3::types::PyModuleMethods;
+        module.add("__version__", env!("CARGO_PKG_VERSION"))
+    }
 }

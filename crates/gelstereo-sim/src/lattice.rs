@@ -15,9 +15,11 @@ pub(crate) struct Lattice {
     pub(crate) axes: [DVec2; 2],
 }
 
-/// A sweep that moves nothing by more than this has converged: a tenth of a nanometre is 2e-6 px on the default rig.
-const STEP_MM: f64 = 1e-7;
-const MAX_SWEEPS: usize = 400;
+/// A sweep that moves nothing by more than this has converged: a tenth of a nanometre is 2e-6 px on the default
+/// rig.
+const STEP_MM: f64 = 1e-8;
+/// About 13 sweeps are needed for every pitch of decay length: enough for 300 pitches.
+const MAX_SWEEPS: usize = 4000;
 
 impl Lattice {
     pub(crate) fn new(gel: &Gel) -> Self {
@@ -38,8 +40,8 @@ impl Lattice {
         (0..self.rows).flat_map(row_of).collect()
     }
 
-    /// The two neighbours along a row and along a column that a difference is taken over, with their distance in
-    /// pitches: 2, or 1 at the border.
+    /// The two neighbours along a row and along a column that a difference is taken over, with their distance
+    /// in pitches: 2, or 1 at the border.
     pub(crate) fn neighbours(&self, index: usize) -> [(usize, usize, f64); 2] {
         let (row, col) = (index / self.cols, index % self.cols);
         let pair = |i: usize, n: usize, stride: usize| {
@@ -57,9 +59,9 @@ impl Lattice {
             + self.axes[1] * ((field[down] - field[up]) * per_mm / along)
     }
 
-    /// Solves u - l² Δu = `source` with free borders by successive over-relaxation, starting from `field`, where
-    /// after each step `hold(index, value)` gives the value that is allowed: an obstacle's, a prescribed one, or
-    /// the value itself.
+    /// Solves u - l² Δu = `source` with free borders by successive over-relaxation, starting from `field`,
+    /// where after each step `hold(index, value)` gives the value that is allowed: an obstacle's, a prescribed
+    /// one, or the value itself.
     ///
     /// With an obstacle this is projected over-relaxation (Cryer 1971), which converges for this operator.
     pub(crate) fn relax(

@@ -1,11 +1,11 @@
 //! A simulated stereo marker sensor: what its cameras would see of a gel in contact, with ground truth.
 //!
-//! A [`Scene`] lists what there is (rig, gel, indenter, trajectory) and which effects act. Every effect is a piece
-//! of its own: it is built only when the scene lists it, and draws from a random stream of its own.
+//! A [`Scene`] lists what there is (rig, gel, indenter, trajectory) and which effects act. Every effect is a
+//! piece of its own: it is built only when the scene lists it, and draws from a random stream of its own.
 //!
-//! The part presses from beyond (larger z) and moves markers towards the camera (smaller z). The base is the rigid
-//! imprint: a marker under the part lies on the part, every other one stays at rest. [`effects`] add what a real gel
-//! and a real camera do to that.
+//! The part presses from beyond (larger z) and moves markers towards the camera (smaller z). The base is the
+//! rigid imprint: a marker under the part lies on the part, every other one stays at rest. [`effects`] add what
+//! a real gel and a real camera do to that.
 #![no_std]
 #![forbid(unsafe_code)]
 

@@ -126,8 +126,8 @@ impl Dot {
         Self { centre: t_camera_sensor.transform_point(points_mm[index]), along, across }
     }
 
-    /// Its outline. A circle's image is an ellipse whose centre is not the image of the circle's centre but of the
-    /// pole, with respect to the circle, of the line that vanishes: s = -(along.z, across.z) / centre.z.
+    /// Its outline. A circle's image is an ellipse whose centre is not the image of the circle's centre but of
+    /// the pole, with respect to the circle, of the line that vanishes: s = -(along.z, across.z) / centre.z.
     fn project(&self, camera: &Camera) -> Option<Ellipse> {
         let pole = -DVec2::new(self.along.z, self.across.z) / self.centre.z;
         let at = |s: DVec2| camera.project(self.centre + self.along * s.x + self.across * s.y);
@@ -146,7 +146,8 @@ struct Ellipse {
 impl Ellipse {
     /// Adds the share of every pixel that lies within.
     fn cover(&self, canvas: &mut [f32], width: usize, height: usize) {
-        // Second moments: a horizontal line at dy from the centre is cut from dy·xy/yy -+ sqrt(det/yy (1 - dy²/yy)).
+        // Second moments: a horizontal line at dy from the centre is cut from dy·xy/yy -+ sqrt(det/yy (1 -
+        // dy²/yy)).
         let xx = self.a.x * self.a.x + self.b.x * self.b.x;
         let xy = self.a.x * self.a.y + self.b.x * self.b.y;
         let yy = self.a.y * self.a.y + self.b.y * self.b.y;

@@ -24,8 +24,8 @@ impl Trajectory {
         floor((last.time_s - first.time_s) * self.frame_rate_hz + 1e-6) as usize + 1
     }
 
-    /// Contact at a frame: translation, shear and twist linear between keyframes, rotation along the shortest arc; the
-    /// last keyframe holds on.
+    /// Contact at a frame: translation, shear and twist linear between keyframes, rotation along the shortest
+    /// arc; the last keyframe holds on.
     pub(crate) fn contact(&self, frame: usize) -> Option<ContactState> {
         let time_s = self.keyframes.first()?.time_s + frame as f64 / self.frame_rate_hz;
         let next = self.keyframes.partition_point(|k| k.time_s <= time_s);

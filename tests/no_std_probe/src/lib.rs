@@ -25,6 +25,6 @@ fn panic(_info: &core::panic::PanicInfo<'_>) -> ! {
 /// Number of markers of the default lattice: something of the core that the linker must keep.
 #[unsafe(no_mangle)]
 pub extern "C" fn default_markers() -> usize {
-    let scene_markers = gelstereo_sim::scene::IDENTITY.translation_mm.x as usize;
+    let scene_markers = gelstereo_sim::Scene::default().gel.missing.len();
     gelstereo_core::params::Params::default().lattice.len() + scene_markers
 }

@@ -101,6 +101,9 @@ fn add_centre<T: Copy + Into<u32>>(sums: &mut [u32], line: &[T], weight: u16) {
 }
 
 /// `sums += (a + b) * weight`; adding before multiplying halves the products of a symmetric kernel.
+///
+/// Not inlined, since the compiler turns it into vector code only when it sees it alone: three times as fast.
+#[inline(never)]
 fn add_pair<T: Copy + Into<u16>>(sums: &mut [u32], a: &[T], b: &[T], weight: u16) {
     for ((sum, &a), &b) in sums.iter_mut().zip(a).zip(b) {
         let pair: u16 = a.into().wrapping_add(b.into()); // at most 2 x 32 640

@@ -4,14 +4,20 @@ use alloc::vec::Vec;
 
 /// A maximal stretch of set pixels in one row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Run {
-    y: u32,
-    start: u32,
-    /// One past the last pixel.
-    end: u32,
+pub struct Run {
+    /// Row.
+    pub y: u32,
+    /// First column.
+    pub start: u32,
+    /// One past the last column.
+    pub end: u32,
     /// A run of the same component that stands earlier in raster order, or itself.
     parent: u32,
+    /// The next run of the same component, or [`NO_RUN`].
+    next: u32,
 }
+
+const NO_RUN: u32 = u32::MAX;
 
 /// An 8-connected component, with the sums from which its centroid follows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,6 +36,8 @@ pub struct Blob {
     pub right: u32,
     /// Last row.
     pub bottom: u32,
+    first_run: u32,
+    last_run: u32,
 }
 
 /// Labelling and its scratch.
@@ -66,11 +74,28 @@ impl Components {
             let root = self.root(index as u32) as usize;
             if root == index {
                 self.blob_of[index] = self.blobs.len() as u32;
-                self.blobs.push(Blob::empty());
+                self.blobs.push(Blob::starting_at(index as u32));
             }
-            self.blobs[self.blob_of[root] as usize].add(&self.runs[index]);
+            let blob = &mut self.blobs[self.blob_of[root] as usize];
+            blob.add(&self.runs[index]);
+            if root != index {
+                self.runs[blob.last_run as usize].next = index as u32;
+                blob.last_run = index as u32;
+            }
         }
         &self.blobs
+    }
+
+    /// The components of the last mask.
+    #[must_use]
+    pub fn blobs(&self) -> &[Blob] {
+        &self.blobs
+    }
+
+    /// The runs of one of [`Self::blobs`], in raster order.
+    pub fn runs(&self, blob: &Blob) -> impl Iterator<Item = &Run> + Clone {
+        let at = |index: u32| self.runs.get(index as usize);
+        core::iter::successors(at(blob.first_run), move |run| at(run.next))
     }
 
     fn push_runs(&mut self, row: &[u8], y: u32) {
@@ -78,7 +103,7 @@ impl Components {
         while let Some(start) = first_set(row, x) {
             let end = row[start..].iter().position(|&m| m == 0).map_or(row.len(), |len| start + len);
             let parent = self.runs.len() as u32;
-            self.runs.push(Run { y, start: start as u32, end: end as u32, parent });
+            self.runs.push(Run { y, start: start as u32, end: end as u32, parent, next: NO_RUN });
             x = end;
         }
     }
@@ -115,8 +140,18 @@ impl Components {
 }
 
 impl Blob {
-    const fn empty() -> Self {
-        Self { area_px2: 0, sum_x: 0, sum_y: 0, left: u32::MAX, top: u32::MAX, right: 0, bottom: 0 }
+    const fn starting_at(run: u32) -> Self {
+        Self {
+            area_px2: 0,
+            sum_x: 0,
+            sum_y: 0,
+            left: u32::MAX,
+            top: u32::MAX,
+            right: 0,
+            bottom: 0,
+            first_run: run,
+            last_run: run,
+        }
     }
 
     fn add(&mut self, run: &Run) {

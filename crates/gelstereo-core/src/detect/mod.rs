@@ -11,6 +11,7 @@ use crate::math::DVec2;
 use crate::params::{Background, Centre, DetectParams, Polarity};
 use alloc::vec::Vec;
 use blur::{BoxMean, FRACTION_BITS, GaussianBlur};
+use centre::GreyCentre;
 use components::{Blob, Components};
 use morphology::Closing;
 
@@ -81,6 +82,7 @@ pub struct Detector {
     surround: Surround,
     closing: Closing,
     components: Components,
+    grey_centre: GreyCentre,
     smooth_row: Vec<u16>,
     surround_row: Vec<u16>,
     mask: Vec<u8>,
@@ -106,6 +108,7 @@ impl Detector {
             },
             closing: Closing::new(params.morphology_kernel_px),
             components: Components::default(),
+            grey_centre: GreyCentre::default(),
             smooth_row: Vec::new(),
             surround_row: Vec::new(),
             mask: Vec::new(),
@@ -125,16 +128,17 @@ impl Detector {
         self.check(image)?;
         self.threshold(image);
         self.closing.run(&mut self.mask, image.width());
-        let Self { params, components, mask, .. } = self;
+        let Self { params, components, grey_centre, mask, .. } = self;
         // No two markers share pixels, so that this many are the most there can be.
         let most = image.width() * image.height() / params.min_area_px2.max(4) as usize;
         out.centres_px.reserve(most);
         out.area_px2.reserve(most);
-        for blob in components.run(mask, image.width()) {
+        components.run(mask, image.width());
+        for blob in components.blobs() {
             if is_marker(blob, params, image) {
                 out.centres_px.push(match params.centre {
                     Centre::Binary => centre::binary(blob),
-                    Centre::Grey => centre::grey(image, mask, blob, params.polarity),
+                    Centre::Grey => grey_centre.run(image, blob, components.runs(blob), params.polarity),
                 });
                 out.area_px2.push(blob.area_px2);
             }

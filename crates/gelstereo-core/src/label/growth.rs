@@ -22,7 +22,8 @@ const STEPS: [(isize, isize); 4] = [(0, 1), (1, 0), (0, -1), (-1, 0)];
 /// rotation up to 40 degrees: row 0 is the upper one, column 0 the left one.
 ///
 /// # Errors
-/// [`LabelError`] naming what was found. A lattice is refused unless exactly one placement of rows x cols covers it.
+/// [`LabelError`] naming what was found. A lattice is refused unless exactly one placement of rows x cols covers it,
+/// and unless it has at least 3 x 3 markers.
 pub fn rest_lattice(
     detected_px: &[DVec2],
     lattice: &LatticeParams,
@@ -213,8 +214,11 @@ impl<'a> Growth<'a> {
         let mut fitting = (0..=self.rows as usize - rows)
             .flat_map(|r| (0..=self.cols as usize - cols).map(move |c| (r, c)))
             .filter(|&(r, c)| count(r, c) as usize >= least);
+        // A chance detection one step outside is no row; a quarter of a row of them is the print going on.
+        let labelled = self.at.iter().flatten().count();
+        let most_outside = rows.min(cols) / 4;
         match (fitting.next(), fitting.next()) {
-            (Some((top, left)), None) => {
+            (Some((top, left)), None) if labelled - count(top, left) as usize <= most_outside => {
                 let place = |n: usize| self.position((top + n / cols) as isize, (left + n % cols) as isize);
                 Ok(Partial { rows, cols, at: (0..lattice.len()).map(place).collect() })
             }

@@ -175,7 +175,7 @@ fn check_regular(
 /// Whether a cell, given in the order of its outline, turns the wrong way at one of its corners.
 fn folds(corners: [Option<DVec2>; 4]) -> bool {
     (0..4).any(|k| match (corners[(k + 3) % 4], corners[k], corners[(k + 1) % 4]) {
-        (Some(before), Some(here), Some(after)) => !((after - here).perp_dot(before - here) > 0.0),
+        (Some(before), Some(here), Some(after)) => (after - here).perp_dot(before - here) <= 0.0,
         _ => false,
     })
 }

@@ -1,6 +1,7 @@
 //! The evidence at the end: inliers, residual, information and free directions at the returned pose.
 
 use super::error::LEAST_PATCH;
+use super::facet::{Facet, facet};
 use super::filterreg::width_floor_mm;
 use super::observe::{PatchFrame, Sighting, System};
 use super::soft::soft_match;
@@ -18,22 +19,24 @@ pub(super) fn registration(
     let Problem { params, points_mm, template } = *problem;
     let pose = &outcome.t_sensor_object;
     scratch.place(points_mm, pose);
-    match_inliers(problem, scratch);
+    let width_mm = width_floor_mm(problem);
+    match_inliers(problem, scratch, width_mm);
     if scratch.sources.len() < LEAST_PATCH {
         check_reach(problem, &scratch.placed, params.max_distance_mm)?;
     }
     let frame = PatchFrame::new(&scratch.sources, template.spacing_mm());
-    let mut system = System::evidence(frame.radius_mm, params.point_sigma_mm);
+    let mut system = System::new(frame.radius_mm, params.point_sigma_mm);
     let by_plane = matches!(params.method, RegisterMethod::FilterregPlane | RegisterMethod::IcpPlane);
     let mut sum_squared = 0.0;
     for (soft, &point) in scratch.soft.iter().zip(&scratch.sources) {
         let lever = point - frame.centre_mm;
-        let residual_mm =
-            if by_plane { soft.sighting(template, lever, 1.0).residual } else { soft.distance_mm };
+        let seen = soft.sighting(template, lever, 1.0, params.point_sigma_mm);
+        let residual_mm = if by_plane { seen.residual } else { soft.distance_mm };
         sum_squared += residual_mm * residual_mm;
-        // The nearest point's own normal: a mean of two faces' normals would claim to see sideways motion at every
-        // edge of a flat contact.
-        system.add(&Sighting::nearest(template, soft.nearest, point, lever));
+        // The facet's normal, not the soft mean: that of two faces would claim to see sideways motion at every edge
+        // of a flat contact.
+        let Facet { normal, normal_variance } = facet(template, point, width_mm, params.point_sigma_mm);
+        system.add(&Sighting { normal, normal_variance, ..seen });
     }
     let in_object = system.observe(frame.centre_mm);
     let observability = in_object.turned(pose, centroid(&scratch.targets));
@@ -46,13 +49,13 @@ pub(super) fn registration(
         inliers: scratch.sources.len(),
         points: points_mm.len(),
         rmse_mm: sqrt(sum_squared / scratch.sources.len() as f64),
-        free: FreeDirections::new(&in_object, params.point_sigma_mm),
+        // Normals are read at samples, and so at most half a spacing off.
+        free: FreeDirections::new(&in_object, params.point_sigma_mm.max(0.5 * template.spacing_mm())),
     })
 }
 
 /// Leaves the inliers in the scratch: sources in the object's frame, targets the same points in the sensor's.
-fn match_inliers(problem: &Problem<'_>, scratch: &mut Scratch) {
-    let width_mm = width_floor_mm(problem);
+fn match_inliers(problem: &Problem<'_>, scratch: &mut Scratch, width_mm: f64) {
     scratch.clear_pairs();
     for (&placed, &point) in scratch.placed.iter().zip(problem.points_mm) {
         let soft = soft_match(problem.template, placed, width_mm);

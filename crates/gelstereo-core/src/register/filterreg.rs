@@ -82,10 +82,10 @@ fn expect(problem: &Problem<'_>, scratch: &mut Scratch, sigma_mm: f64) {
 /// One Gauss-Newton step on the distances along the normals.
 fn plane_step(problem: &Problem<'_>, scratch: &Scratch) -> Pose {
     let frame = PatchFrame::new(&scratch.sources, problem.template.spacing_mm());
-    let mut system =
-        System::step(frame.radius_mm, problem.params.point_sigma_mm, problem.template.spacing_mm());
+    let sigma_mm = problem.params.point_sigma_mm;
+    let mut system = System::new(frame.radius_mm, sigma_mm);
     for ((soft, &point), &weight) in scratch.soft.iter().zip(&scratch.sources).zip(&scratch.weights) {
-        system.add(&soft.sighting(problem.template, point - frame.centre_mm, weight));
+        system.add(&soft.sighting(problem.template, point - frame.centre_mm, weight, sigma_mm));
     }
     frame.motion(system.solve())
 }

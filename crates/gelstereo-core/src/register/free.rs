@@ -95,17 +95,17 @@ impl FreeDirections {
     /// None: all six are determined.
     pub const NONE: Self = Self { directions: [FreeDirection::NONE; 6], count: 0 };
 
-    /// The free directions of a patch whose points have that standard deviation, all in the object's frame.
+    /// The free directions of a patch on which places are told apart to `resolution_mm`, all in the object's frame.
     ///
     /// Any basis of the free space would be right. This one has pure translations first, then rotations, each
     /// turned so that it lies as near as it can to the object's own axes. A translation is pure when over its way
-    /// across the patch its rotation moves the points by less than their noise; a rotation is a pure spin when its
+    /// across the patch its rotation moves the points by less than the resolution; a rotation is a pure spin when its
     /// advance in a radian is less than that.
     #[must_use]
-    pub(super) fn new(seen: &Observability, sigma_mm: f64) -> Self {
+    pub(super) fn new(seen: &Observability, resolution_mm: f64) -> Self {
         let mut space = Subspace::free(seen);
         let mut out = Self::NONE;
-        let limit = (sigma_mm / seen.radius_mm).min(0.5);
+        let limit = (resolution_mm / seen.radius_mm).min(0.5);
         let slides = space.pure_translations(1.0 - limit * limit);
         for &v in slides.iter() {
             out.push(FreeDirection { omega: DVec3::ZERO, v, centre_mm: seen.centre_mm });
@@ -113,7 +113,7 @@ impl FreeDirections {
         space.remove_translations(&slides);
         for (omega, v) in space.rotations(seen.radius_mm, seen.free_count() - out.count).iter().flatten() {
             let advance = omega.dot(*v);
-            let v = if advance.abs() <= sigma_mm { *v - *omega * advance } else { *v };
+            let v = if advance.abs() <= resolution_mm { *v - *omega * advance } else { *v };
             out.push(FreeDirection { omega: *omega, v, centre_mm: seen.centre_mm });
         }
         out

@@ -25,10 +25,19 @@ pub(super) fn point_to_plane(
 ) -> Result<Outcome, RegisterError> {
     iterate(problem, scratch, start, |problem, scratch| {
         let frame = PatchFrame::new(&scratch.placed, problem.template.spacing_mm());
-        let mut system =
-            System::step(frame.radius_mm, problem.params.point_sigma_mm, problem.template.spacing_mm());
+        let sigma_mm = problem.params.point_sigma_mm;
+        let mut system = System::new(frame.radius_mm, sigma_mm);
         pair(problem, scratch, |(nearest, source)| {
-            system.add(&Sighting::nearest(problem.template, nearest, source, source - frame.centre_mm));
+            let (target, normal) =
+                (problem.template.points_mm()[nearest], problem.template.normals()[nearest]);
+            let offset = target - source;
+            system.add(&Sighting {
+                lever: source - frame.centre_mm,
+                normal,
+                residual: normal.dot(offset),
+                weight: 1.0,
+                normal_variance: problem.template.step_variance(nearest, offset, sigma_mm),
+            });
         });
         frame.motion(system.solve())
     })

@@ -5,6 +5,7 @@
 
 mod assess;
 mod error;
+mod facet;
 mod filterreg;
 mod free;
 mod icp;

@@ -27,7 +27,6 @@
 //! For degenerate registration see J. Zhang, M. Kaess, S. Singh, "On Degeneracy of Optimization-based State
 //! Estimation Problems" (2016); there the threshold is tuned, here it follows from the noise.
 
-use super::template::Template;
 use crate::math::linalg::{self, Symmetric};
 use crate::math::{DVec3, Pose, centroid, so3, sqrt};
 
@@ -69,27 +68,8 @@ pub(super) struct Sighting {
     pub residual: f64,
     /// Weight, 0 to 1.
     pub weight: f64,
-    /// κ of the surface there, rad/mm.
-    pub curvature_per_mm: f64,
-    /// t², the squared tangential distance from the point to where the normal was read.
-    pub tangential_squared: f64,
-}
-
-impl Sighting {
-    /// Of the plane of template point `nearest`, with weight 1.
-    pub fn nearest(template: &Template, nearest: usize, point: DVec3, lever: DVec3) -> Self {
-        let normal = template.normals()[nearest];
-        let offset = template.points_mm()[nearest] - point;
-        let residual = normal.dot(offset);
-        Self {
-            lever,
-            normal,
-            residual,
-            weight: 1.0,
-            curvature_per_mm: template.curvatures_per_mm()[nearest],
-            tangential_squared: (offset - normal * residual).length_squared(),
-        }
-    }
+    /// τ², variance of the normal along the axes across it, rad².
+    pub normal_variance: f64,
 }
 
 /// Σ J Jᵀ, Σ J r and N over the points of a patch.
@@ -97,8 +77,6 @@ impl Sighting {
 pub(super) struct System {
     radius_mm: f64,
     sigma_mm: f64,
-    /// Curvature above which a normal counts as exact.
-    edge_per_mm: f64,
     hessian: Symmetric<6>,
     gradient: Vector6,
     noise: Symmetric<6>,
@@ -119,25 +97,16 @@ pub struct Observability {
 }
 
 impl System {
-    /// For what a patch of that rms radius knows of the pose, its points known to `sigma_mm` along the normal.
-    pub fn evidence(radius_mm: f64, sigma_mm: f64) -> Self {
+    /// Empty, for a patch of that rms radius whose points are known to `sigma_mm` along the normal.
+    pub fn new(radius_mm: f64, sigma_mm: f64) -> Self {
         let zero = [[0.0; 6]; 6];
-        let (edge_per_mm, gradient) = (f64::INFINITY, [0.0; 6]);
-        Self { radius_mm, sigma_mm, edge_per_mm, hessian: zero, gradient, noise: zero, points: 0.0 }
-    }
-
-    /// For a step towards the surface. Where it bends within a spacing, κ s > 1, the linear δn = κ t means nothing. Such
-    /// an edge is no evidence of where the patch is, but a patch that overhangs it has to be able to slide back.
-    pub fn step(radius_mm: f64, sigma_mm: f64, spacing_mm: f64) -> Self {
-        Self { edge_per_mm: 1.0 / spacing_mm, ..Self::evidence(radius_mm, sigma_mm) }
+        Self { radius_mm, sigma_mm, hessian: zero, gradient: [0.0; 6], noise: zero, points: 0.0 }
     }
 
     pub fn add(&mut self, sighting: &Sighting) {
-        let Sighting { lever, normal, residual, weight, curvature_per_mm, tangential_squared } = *sighting;
+        let Sighting { lever, normal, residual, weight, normal_variance } = *sighting;
         let j = stack(lever.cross(normal) / self.radius_mm, normal);
         let sigma_squared = self.sigma_mm * self.sigma_mm;
-        let turns = if curvature_per_mm > self.edge_per_mm { 0.0 } else { curvature_per_mm };
-        let tau_squared = turns * turns * (sigma_squared + 0.5 * tangential_squared);
         add_outer(&mut self.hessian, &j, weight);
         for (sum, j) in self.gradient.iter_mut().zip(j) {
             *sum += weight * residual * j;
@@ -146,7 +115,7 @@ impl System {
         let (a, b) = normal.any_orthonormal_pair();
         for across in [a, b] {
             let turned = stack(lever.cross(across) / self.radius_mm, across);
-            add_outer(&mut self.noise, &turned, weight * tau_squared);
+            add_outer(&mut self.noise, &turned, weight * normal_variance);
             let shifted = stack(across / self.radius_mm, DVec3::ZERO);
             add_outer(&mut self.noise, &shifted, weight * sigma_squared);
         }
@@ -251,5 +220,99 @@ fn quadratic(matrix: &Symmetric<6>, u: &Vector6) -> f64 {
 fn add_outer(matrix: &mut Symmetric<6>, u: &Vector6, weight: f64) {
     for (row, ui) in matrix.iter_mut().zip(u) {
         row.iter_mut().zip(u).for_each(|(entry, uj)| *entry += weight * (ui * uj));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::{cos, sin};
+
+    /// A grid of points on an elliptic cylinder a = R (1 + e), b = R, from 10 to 80 degrees of the ellipse's angle and
+    /// 4 mm long, with exact normals that are as uncertain as the points make them.
+    fn ellipse(ellipticity: f64, sigma_mm: f64) -> (Observability, Symmetric<6>) {
+        let (a, b) = (4.0 * (1.0 + ellipticity), 4.0);
+        let at = |k: usize| (0.175 + 1.22 * (k % 9) as f64 / 8.0, (k / 9) as f64 - 2.0);
+        let points: [DVec3; 45] = core::array::from_fn(|k| {
+            let (angle, z) = at(k);
+            DVec3::new(a * cos(angle), b * sin(angle), z)
+        });
+        let frame = PatchFrame::new(&points, 0.1);
+        let mut system = System::new(frame.radius_mm, sigma_mm);
+        for (k, &point) in points.iter().enumerate() {
+            let (angle, _) = at(k);
+            system.add(&Sighting {
+                lever: point - frame.centre_mm,
+                normal: DVec3::new(cos(angle) / a, sin(angle) / b, 0.0).normalize(),
+                residual: 0.0,
+                weight: 1.0,
+                normal_variance: (sigma_mm / 4.0) * (sigma_mm / 4.0),
+            });
+        }
+        (system.observe(frame.centre_mm), system.hessian)
+    }
+
+    #[test]
+    fn row_11_information_grows_smoothly_from_a_circle() {
+        // A spin by δ moves the surface along its normal by e R sin 2φ δ to first order: information grows as e².
+        let sigma_mm = 1e-5;
+        let (round, _) = ellipse(0.0, sigma_mm);
+        assert_eq!(round.free_count(), 2);
+        let (at_1e3, _) = ellipse(1e-3, sigma_mm);
+        assert_eq!(at_1e3.free_count(), 1);
+        for ellipticity in [1e-3, 2e-3, 5e-3, 1e-2] {
+            let (seen, hessian) = ellipse(ellipticity, sigma_mm);
+            let exact = linalg::eigen(&hessian).values[1] / (sigma_mm * sigma_mm);
+            let ratio = seen.values[1] / exact;
+            // Noise takes off N / λ, at most 1 / limit of the determined.
+            assert!(ratio <= 1.0 && ratio > 0.99, "{ratio}");
+            let growth = seen.values[1] / at_1e3.values[1] / (ellipticity / 1e-3) / (ellipticity / 1e-3);
+            assert!((growth - 1.0).abs() < 10.0 * ellipticity + 0.01, "{growth} at {ellipticity}");
+        }
+    }
+
+    #[test]
+    fn row_11_a_direction_is_free_exactly_when_its_noise_explains_it() {
+        // The same ellipse, 4 µm off a circle, under ever more noise: it is lost once, and stays lost.
+        let counts =
+            [1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1].map(|sigma_mm| ellipse(1e-3, sigma_mm).0.free_count());
+        assert!(counts.is_sorted() && counts[0] == 1 && counts[5] == 2, "{counts:?}");
+    }
+
+    #[test]
+    fn information_and_covariance_are_inverse_where_all_is_determined() {
+        let mut system = System::new(2.0, 0.03);
+        for k in 0..12 {
+            let t = f64::from(k);
+            let lever = DVec3::new(2.0 * cos(t), 2.0 * sin(t), cos(3.0 * t));
+            let normal = DVec3::new(sin(5.0 * t), cos(2.0 * t), 0.7).normalize();
+            system.add(&Sighting { lever, normal, residual: 0.0, weight: 1.0, normal_variance: 0.0 });
+        }
+        let seen = system.observe(DVec3::new(4.0, -1.0, 28.0));
+        assert_eq!(seen.free_count(), 0);
+        let (information, covariance) = (seen.information(), seen.covariance());
+        for i in 0..6 {
+            for j in 0..6 {
+                let product: f64 = (0..6).map(|k| information[i][k] * covariance[k][j]).sum();
+                let identity = f64::from(u8::from(i == j));
+                // The condition about the origin: (28 / 2)⁴ times that about the centre.
+                assert!((product - identity).abs() < 1e5 * 100.0 * f64::EPSILON, "{i} {j} {product}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_solved_step_reaches_the_planes() {
+        let (omega, v) = (DVec3::new(1e-3, -2e-3, 5e-4), DVec3::new(0.01, 0.02, -0.03));
+        let mut system = System::new(2.0, 1e-3);
+        for k in 0..12 {
+            let t = f64::from(k);
+            let lever = DVec3::new(2.0 * cos(t), 2.0 * sin(t), cos(3.0 * t));
+            let normal = DVec3::new(sin(5.0 * t), cos(2.0 * t), 0.7).normalize();
+            let residual = normal.dot(v + omega.cross(lever));
+            system.add(&Sighting { lever, normal, residual, weight: 1.0, normal_variance: 0.0 });
+        }
+        let (omega_found, v_found) = system.solve();
+        assert!((omega_found - omega).length() < 1e-13 && (v_found - v).length() < 1e-13);
     }
 }

@@ -28,15 +28,14 @@ impl SoftMatch {
     ///
     /// On a curved surface n̂·(m - x) is short by κ σ² and Σ p n·(y - x) long by as much; their mean, the distance along
     /// the mean of the two points' normals, is right to the second order (Rusinkiewicz 2019).
-    pub(super) fn sighting(&self, template: &Template, lever: DVec3, weight: f64) -> Sighting {
+    pub(super) fn sighting(&self, template: &Template, lever: DVec3, weight: f64, sigma_mm: f64) -> Sighting {
         let along = self.normal.dot(self.offset_mm);
         Sighting {
             lever,
             normal: self.normal,
             residual: 0.5 * (along + self.plane_distance_mm),
             weight,
-            curvature_per_mm: template.curvatures_per_mm()[self.nearest],
-            tangential_squared: (self.offset_mm - self.normal * along).length_squared(),
+            normal_variance: template.step_variance(self.nearest, self.offset_mm, sigma_mm),
         }
     }
 }

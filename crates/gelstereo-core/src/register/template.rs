@@ -43,7 +43,7 @@ impl Template {
     }
 
     /// Samples a mesh evenly: on average one point for every `spacing_mm`² of its area, no two points of faces that
-    /// look the same way closer than 0.9 of the spacing. The same seed gives the same points.
+    /// look the same way (within 60 degrees) closer than 0.81 of the spacing. The same seed gives the same points.
     ///
     /// # Errors
     /// [`TemplateError::TooFew`] or [`TemplateError::TooMany`] when the spacing does not suit the mesh's area,
@@ -70,6 +70,20 @@ impl Template {
     #[must_use]
     pub fn curvatures_per_mm(&self) -> &[f64] {
         &self.curvatures_per_mm
+    }
+
+    /// τ² of the normal of point `k`, read `offset_mm` away from a point that is known to `sigma_mm`: it turns by κ per
+    /// millimetre, so κ² (σ² + t²/2) per axis, t the distance along the surface.
+    ///
+    /// Where the surface bends within a spacing, κ s > 1, that line through a step means nothing, and the variance is
+    /// given as 0: a patch that overhangs an edge has to be able to slide back.
+    pub(super) fn step_variance(&self, k: usize, offset_mm: DVec3, sigma_mm: f64) -> f64 {
+        let curvature = self.curvatures_per_mm[k];
+        if curvature * self.spacing_mm > 1.0 {
+            return 0.0;
+        }
+        let tangential_squared = offset_mm.reject_from_normalized(self.normals[k]).length_squared();
+        curvature * curvature * (sigma_mm * sigma_mm + 0.5 * tangential_squared)
     }
 
     /// Typical distance of neighbouring points.

@@ -28,7 +28,7 @@ impl Grid {
         self.starts.clear();
         self.items.clear();
         (self.columns, self.rows) = (0, 0);
-        if !(low.x <= high.x) {
+        if low.x > high.x {
             return;
         }
         let spread = high - low;

@@ -127,16 +127,16 @@ impl Tracker {
         self.taken.clear();
         self.taken.resize(detected_px.len(), false);
         self.detections_grid.build(detected_px, self.gate_px);
-        self.pair(detected_px, out);
-        // Again for those left over, now where their neighbours' motion has carried them.
-        self.carry(out);
-        self.pair(detected_px, out);
-        self.carry(out);
+        // Those left over are tried again where their neighbours' motion carries them, until nobody new is found; each
+        // round but the last finds a marker, so that there is an end.
+        while self.pair(detected_px, out) {
+            self.carry(out);
+        }
         self.update_states(out);
     }
 
-    /// Pairs free markers and free detections that are each other's nearest, closer than the gate.
-    fn pair(&mut self, detected_px: &[DVec2], out: &mut Tracks) {
+    /// Pairs free markers and free detections that are each other's nearest, closer than the gate; whether there were any.
+    fn pair(&mut self, detected_px: &[DVec2], out: &mut Tracks) -> bool {
         let Self { tracks_grid, detections_grid, detection_of, taken, pairs, gate_px, .. } = self;
         tracks_grid.build(&out.positions_px, *gate_px);
         pairs.clear();
@@ -156,6 +156,7 @@ impl Tracker {
             taken[m as usize] = true;
             out.positions_px[n as usize] = detected_px[m as usize];
         }
+        !pairs.is_empty()
     }
 
     /// Moves the markers without a detection by the mean displacement of their neighbours with one.

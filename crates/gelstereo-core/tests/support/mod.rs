@@ -99,6 +99,7 @@ pub fn paper_lattice() -> Vec<DVec2> {
     lattice(25, 25, 17.56, DVec2::new(330.3, 240.7), 0.0, 0.0)
 }
 
+#[expect(clippy::unwrap_used, reason = "a test that asks for another shape is wrong")]
 pub fn view(bytes: &[u8], width: usize) -> GrayView<'_> {
     GrayView::new(bytes, width, bytes.len() / width, width).unwrap()
 }

@@ -52,6 +52,13 @@ impl Blur {
         Self { weights, rows: Vec::new(), padded: Vec::new() }
     }
 
+    /// Standard deviation that white noise of unit variance keeps: the sum of the squared weights along one
+    /// axis (its root, once for each axis).
+    pub(crate) fn remaining_sigma(&self) -> f32 {
+        let beside: f32 = self.weights[1..].iter().map(|w| w * w).sum();
+        self.weights[0] * self.weights[0] + 2.0 * beside
+    }
+
     pub(crate) fn apply(&mut self, image: &mut [f32], width: usize) {
         self.along_rows(image, width);
         let height = image.len() / width;

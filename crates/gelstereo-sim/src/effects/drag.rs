@@ -9,8 +9,8 @@ use gelstereo_core::math::{DVec2, cos, sin};
 
 /// The surface follows the part's shear and twist: it sticks in the contact and decays beside it.
 ///
-/// Model: in the contact every marker moves with the part; beside it u - l² Δu = 0 for both components, a shear layer
-/// bonded to its plate. Limits: no slip; the two components do not mix; small strain.
+/// Model: in the contact every marker moves with the part; beside it u - l² Δu = 0 for both components, a shear
+/// layer bonded to its plate. Limits: no slip; the two components do not mix; small strain.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -18,8 +18,8 @@ use gelstereo_core::math::{DVec2, cos, sin};
     serde(default, deny_unknown_fields)
 )]
 pub struct Drag {
-    /// l in gel thicknesses. Default: `0.8`. A layer that follows its surface linearly has 1/√3 across the motion and,
-    /// if incompressible, √(4/3) along it; this is their geometric mean.
+    /// l in gel thicknesses. Default: `0.8`. A layer that follows its surface linearly has 1/√3 across the
+    /// motion and, if incompressible, √(4/3) along it; this is their geometric mean.
     pub decay_thicknesses: f64,
 }
 

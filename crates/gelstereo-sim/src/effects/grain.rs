@@ -1,9 +1,11 @@
 //! Grain of the paint.
 
+use super::{Blur, Defocus};
 use crate::scene::SceneError;
 use alloc::vec::Vec;
 use gelstereo_core::camera::Camera;
-use gelstereo_core::math::{exp, random::Stream, sqrt};
+use gelstereo_core::digest::Digest;
+use gelstereo_core::math::random::Stream;
 
 /// Speckle of the painted surface: the same in every frame of a sequence, drawn once for each view.
 ///
@@ -42,12 +44,13 @@ pub(crate) struct Texture(Vec<f32>);
 
 impl Texture {
     pub(crate) fn new(grain: &Grain, seed: u64, view: &str, camera: &Camera) -> Self {
-        let mut stream = Stream::new(seed, view);
+        let mut stream = Stream::new(Digest::new().u64(seed).bytes(view.as_bytes()).value(), "grain");
         let (w, h) = (camera.width_px, camera.height_px);
         let mut levels: Vec<f32> = (0..w * h).map(|_| stream.normal() as f32).collect();
-        let defocus = super::Defocus { sigma_px: grain.size_px };
-        super::Blur::new(&defocus).apply(&mut levels, w);
-        let gain = (grain.sigma_levels / remaining_sigma(grain.size_px)) as f32;
+        let defocus = Defocus { sigma_px: grain.size_px };
+        let mut blur = Blur::new(&defocus);
+        blur.apply(&mut levels, w);
+        let gain = grain.sigma_levels as f32 / blur.remaining_sigma();
         levels.iter_mut().for_each(|v| *v *= gain);
         Self(levels)
     }
@@ -57,16 +60,4 @@ impl Texture {
             *pixel += grain;
         }
     }
-}
-
-/// Standard deviation that white noise of unit variance keeps under a sampled Gaussian, which is the root of the sum of the
-/// squared weights along one axis, squared for two.
-fn remaining_sigma(sigma: f64) -> f64 {
-    let (mut sum, mut squares) = (0.0, 0.0);
-    for k in -80..=80 {
-        let weight = exp(-0.5 * f64::from(k * k) / (sigma * sigma));
-        sum += weight;
-        squares += weight * weight;
-    }
-    sqrt(squares) * sqrt(squares) / (sum * sum)
 }

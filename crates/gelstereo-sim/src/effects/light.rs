@@ -4,8 +4,8 @@ use crate::scene::SceneError;
 use alloc::vec::Vec;
 use gelstereo_core::camera::Camera;
 
-/// Light that falls off from one side to the other and towards the corners: a gain on every pixel, the same in both
-/// views, 1 at the image's centre.
+/// Light that falls off from one side to the other and towards the corners: a gain on every pixel, the same in
+/// both views, 1 at the image's centre.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",

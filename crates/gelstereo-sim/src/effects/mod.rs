@@ -1,8 +1,9 @@
 //! What a real gel, print and camera do beyond the rigid imprint; each effect acts only when a scene lists it.
 //!
-//! An effect that is absent costs nothing and draws no random number, so the others' bits do not depend on it: every
-//! stream is keyed by (seed, effect's name). On the gel: [`Shoulder`], [`Spread`], [`Drag`]. On the images, in this
-//! order: [`Grain`], [`UnevenLight`], [`Defocus`], [`SensorNoise`]. Lens distortion is the rig's own.
+//! An effect that is absent costs nothing and draws no random number, so the others' bits do not depend on it:
+//! every stream is keyed by (seed, effect's name). On the gel: [`Shoulder`], [`Spread`], [`Drag`]. On the
+//! images, in this order: [`Grain`], [`UnevenLight`], [`Defocus`], [`SensorNoise`]. Lens distortion is the
+//! rig's own.
 
 mod blur;
 mod drag;

@@ -7,8 +7,9 @@ use gelstereo_core::math::{erf, exp, random::Stream, sqrt};
 
 /// Gaussian noise of every pixel of every frame, independent of its brightness.
 ///
-/// Drawn from 4096 equally likely values (the normal distribution's quantiles, scaled to unit variance), five to a
-/// random number; they end at 3.7 standard deviations. The 8-bit rounding that follows adds a variance of 1/12.
+/// Drawn from 4096 equally likely values (the normal distribution's quantiles, scaled to unit variance), five
+/// to a random number; they end at 3.7 standard deviations. The 8-bit rounding that follows adds a variance of
+/// 1/12.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -67,8 +68,8 @@ impl Noise {
     }
 }
 
-/// Inverse of the standard normal distribution, by Newton's method from 0. The distribution function is concave above
-/// 0 and convex below, so the steps overshoot nowhere and always arrive.
+/// Inverse of the standard normal distribution, by Newton's method from 0. The distribution function is concave
+/// above 0 and convex below, so the steps overshoot nowhere and always arrive.
 fn normal_quantile(probability: f64) -> f64 {
     let mut x = 0.0;
     for _ in 0..64 {

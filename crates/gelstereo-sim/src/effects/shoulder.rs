@@ -7,11 +7,12 @@ use alloc::vec::Vec;
 
 /// The gel sags softly beside the contact instead of ending at the part's silhouette.
 ///
-/// Model: a Pasternak foundation (springs joined by a shear layer; Pasternak 1954), h - l² Δh = p / k with pressure
-/// p >= 0 only where the part touches: an obstacle problem, solved on the marker lattice. The surface is never below
-/// the part, meets it without a kink, decays as exp(-d / l) beside it, and the contact is smaller than the part's
-/// silhouette in the rest plane, as in Hertz's theory. Limits: no bulge beside the contact (60 um for a 1 mm press
-/// on an incompressible layer), small strain, and a contact that is resolved to one pitch only.
+/// Model: a Pasternak foundation (springs joined by a shear layer; Pasternak 1954), h - l² Δh = p / k with
+/// pressure p >= 0 only where the part touches: an obstacle problem, solved on the marker lattice. The surface
+/// is never below the part, meets it without a kink, decays as exp(-d / l) beside it, and the contact is
+/// smaller than the part's silhouette in the rest plane, as in Hertz's theory. Limits: no bulge beside the
+/// contact (60 um for a 1 mm press on an incompressible layer), small strain, and a contact that is resolved to
+/// one pitch only.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -19,8 +20,8 @@ use alloc::vec::Vec;
     serde(default, deny_unknown_fields)
 )]
 pub struct Shoulder {
-    /// l in gel thicknesses. Default: `0.5`. A layer whose interior follows its surface linearly has
-    /// l² = t² / (3 M / G), 0.17 t at Poisson's ratio 0.45; a half-space has no length at all and decays slowly.
+    /// l in gel thicknesses. Default: `0.5`. A layer whose interior follows its surface linearly has l² = t² /
+    /// (3 M / G), 0.17 t at Poisson's ratio 0.45; a half-space has no length at all and decays slowly.
     pub decay_thicknesses: f64,
 }
 
@@ -35,7 +36,8 @@ impl Shoulder {
         check_decay("effects.shoulder.decay_thicknesses", self.decay_thicknesses)
     }
 
-    /// Heights of the settled surface over the part's heights (`obstacle`, negative where it does not protrude).
+    /// Heights of the settled surface over the part's heights (`obstacle`, negative where it does not
+    /// protrude).
     pub(crate) fn settle(&self, lattice: &Lattice, obstacle: &[f64], out: &mut Vec<f64>) {
         out.clear();
         out.extend(obstacle.iter().map(|&h| h.max(0.0)));

@@ -105,8 +105,9 @@ impl Default for Gel {
 
 /// The indenter at one time.
 ///
-/// In a file the pose is `position_mm` (the object's origin in the sensor frame) and `rotation_rad` (rotation vector,
-/// default zero): `{ time_s = 0.5, position_mm = [4, 0, 31], rotation_rad = [0, 1.5708, 0], shear_mm = [0.5, 0] }`.
+/// In a file the pose is `position_mm` (the object's origin in the sensor frame) and `rotation_rad` (rotation
+/// vector, default zero): `{ time_s = 0.5, position_mm = [4, 0, 31], rotation_rad = [0, 1.5708, 0], shear_mm =
+/// [0.5, 0] }`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",

@@ -24,8 +24,8 @@ impl Span {
 }
 
 impl Shape {
-    /// Smallest s with `origin + s direction` in the solid (object frame, `direction` of unit length); `None` where
-    /// the line misses it, and for mesh files.
+    /// Smallest s with `origin + s direction` in the solid (object frame, `direction` of unit length); `None`
+    /// where the line misses it, and for mesh files.
     pub(crate) fn entry_mm(&self, origin: DVec3, direction: DVec3) -> Option<f64> {
         match self {
             Self::Sphere { radius_mm } => {
@@ -70,7 +70,8 @@ fn round(a: f64, b: f64, room: f64) -> Span {
 fn barrel(origin: DVec3, direction: DVec3, radius: f64) -> Span {
     let (o, d) = (origin.truncate(), direction.truncate());
     let a = d.length_squared();
-    // Along the axis the line is inside or outside for good; 1e-24 is a turn of 1e-12 rad, below round-off of a pose.
+    // Along the axis the line is inside or outside for good; 1e-24 is a turn of 1e-12 rad, below round-off of a
+    // pose.
     if a < 1e-24 {
         return if o.length_squared() <= radius * radius { Span::WHOLE } else { Span::EMPTY };
     }

@@ -38,8 +38,8 @@ pub enum Shape {
         /// Edges along x, y, z.
         size_mm: [f64; 3],
     },
-    /// A plate whose top face is z = 0 with a centred block of `protrusion_mm` on it, towards +z (the paper's boards,
-    /// Fig. 9 b). Turn it by π about x to press the block into the gel.
+    /// A plate whose top face is z = 0 with a centred block of `protrusion_mm` on it, towards +z (the paper's
+    /// boards, Fig. 9 b). Turn it by π about x to press the block into the gel.
     Board {
         /// The plate's edges along x and y.
         size_mm: [f64; 2],
@@ -88,8 +88,8 @@ impl Shape {
         }
     }
 
-    /// Support function: the largest `direction · x` over the solid (object frame, `direction` of unit length), or
-    /// `None` for a mesh file.
+    /// Support function: the largest `direction · x` over the solid (object frame, `direction` of unit length),
+    /// or `None` for a mesh file.
     #[must_use]
     pub fn support_mm(&self, direction: DVec3) -> Option<f64> {
         let d = direction.abs();

@@ -1,7 +1,7 @@
 //! Height of a triangle mesh at scattered points: triangles drawn over a grid of the points.
 
 use alloc::vec::Vec;
-use gelstereo_core::math::{DVec2, DVec3, Pose, floor};
+use gelstereo_core::math::{DVec2, DVec3, Pose, sqrt};
 use gelstereo_core::surface::TriangleMesh;
 
 /// Finds the surface of a mesh nearest to the camera at many points of the gel, over scratch that is kept.
@@ -15,32 +15,28 @@ pub(crate) struct MeshHeight {
     cells: Grid,
 }
 
+/// Cells over the points' bounding box, about as many as there are points, so that their number never grows.
 #[derive(Clone, Copy, Debug, Default)]
 struct Grid {
     low: DVec2,
     high: DVec2,
-    cell: f64,
-    cols: usize,
-    rows: usize,
+    side: usize,
 }
 
 impl Grid {
-    fn over(points: &[DVec2], cell: f64) -> Self {
+    fn over(points: &[DVec2]) -> Self {
         let (low, high) = points
             .iter()
-            .fold((DVec2::splat(f64::INFINITY), DVec2::splat(f64::NEG_INFINITY)), |(low, high), &p| {
-                (low.min(p), high.max(p))
-            });
-        // No more cells than a lattice has markers, however far the points stray.
-        let side = |length: f64| (floor(length / cell) as usize + 1).min(1024);
-        let size = high - low;
-        Self { low, high, cell, cols: side(size.x), rows: side(size.y) }
+            .fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), &p| (low.min(p), high.max(p)));
+        Self { low, high, side: sqrt(points.len() as f64) as usize + 1 }
     }
 
     /// Column and row of the cell; points outside belong to the cells at the border.
     fn at(&self, point: DVec2) -> (usize, usize) {
-        let index = |x: f64, n: usize| (floor(x / self.cell).max(0.0) as usize).min(n - 1);
-        (index(point.x - self.low.x, self.cols), index(point.y - self.low.y, self.rows))
+        let share = (point - self.low) / (self.high - self.low).max(DVec2::splat(f64::MIN_POSITIVE));
+        // `as` clamps what is below 0.
+        let index = |x: f64| ((x * self.side as f64) as usize).min(self.side - 1);
+        (index(share.x), index(share.y))
     }
 }
 
@@ -61,17 +57,16 @@ impl MeshHeight {
         vertices.fold(f64::INFINITY, |z, &v| z.min(t_sensor_object.transform_point(v).z))
     }
 
-    /// Height of the mesh above the plane z = `surface_mm` at every point; negative infinity where no triangle is.
-    /// `cell_mm` is about the distance between points.
+    /// Height of the mesh above the plane z = `surface_mm` at every point; negative infinity where no triangle
+    /// is.
     pub(crate) fn heights_mm(
         &mut self,
         t_sensor_object: &Pose,
         surface_mm: f64,
-        cell_mm: f64,
         points: &[DVec2],
         out: &mut Vec<f64>,
     ) {
-        self.sort_points(points, cell_mm);
+        self.sort_points(points);
         self.vertices.clear();
         self.vertices.extend(self.mesh.vertices_mm().iter().map(|&v| t_sensor_object.transform_point(v)));
         out.clear();
@@ -88,8 +83,8 @@ impl MeshHeight {
             }
             let ((c0, r0), (c1, r1)) = (cells.at(low), cells.at(high));
             for row in r0..=r1 {
-                let first = self.starts[row * cells.cols + c0] as usize;
-                let last = self.starts[row * cells.cols + c1 + 1] as usize;
+                let first = self.starts[row * cells.side + c0] as usize;
+                let last = self.starts[row * cells.side + c1 + 1] as usize;
                 for &i in &self.order[first..last] {
                     if let Some(z) = depth_at(&corners, points[i as usize]) {
                         let height = &mut out[i as usize];
@@ -101,15 +96,15 @@ impl MeshHeight {
     }
 
     /// Counting sort of the points by cell, row after row.
-    fn sort_points(&mut self, points: &[DVec2], cell_mm: f64) {
-        self.cells = Grid::over(points, cell_mm);
+    fn sort_points(&mut self, points: &[DVec2]) {
+        self.cells = Grid::over(points);
         let cells = self.cells;
         let cell = |p: DVec2| {
             let (col, row) = cells.at(p);
-            row * cells.cols + col
+            row * cells.side + col
         };
         self.starts.clear();
-        self.starts.resize(cells.cols * cells.rows + 1, 0);
+        self.starts.resize(cells.side * cells.side + 1, 0);
         for &p in points {
             self.starts[cell(p)] += 1;
         }
@@ -129,8 +124,8 @@ impl MeshHeight {
     }
 }
 
-/// Depth of a triangle at a point seen along z, or `None` beside it. Borders belong to it, so no point falls between
-/// two triangles that share an edge; triangles seen edge-on have no depth (their neighbours do).
+/// Depth of a triangle at a point seen along z, or `None` beside it. Borders belong to it, so no point falls
+/// between two triangles that share an edge; triangles seen edge-on have no depth (their neighbours do).
 fn depth_at(corners: &[DVec3; 3], point: DVec2) -> Option<f64> {
     let [a, b, c] = corners.map(|v| v.truncate() - point);
     let (u, v, w) = (b.perp_dot(c), c.perp_dot(a), a.perp_dot(b));

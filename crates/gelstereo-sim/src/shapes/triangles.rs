@@ -34,8 +34,8 @@ fn segments(radius: f64, tolerance: f64) -> usize {
     (n as usize).clamp(8, MAX_SEGMENTS)
 }
 
-/// Adds the ring of quads between two rings of `n` vertices that start at `a` and `b`; `b` is the one above when the
-/// ring turns counter-clockwise seen from above.
+/// Adds the ring of quads between two rings of `n` vertices that start at `a` and `b`; `b` is the one above
+/// when the ring turns counter-clockwise seen from above.
 fn belt(a: u32, b: u32, n: u32, triangles: &mut Vec<[u32; 3]>) {
     for i in 0..n {
         let j = (i + 1) % n;

@@ -62,14 +62,15 @@ pub struct Truth {
     pub indentation_mm: Vec<f64>,
     /// Whether the indenter touches the gel at this marker.
     pub in_contact: Vec<bool>,
-    /// Projections of the centres in the left image, within it or not. A dot's image has its own centre elsewhere by
-    /// up to f r² sin a cos a / Z² (tilt a): 0.016 px on the default rig.
+    /// Projections of the centres in the left image, within it or not. A dot's image has its own centre
+    /// elsewhere by up to f r² sin a cos a / Z² (tilt a): 0.016 px on the default rig.
     pub left_px: Vec<DVec2>,
     /// The same in the right image.
     pub right_px: Vec<DVec2>,
 }
 
-/// Stands for the pixel of a point behind a camera; only a contact that shears the gel out of sight leads there.
+/// Stands for the pixel of a point behind a camera; only a contact that shears the gel out of sight leads
+/// there.
 pub const OUT_OF_SIGHT_PX: DVec2 = DVec2::splat(-1e6);
 
 /// A scene made ready to run.
@@ -165,7 +166,8 @@ impl Simulator {
         Some(pose)
     }
 
-    /// Marker positions for a contact (`None`, or one that [`ContactState::validate`] refuses: nothing touches).
+    /// Marker positions for a contact (`None`, or one that [`ContactState::validate`] refuses: nothing
+    /// touches).
     pub fn truth(&mut self, contact: Option<&ContactState>, out: &mut Truth) {
         self.scratch.motion.clear();
         self.scratch.motion.resize(self.rest.len(), DVec2::ZERO);
@@ -181,8 +183,8 @@ impl Simulator {
         self.write(out);
     }
 
-    /// Renders both views of a moment, `height * width` bytes each; `frame` keys the noise. A truth that has another
-    /// number of markers shows none.
+    /// Renders both views of a moment, `height * width` bytes each; `frame` keys the noise. A truth that has
+    /// another number of markers shows none.
     pub fn render(&mut self, truth: &Truth, frame: u64, left: &mut Vec<u8>, right: &mut Vec<u8>) {
         self.renderer.draw(0, &truth.points_mm, frame, left);
         self.renderer.draw(1, &truth.points_mm, frame, right);

@@ -64,13 +64,9 @@ impl Simulator {
                     shape.entry_mm(origin, direction).map_or(f64::NEG_INFINITY, |s| -s)
                 }));
             }
-            Some(Part::Mesh(mesh)) => mesh.heights_mm(
-                &pose,
-                self.surface_mm,
-                self.lattice.pitch_mm,
-                &scratch.places,
-                &mut scratch.obstacle,
-            ),
+            Some(Part::Mesh(mesh)) => {
+                mesh.heights_mm(&pose, self.surface_mm, &scratch.places, &mut scratch.obstacle)
+            }
             None => {}
         }
         // The support plate behind the gel stops everything.

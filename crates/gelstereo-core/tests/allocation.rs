@@ -1,0 +1,90 @@
+//! No stage allocates after its first frame, not even when a later one holds more.
+
+mod support;
+
+use gelstereo_core::detect::{Detector, Markers};
+use gelstereo_core::label::{foresight_sort, rest_lattice};
+use gelstereo_core::math::DVec2;
+use gelstereo_core::math::random::Stream;
+use gelstereo_core::params::{Background, Centre, Params};
+use gelstereo_core::track::{Tracker, Tracks};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use support::{Dots, paper_lattice, view};
+
+thread_local! {
+    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
+}
+
+struct Counting;
+
+// SAFETY: every call is handed to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+fn allocations(mut work: impl FnMut()) -> usize {
+    let before = ALLOCATIONS.get();
+    work();
+    ALLOCATIONS.get() - before
+}
+
+#[test]
+fn detection_allocates_for_the_first_image_only() {
+    let few = Dots::new(640, 480, paper_lattice()[..100].to_vec()).render();
+    let mut stream = Stream::new(1, "noise");
+    // The most components there can be, and the most runs.
+    let noise: Vec<u8> = (0..640 * 480).map(|_| stream.next_u64() as u8).collect();
+    let stripes: Vec<u8> = (0..640 * 480).map(|n| if n % 2 == 0 { 0 } else { 255 }).collect();
+    for background in [Background::Gaussian, Background::Box] {
+        for (centre, kernel_px) in [(Centre::Binary, 1), (Centre::Grey, 1), (Centre::Grey, 5)] {
+            let mut params = Params::default().detect;
+            (params.background, params.centre) = (background, centre);
+            (params.morphology_kernel_px, params.min_area_px2, params.smooth_kernel_px) = (kernel_px, 1, 1);
+            let (mut detector, mut markers) = (Detector::new(&params), Markers::default());
+            let first = allocations(|| detector.run(view(&few, 640), &mut markers).unwrap());
+            assert!(first > 0, "the counter counts");
+            let later = allocations(|| {
+                for image in [&noise, &few, &stripes] {
+                    detector.run(view(image, 640), &mut markers).unwrap();
+                }
+            });
+            assert_eq!(later, 0, "{background:?} {centre:?} {kernel_px}");
+        }
+    }
+}
+
+#[test]
+fn tracks_and_sort_allocate_for_the_first_frame_only() {
+    let params = Params::default();
+    let truth = paper_lattice();
+    let rest = rest_lattice(&truth, &params.lattice, params.label.tolerance_pitches).unwrap();
+    let (mut tracker, mut tracks) = (Tracker::new(&params.track), Tracks::default());
+    tracker.initialise(&rest, params.lattice.cols, &mut tracks);
+    let (mut order, mut copy) = (Vec::new(), tracks.clone());
+    let mut frame = |shift: f64| {
+        let moved: [DVec2; 625] = core::array::from_fn(|n| truth[n] + shift);
+        allocations(|| {
+            copy.clone_from(&tracks);
+            tracker.run(&moved, &mut tracks);
+            foresight_sort(&tracks.positions_px, &params.lattice, rest.pitch_px / 3.0, &mut order).unwrap();
+        })
+    };
+    frame(1.0);
+    assert_eq!((2..20).map(|step| frame(f64::from(step))).sum::<usize>(), 0);
+}

@@ -1,0 +1,207 @@
+//! Blur, box mean, morphology and components against plain definitions.
+
+mod support;
+
+use gelstereo_core::detect::blur::{BoxMean, FRACTION_BITS, GaussianBlur, reflect101};
+use gelstereo_core::detect::components::Components;
+use gelstereo_core::detect::morphology::Closing;
+use proptest::prelude::*;
+use support::view;
+
+fn gaussian(image: &[u8], width: usize, kernel_px: usize) -> Vec<u16> {
+    let mut blur = GaussianBlur::new(kernel_px);
+    let mut out = vec![0; image.len()];
+    for (y, row) in out.chunks_exact_mut(width).enumerate() {
+        blur.row(view(image, width), y, row);
+    }
+    out
+}
+
+fn box_mean(image: &[u8], width: usize, kernel_px: usize) -> Vec<u16> {
+    let mut mean = BoxMean::new(kernel_px);
+    let mut out = vec![0; image.len()];
+    for (y, row) in out.chunks_exact_mut(width).enumerate() {
+        mean.row(view(image, width), y, row);
+    }
+    out
+}
+
+/// Response to one bright pixel in the middle of a black image, in grey levels.
+fn impulse_response(kernel_px: usize) -> (Vec<f64>, usize) {
+    let side = 2 * kernel_px + 1;
+    let mut image = vec![0; side * side];
+    image[side * side / 2] = 255;
+    let levels = gaussian(&image, side, kernel_px);
+    (levels.iter().map(|&v| f64::from(v) / f64::from(1 << FRACTION_BITS)).collect(), side)
+}
+
+fn images() -> impl Strategy<Value = (Vec<u8>, usize)> {
+    (1..24_usize, 1..24_usize)
+        .prop_flat_map(|(width, height)| (prop::collection::vec(any::<u8>(), width * height), Just(width)))
+}
+
+/// Masks of 0 and 255 with a share of set pixels that makes long and winding components.
+fn masks() -> impl Strategy<Value = (Vec<u8>, usize)> {
+    (1..32_usize, 1..32_usize, 0.1..0.9_f64).prop_flat_map(|(width, height, share)| {
+        let pixel = prop::bool::weighted(share).prop_map(|set| if set { 255 } else { 0 });
+        (prop::collection::vec(pixel, width * height), Just(width))
+    })
+}
+
+#[test]
+fn a_constant_image_stays_constant() {
+    for level in [0, 1, 100, 254, 255_u8] {
+        for kernel_px in [1, 3, 5, 7, 9, 11, 31, 51, 255] {
+            let image = vec![level; 40 * 30];
+            let expected = u16::from(level) << FRACTION_BITS;
+            assert!(gaussian(&image, 40, kernel_px).iter().all(|&v| v == expected), "{level} {kernel_px}");
+            assert!(box_mean(&image, 40, kernel_px).iter().all(|&v| v == expected), "{level} {kernel_px}");
+        }
+    }
+}
+
+/// Row 31 in the range of kernels that settings allow: sigma 0.8 to 38.6 px.
+#[test]
+fn row_31_blur_has_the_mass_and_variance_of_its_gaussian() {
+    for kernel_px in [11, 31, 51] {
+        let (response, side) = impulse_response(kernel_px);
+        let mass: f64 = response.iter().sum();
+        let middle = (side / 2) as f64;
+        let variance = |at: &dyn Fn(usize) -> f64| {
+            response.iter().enumerate().map(|(n, v)| v * (at(n) - middle) * (at(n) - middle)).sum::<f64>()
+                / mass
+        };
+        let radius = (kernel_px / 2) as i32;
+        let sigma = 0.3 * f64::from(radius - 1) + 0.8;
+        let samples: Vec<f64> =
+            (-radius..=radius).map(|k| (-0.5 * (f64::from(k) / sigma).powi(2)).exp()).collect();
+        let moment = |order: i32| -> f64 {
+            samples.iter().zip(-radius..).map(|(s, k)| s * f64::from(k).powi(order)).sum()
+        };
+        let expected = moment(2) / moment(0);
+        // Every pixel is rounded to 1/128 level twice: at most 1/128 each, and the outer ones have the longest lever.
+        let pixels = (kernel_px * kernel_px) as f64;
+        let rounding = 1.0 / 128.0;
+        assert!((mass - 255.0).abs() <= pixels * rounding, "{kernel_px}: mass {mass}");
+        let lever = f64::from(radius * radius) / 3.0;
+        let most = 2.0 * pixels * rounding * lever / 255.0;
+        for v in [variance(&|n| (n % side) as f64), variance(&|n| (n / side) as f64)] {
+            assert!(
+                (v - expected).abs() <= most,
+                "{kernel_px}: variance {v}, expected {expected}, most {most}"
+            );
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Against the definition in floating point. Rounding: 1/2^15 a weight and side on 255 levels, half of 1/128 after
+    /// each pass.
+    #[test]
+    fn gaussian_is_the_sum_of_its_definition((image, width) in images(), radius in 5..30_usize) {
+        let height = image.len() / width;
+        let sigma = 0.3 * (radius as f64 - 1.0) + 0.8;
+        let side = radius as isize;
+        let sample = |k: isize| (-0.5 * (k as f64 / sigma).powi(2)).exp();
+        let total: f64 = (-side..=side).map(sample).sum();
+        let found = gaussian(&image, width, 2 * radius + 1);
+        let most = 2.0 * 255.0 * (2 * radius + 1) as f64 / f64::from(1 << 15) + 1.0 / 128.0;
+        for y in 0..height {
+            for x in 0..width {
+                let mut sum = 0.0;
+                for dy in -side..=side {
+                    for dx in -side..=side {
+                        let at = reflect101(y as isize + dy, height) * width + reflect101(x as isize + dx, width);
+                        sum += sample(dy) * sample(dx) * f64::from(image[at]);
+                    }
+                }
+                let level = f64::from(found[y * width + x]) / 128.0;
+                prop_assert!((level - sum / total / total).abs() <= most);
+            }
+        }
+    }
+
+    #[test]
+    fn box_mean_is_the_mean_of_its_square((image, width) in images(), radius in 0..30_usize) {
+        let height = image.len() / width;
+        let found = box_mean(&image, width, 2 * radius + 1);
+        let side = radius as isize;
+        for y in 0..height {
+            for x in 0..width {
+                let sum: u64 = (-side..=side).flat_map(|dy| (-side..=side).map(move |dx| (dy, dx))).map(|(dy, dx)| {
+                    u64::from(image[reflect101(y as isize + dy, height) * width + reflect101(x as isize + dx, width)])
+                }).sum();
+                let mean = sum as f64 / ((2 * radius + 1) * (2 * radius + 1)) as f64;
+                // Half a last place, and the reciprocal's share of it.
+                prop_assert!((f64::from(found[y * width + x]) - mean * 128.0).abs() <= 0.51);
+            }
+        }
+    }
+
+    #[test]
+    fn closing_is_dilation_then_erosion_by_definition((mask, width) in masks(), radius in 0..5_isize) {
+        let height = mask.len() / width;
+        let in_kernel = |dx: isize, dy: isize| {
+            let half = ((radius * radius - dy * dy) as f64).sqrt().round_ties_even() as isize;
+            dx.abs() <= half
+        };
+        let sweep = |from: &[u8], dilate: bool| -> Vec<u8> {
+            (0..from.len()).map(|n| {
+                let (x, y) = ((n % width) as isize, (n / width) as isize);
+                let mut hit = false;
+                for dy in -radius..=radius {
+                    for dx in -radius..=radius {
+                        let inside = (0..width as isize).contains(&(x + dx)) && (0..height as isize).contains(&(y + dy));
+                        if inside && in_kernel(dx, dy) {
+                            hit |= (from[((y + dy) * width as isize + x + dx) as usize] != 0) == dilate;
+                        }
+                    }
+                }
+                if hit == dilate { 255 } else { 0 }
+            }).collect()
+        };
+        let expected = sweep(&sweep(&mask, true), false);
+        let mut found = mask.clone();
+        Closing::new(2 * radius as usize + 1).run(&mut found, width);
+        prop_assert_eq!(found, expected);
+    }
+
+    /// Against a flood fill that starts at each pixel not yet reached, in raster order.
+    #[test]
+    fn components_are_those_of_a_flood_fill((mask, width) in masks()) {
+        let height = mask.len() / width;
+        let mut reached = vec![false; mask.len()];
+        let mut expected = Vec::new();
+        for start in 0..mask.len() {
+            if mask[start] == 0 || reached[start] {
+                continue;
+            }
+            let (mut stack, mut pixels) = (vec![start], Vec::new());
+            reached[start] = true;
+            while let Some(n) = stack.pop() {
+                pixels.push((n % width, n / width));
+                for y in (n / width).saturating_sub(1)..(n / width + 2).min(height) {
+                    for x in (n % width).saturating_sub(1)..(n % width + 2).min(width) {
+                        if mask[y * width + x] != 0 && !reached[y * width + x] {
+                            reached[y * width + x] = true;
+                            stack.push(y * width + x);
+                        }
+                    }
+                }
+            }
+            let xs = || pixels.iter().map(|p| p.0 as u32);
+            let ys = || pixels.iter().map(|p| p.1 as u32);
+            expected.push((
+                pixels.len() as u32,
+                xs().map(u64::from).sum::<u64>(), ys().map(u64::from).sum::<u64>(),
+                [xs().min(), ys().min(), xs().max(), ys().max()].map(Option::unwrap),
+            ));
+        }
+        let mut components = Components::default();
+        let found: Vec<_> = components.run(&mask, width).iter()
+            .map(|b| (b.area_px2, b.sum_x, b.sum_y, [b.left, b.top, b.right, b.bottom])).collect();
+        prop_assert_eq!(found, expected);
+    }
+}

@@ -1,0 +1,152 @@
+//! Identity over frames, against displaced lattices.
+
+mod support;
+
+use gelstereo_core::label::RestLattice;
+use gelstereo_core::math::DVec2;
+use gelstereo_core::math::random::Stream;
+use gelstereo_core::params::TrackParams;
+use gelstereo_core::track::{MarkerState, Tracker, Tracks};
+use proptest::prelude::*;
+use support::paper_lattice;
+
+const PITCH: f64 = 17.56;
+
+fn start(filled: &[usize]) -> (Tracker, Tracks, Vec<DVec2>) {
+    let truth = paper_lattice();
+    let rest = RestLattice {
+        positions_px: truth.clone(),
+        filled: (0..truth.len()).map(|n| filled.contains(&n)).collect(),
+        pitch_px: PITCH,
+    };
+    let (mut tracker, mut tracks) = (Tracker::new(&TrackParams::default()), Tracks::default());
+    tracker.initialise(&rest, 25, &mut tracks);
+    (tracker, tracks, truth)
+}
+
+/// All but these, moved, last marker first: the order of detections must not matter.
+fn frame(truth: &[DVec2], without: &[usize], moved: impl Fn(DVec2) -> DVec2) -> Vec<DVec2> {
+    (0..truth.len()).rev().filter(|n| !without.contains(n)).map(|n| moved(truth[n])).collect()
+}
+
+#[test]
+fn a_filled_in_marker_is_held_for_ever_and_moves_with_its_neighbours() {
+    let (mut tracker, mut tracks, truth) = start(&[0]);
+    for step in 1..=200 {
+        let shift = DVec2::new(0.3, -0.2) * f64::from(step);
+        tracker.run(&frame(&truth, &[0], |p| p + shift), &mut tracks);
+        assert_eq!(tracks.state[0], MarkerState::Held);
+        assert!(tracks.positions_px[0].distance(truth[0] + shift) < 1e-9);
+        assert!(tracks.state[1..].iter().all(|&s| s == MarkerState::Seen));
+    }
+    let shift = DVec2::new(0.3, -0.2) * 201.0;
+    tracker.run(&frame(&truth, &[], |p| p + shift), &mut tracks);
+    assert_eq!(tracks.state[0], MarkerState::Seen);
+    // From then on it is a marker like the others.
+    for _ in 0..16 {
+        tracker.run(&frame(&truth, &[0], |p| p + shift), &mut tracks);
+    }
+    assert_eq!(tracks.state[0], MarkerState::Lost);
+}
+
+#[test]
+fn an_unseen_marker_is_held_then_lost_then_found_where_its_neighbours_went() {
+    let (mut tracker, mut tracks, truth) = start(&[]);
+    // Out of sight for 20 frames while the gel moves by three pitches in all: frozen, it would meet another marker.
+    for step in 1..=20 {
+        let shift = DVec2::new(0.15 * PITCH, 0.0) * f64::from(step);
+        tracker.run(&frame(&truth, &[312], |p| p + shift), &mut tracks);
+        let expected = if step <= 15 { MarkerState::Held } else { MarkerState::Lost };
+        assert_eq!(tracks.state[312], expected, "{step}");
+        assert!(tracks.positions_px[312].distance(truth[312] + shift) < 1e-9);
+    }
+    let shift = DVec2::new(0.15 * PITCH * 21.0, 0.0);
+    tracker.run(&frame(&truth, &[], |p| p + shift), &mut tracks);
+    assert_eq!(tracks.state[312], MarkerState::Seen);
+    assert!(tracks.positions_px.iter().zip(&truth).all(|(p, t)| *p == *t + shift));
+}
+
+#[test]
+fn two_markers_never_share_a_detection() {
+    let (mut tracker, mut tracks, truth) = start(&[]);
+    // Markers 312 and 313 merge into one blob midway.
+    let mut detected = frame(&truth, &[312, 313], |p| p);
+    detected.push((truth[312] * 0.51 + truth[313] * 0.49) - DVec2::new(0.0, 0.1));
+    tracker.run(&detected, &mut tracks);
+    assert_eq!([tracks.state[312], tracks.state[313]], [MarkerState::Seen, MarkerState::Held]);
+    // One of the eight neighbours that carry it is off by half a pitch.
+    assert!(tracks.positions_px[313].distance(truth[313]) < PITCH / 16.0);
+}
+
+#[test]
+fn a_detection_beyond_the_gate_is_no_marker() {
+    let (mut tracker, mut tracks, truth) = start(&[]);
+    let beyond = truth[24] + DVec2::new(0.5 * PITCH + 1e-9, 0.0);
+    let mut detected = frame(&truth, &[24], |p| p);
+    detected.extend([beyond, DVec2::NAN, DVec2::INFINITY]);
+    tracker.run(&detected, &mut tracks);
+    assert_eq!(tracks.state[24], MarkerState::Held);
+    assert_eq!(tracks.positions_px[24], truth[24]);
+    tracker.run(&[], &mut tracks);
+    assert!(tracks.state.iter().all(|&s| s == MarkerState::Held));
+    assert_eq!(tracks.positions_px, truth);
+}
+
+#[test]
+fn before_it_is_initialised_it_does_nothing() {
+    let mut tracks = Tracks::default();
+    Tracker::new(&TrackParams::default()).run(&[DVec2::ZERO], &mut tracks);
+    assert_eq!(tracks, Tracks::default());
+}
+
+/// The part of row 35 that lies here: ids do not drift while markers flicker.
+#[test]
+fn row_35_positions_do_not_drift_while_markers_flicker() {
+    let (mut tracker, mut tracks, truth) = start(&[0]);
+    let mut stream = Stream::new(35, "flicker");
+    for step in 0..3000 {
+        let shift = DVec2::new(5.0 * (f64::from(step) * 0.05).sin(), 0.0);
+        let without: Vec<usize> = (0..60).map(|_| stream.below(625)).chain([0]).collect();
+        let jitter = 0.05;
+        let detected: Vec<DVec2> = (0..625)
+            .filter(|n| !without.contains(n))
+            .map(|n| {
+                let (x, y) = stream.normal_pair();
+                truth[n] + shift + DVec2::new(x, y) * jitter
+            })
+            .collect();
+        tracker.run(&detected, &mut tracks);
+        for n in 0..625 {
+            // A mean of few neighbours and the marker's own last error: 6 sigma of each, on both axes.
+            let off = tracks.positions_px[n].distance(truth[n] + shift);
+            assert!(off < 4.0 * 6.0 * jitter, "frame {step}, marker {n}: {off}");
+        }
+    }
+    let no_longer_printed = tracks.state.iter().filter(|&&s| s == MarkerState::Lost).count();
+    assert_eq!(no_longer_printed, 0);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// At most 5 + 0.005 x 210 px on each axis, below the gate of 8.78 px: whatever is missing, every other marker keeps
+    /// its own detection.
+    #[test]
+    fn motion_within_the_gate_keeps_every_identity(
+        shift_x in -5.0..5.0_f64, shift_y in -5.0..5.0_f64, stretch in -0.005..0.005_f64, missing in 0..40_usize, seed: u64,
+    ) {
+        let (mut tracker, mut tracks, truth) = start(&[]);
+        let mut stream = Stream::new(seed, "missing");
+        let without: Vec<usize> = (0..missing).map(|_| stream.below(625)).collect();
+        let moved = |p: DVec2| p + DVec2::new(shift_x, shift_y) + (p - DVec2::new(320.0, 240.0)) * stretch;
+        tracker.run(&frame(&truth, &without, moved), &mut tracks);
+        for n in 0..625 {
+            if without.contains(&n) {
+                prop_assert_eq!(tracks.state[n], MarkerState::Held);
+            } else {
+                prop_assert_eq!(tracks.state[n], MarkerState::Seen);
+                prop_assert_eq!(tracks.positions_px[n], moved(truth[n]));
+            }
+        }
+    }
+}

@@ -1,0 +1,180 @@
+//! Arrays in and out. Results are moved to NumPy and handed out read-only; inputs are borrowed where their memory
+//! allows it.
+
+use crate::errors::{ImageError, PoseError, ShapeError, raise};
+use bytemuck::{AnyBitPattern, NoUninit};
+use gelstereo_core::image::GrayView;
+use gelstereo_core::math::Pose;
+use numpy::ndarray::{Array, ShapeBuilder, StrideShape};
+use numpy::{
+    Element, IntoPyArray, PyArray, PyArray1, PyArray2, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods,
+    PyReadonlyArray2, PyReadonlyArrayDyn, PyUntypedArray, PyUntypedArrayMethods,
+};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+pub type Array1<T> = Py<PyArray1<T>>;
+pub type Matrix = Py<PyArray2<f64>>;
+
+/// A read-only array that takes over the vector's memory.
+pub fn list<T: Element>(py: Python<'_>, values: Vec<T>) -> Array1<T> {
+    let array = values.into_pyarray(py);
+    let _ = array.readwrite().make_nonwriteable();
+    array.unbind()
+}
+
+/// A read-only (N, W) array that takes over the memory of N vectors of W numbers.
+pub fn rows<V: NoUninit + AnyBitPattern, const W: usize>(py: Python<'_>, values: Vec<V>) -> PyResult<Matrix> {
+    let shape = (values.len(), W);
+    shaped(py, bytemuck::allocation::cast_vec(values), shape)
+}
+
+/// A read-only (H, W) matrix.
+pub fn matrix<const H: usize, const W: usize>(py: Python<'_>, values: [[f64; W]; H]) -> PyResult<Matrix> {
+    shaped(py, values.concat(), (H, W))
+}
+
+/// A read-only array of any shape that takes over the memory of its elements.
+pub fn shaped<T: Element, Sh>(py: Python<'_>, values: Vec<T>, shape: Sh) -> PyResult<Py<PyArray<T, Sh::Dim>>>
+where
+    Sh: ShapeBuilder + Into<StrideShape<Sh::Dim>>,
+{
+    let array = Array::from_shape_vec(shape, values).map_err(|e| ShapeError::new_err(e.to_string()))?;
+    let array = array.into_pyarray(py);
+    let _ = array.readwrite().make_nonwriteable();
+    Ok(array.unbind())
+}
+
+/// A read-only (4, 4) matrix of a pose.
+pub fn pose_matrix(py: Python<'_>, pose: &Pose) -> PyResult<Matrix> {
+    matrix(py, pose.to_rows())
+}
+
+/// Numbers of any real type as a C-contiguous float64 array; without a copy if they are one already.
+pub struct Numbers<'py> {
+    array: PyReadonlyArrayDyn<'py, f64>,
+    name: &'static str,
+}
+
+impl<'py> Numbers<'py> {
+    pub fn new(object: &Bound<'py, PyAny>, name: &'static str) -> PyResult<Self> {
+        let py = object.py();
+        let fail = |found: String| {
+            ShapeError::new_err(format!("{name} is {found}; valid is an array of real numbers"))
+        };
+        let numpy = py.import("numpy")?;
+        let plain = numpy
+            .call_method1("asarray", (object,))
+            .map_err(|_| fail(describe(object)))?
+            .cast_into::<PyUntypedArray>()?;
+        if !matches!(plain.dtype().kind(), b'f' | b'i' | b'u' | b'b') {
+            return Err(fail(describe(&plain)));
+        }
+        let kwargs = PyDict::new(py);
+        kwargs.set_item("dtype", "float64")?;
+        let array = numpy.call_method("ascontiguousarray", (plain,), Some(&kwargs))?;
+        Ok(Self { array: array.cast_into::<PyArrayDyn<f64>>()?.readonly(), name })
+    }
+
+    /// The rows of an (N, W) array.
+    pub fn rows<V: NoUninit + AnyBitPattern, const W: usize>(&self) -> PyResult<&[V]> {
+        let shape = self.array.shape();
+        if shape.len() != 2 || shape[1] != W {
+            return Err(self.wrong_shape(&format!("(N, {W})")));
+        }
+        Ok(bytemuck::cast_slice(self.array.as_slice()?))
+    }
+
+    /// The numbers of an (N,) array.
+    pub fn list(&self) -> PyResult<&[f64]> {
+        if self.array.shape().len() != 1 {
+            return Err(self.wrong_shape("(N,)"));
+        }
+        Ok(self.array.as_slice()?)
+    }
+
+    /// The numbers of an array of any of the shapes with N numbers that OpenCV uses: (N,), (N, 1), (1, N).
+    pub fn flat(&self) -> PyResult<&[f64]> {
+        Ok(self.array.as_slice()?)
+    }
+
+    /// An (N,) vector.
+    pub fn vector<const N: usize>(&self) -> PyResult<[f64; N]> {
+        let shape = self.array.shape();
+        let values = if shape.len() == 1 { self.array.as_slice()? } else { &[] };
+        values.try_into().map_err(|_| self.wrong_shape(&format!("({N},)")))
+    }
+
+    /// An (H, W) matrix.
+    pub fn matrix<const H: usize, const W: usize>(&self) -> PyResult<[[f64; W]; H]> {
+        if self.array.shape() != [H, W] {
+            return Err(self.wrong_shape(&format!("({H}, {W})")));
+        }
+        let values = self.array.as_slice()?;
+        Ok(std::array::from_fn(|i| std::array::from_fn(|j| values[i * W + j])))
+    }
+
+    fn wrong_shape(&self, valid: &str) -> PyErr {
+        let shape = shape_text(self.array.shape());
+        ShapeError::new_err(format!("{} has the shape {shape}; valid is {valid}", self.name))
+    }
+}
+
+/// A (4, 4) rigid motion.
+pub fn pose(object: &Bound<'_, PyAny>, name: &'static str) -> PyResult<Pose> {
+    let values = Numbers::new(object, name)?.matrix::<4, 4>()?;
+    Pose::from_rows(&values).map_err(|e| PoseError::new_err(format!("{name}: {e}")))
+}
+
+/// An image, borrowed if its rows lie one after another, copied if not (a slice of a larger image, every second
+/// pixel, a flipped view).
+pub enum Image<'py> {
+    Borrowed(PyReadonlyArray2<'py, u8>),
+    Copied { bytes: Vec<u8>, height: usize, width: usize },
+}
+
+impl<'py> Image<'py> {
+    pub fn new(object: &Bound<'py, PyAny>, name: &str) -> PyResult<Self> {
+        let fail = |found: String, hint: &str| {
+            ImageError::new_err(format!("{name} is {found}; valid is a uint8 array (height, width){hint}"))
+        };
+        let Ok(array) = object.cast::<PyUntypedArray>() else {
+            return Err(fail(describe(object), ": np.asarray() makes one"));
+        };
+        if array.ndim() == 3 {
+            return Err(fail(describe(array), ": cv2.cvtColor() makes a colour image grey"));
+        }
+        if array.ndim() != 2 || array.dtype().kind() != b'u' || array.dtype().itemsize() != 1 {
+            return Err(fail(describe(array), ""));
+        }
+        let array = array.cast::<PyArray2<u8>>()?.readonly();
+        if array.is_c_contiguous() {
+            return Ok(Self::Borrowed(array));
+        }
+        let view = array.as_array();
+        let (height, width) = view.dim();
+        Ok(Self::Copied { bytes: view.iter().copied().collect(), height, width })
+    }
+
+    pub fn view(&self) -> PyResult<GrayView<'_>> {
+        let (bytes, height, width) = match self {
+            Self::Borrowed(array) => (array.as_slice()?, array.shape()[0], array.shape()[1]),
+            Self::Copied { bytes, height, width } => (bytes.as_slice(), *height, *width),
+        };
+        GrayView::new(bytes, width, height, width).map_err(raise)
+    }
+}
+
+/// "a float32 array (480, 640)", "a list".
+fn describe(object: &Bound<'_, PyAny>) -> String {
+    if let Ok(array) = object.cast::<PyUntypedArray>() {
+        return format!("a {} array {}", array.dtype(), shape_text(array.shape()));
+    }
+    let name = object.get_type().name().map_or_else(|_| "object".into(), |name| name.to_string());
+    format!("of type {name}")
+}
+
+fn shape_text(shape: &[usize]) -> String {
+    let sides: Vec<String> = shape.iter().map(ToString::to_string).collect();
+    if sides.len() == 1 { format!("({},)", sides[0]) } else { format!("({})", sides.join(", ")) }
+}

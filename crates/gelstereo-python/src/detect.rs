@@ -1,0 +1,84 @@
+//! Finding markers.
+
+use crate::arrays::{self, Array1, Image, Matrix};
+use crate::errors::raise;
+use crate::params::Params;
+use gelstereo_core::detect as core;
+use pyo3::prelude::*;
+use std::sync::{Mutex, PoisonError};
+
+/// Markers found in one image, in the raster order of their first pixels.
+#[pyclass(frozen, module = "gelstereo")]
+pub struct Markers {
+    /// (N, 2) centres, pixels.
+    #[pyo3(get)]
+    centres_px: Matrix,
+    /// (N,) areas, square pixels.
+    #[pyo3(get)]
+    area_px2: Array1<u32>,
+    count: usize,
+}
+
+#[pymethods]
+impl Markers {
+    fn __len__(&self) -> usize {
+        self.count
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<{} markers>", self.count)
+    }
+}
+
+/// Finds the markers of single images; `Pipeline` does it for stereo frames.
+///
+/// Parameters
+/// ----------
+/// params : Params, optional
+///     Its ``detect`` part is used.
+#[pyclass(frozen, module = "gelstereo")]
+pub struct Detector {
+    stage: Mutex<core::Detector>,
+}
+
+#[pymethods]
+impl Detector {
+    #[new]
+    #[pyo3(signature = (params=None))]
+    fn new(params: Option<&Bound<'_, Params>>) -> Self {
+        Self { stage: Mutex::new(core::Detector::new(&Params::or_default(params).detect)) }
+    }
+
+    /// Find the markers of an image.
+    ///
+    /// Parameters
+    /// ----------
+    /// image : (H, W) uint8
+    ///     Grey image. It is borrowed when its memory is contiguous and copied otherwise (a crop of a wider image, a
+    ///     flipped view).
+    ///
+    /// Returns
+    /// -------
+    /// Markers
+    ///
+    /// Raises
+    /// ------
+    /// ImageError
+    ///     If the array is no grey image.
+    /// DetectError
+    ///     If the image shows nothing that could be measured.
+    fn detect(&self, py: Python<'_>, image: &Bound<'_, PyAny>) -> PyResult<Markers> {
+        let image = Image::new(image, "image")?;
+        let view = image.view()?;
+        let found = py.detach(|| {
+            let mut out = core::Markers::default();
+            self.stage.lock().unwrap_or_else(PoisonError::into_inner).run(view, &mut out).map(|()| out)
+        });
+        let found = found.map_err(raise)?;
+        Ok(Markers {
+            count: found.centres_px.len(),
+            centres_px: arrays::rows::<_, 2>(py, found.centres_px)?,
+            area_px2: arrays::list(py, found.area_px2),
+        })
+    }
+}

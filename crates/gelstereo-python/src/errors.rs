@@ -1,0 +1,102 @@
+//! The exceptions of gelstereo, and the one place where a stage's error becomes one of them.
+//!
+//! Every exception derives from `gelstereo.Error`, which is a `ValueError`: it always means that something handed
+//! over (a file, an image, an array, a setting) cannot be used, and says what was found and what would be valid.
+
+use gelstereo_core as core;
+use pyo3::PyErr;
+use pyo3::create_exception;
+use pyo3::exceptions::PyValueError;
+
+create_exception!(
+    gelstereo,
+    Error,
+    PyValueError,
+    "Base of all errors of gelstereo: something handed over cannot be used.\n\nThe text says what was found, what \
+     would be valid and what to do."
+);
+
+macro_rules! exceptions {
+    ($($name:ident: $doc:literal),+ $(,)?) => { $(create_exception!(gelstereo, $name, Error, $doc);)+ };
+}
+
+exceptions! {
+    ParamsError: "A setting has no meaning, or its name or file is wrong.",
+    RigError: "Calibration data describe no stereo rig.",
+    ShapeError: "An array has the wrong shape or type.",
+    ImageError: "An array is not an 8-bit grey image of the right size.",
+    DetectError: "An image shows no markers that could be measured.",
+    LabelError: "Markers could not be given their rows and columns.",
+    TriangulateError: "A pair of pixels is no point in space.",
+    ContactError: "A cloud is no rest surface, or does not belong to it.",
+    MeshError: "Triangles are no surface, or their units are absurd.",
+    TemplateError: "Points are no template.",
+    RegisterError: "A contact patch cannot be registered.",
+    PoseError: "A matrix is no rotation or no rigid motion.",
+    FrameError: "The gripper cannot have this opening width.",
+    SceneError: "A scene makes no sense.",
+}
+
+/// A stage's error as its Python exception.
+pub trait ToPython {
+    fn to_python(&self) -> PyErr;
+}
+
+macro_rules! stage_errors {
+    ($($rust:ty => $python:ident),+ $(,)?) => {
+        $(impl ToPython for $rust {
+            fn to_python(&self) -> PyErr {
+                $python::new_err(self.to_string())
+            }
+        })+
+    };
+}
+
+stage_errors! {
+    core::params::ParamsError => ParamsError,
+    core::rig::RigError => RigError,
+    core::camera::CameraError => RigError,
+    core::image::ImageError => ImageError,
+    core::detect::DetectError => DetectError,
+    core::label::LabelError => LabelError,
+    core::triangulate::TriangulateError => TriangulateError,
+    core::contact::ContactError => ContactError,
+    core::surface::MeshError => MeshError,
+    core::register::TemplateError => TemplateError,
+    core::register::RigidFitError => RegisterError,
+    core::math::se3::PoseError => PoseError,
+    core::math::so3::RotationError => PoseError,
+    core::frames::WidthError => FrameError,
+    gelstereo_sim::SceneError => SceneError,
+}
+
+impl ToPython for core::register::RegisterError {
+    fn to_python(&self) -> PyErr {
+        match self {
+            Self::Params(error) => error.to_python(),
+            error => RegisterError::new_err(error.to_string()),
+        }
+    }
+}
+
+impl ToPython for core::pipeline::PipelineError {
+    /// The exception of the stage that failed, with the pipeline's text, which names the view.
+    fn to_python(&self) -> PyErr {
+        use core::pipeline::PipelineError as E;
+        let text = self.to_string();
+        match self {
+            E::Params(_) => ParamsError::new_err(text),
+            E::Size { .. } => ImageError::new_err(text),
+            E::Detect { .. } => DetectError::new_err(text),
+            E::Label { .. } => LabelError::new_err(text),
+            E::Triangulate(core::triangulate::TriangulateError::Rig(_)) => RigError::new_err(text),
+            E::Triangulate(_) | E::Epipolar { .. } => TriangulateError::new_err(text),
+            E::Contact(_) => ContactError::new_err(text),
+        }
+    }
+}
+
+/// For `map_err`: any stage's error as its Python exception.
+pub fn raise<E: ToPython>(error: E) -> PyErr {
+    error.to_python()
+}

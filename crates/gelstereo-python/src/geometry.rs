@@ -1,0 +1,150 @@
+//! Rotations, rigid motions, rigid fits and nearest neighbours.
+
+use crate::arrays::{self, Array1, Matrix, Numbers};
+use crate::errors::{RegisterError, raise};
+use gelstereo_core::math::{DMat3, DQuat, DVec3, Pose, so3, sqrt};
+use gelstereo_core::register::{self, Tree};
+use pyo3::prelude::*;
+
+fn vector(object: &Bound<'_, PyAny>, name: &'static str) -> PyResult<DVec3> {
+    Ok(DVec3::from_array(Numbers::new(object, name)?.vector::<3>()?))
+}
+
+fn matrix3(py: Python<'_>, m: &DMat3) -> PyResult<Matrix> {
+    arrays::matrix(py, m.transpose().to_cols_array_2d())
+}
+
+/// (4,) quaternion (x, y, z, w) of the rotation by ``|omega|`` radians about `omega`, (3,).
+#[pyfunction]
+pub fn so3_exp(py: Python<'_>, omega: &Bound<'_, PyAny>) -> PyResult<Array1<f64>> {
+    Ok(arrays::list(py, so3::exp(vector(omega, "omega")?).to_array().to_vec()))
+}
+
+/// (3,) rotation vector, of length at most π, of a quaternion (x, y, z, w) that need not be normalised.
+///
+/// Raises
+/// ------
+/// PoseError
+///     If the quaternion has no direction.
+#[pyfunction]
+pub fn so3_log(py: Python<'_>, q: &Bound<'_, PyAny>) -> PyResult<Array1<f64>> {
+    let q = DQuat::from_array(Numbers::new(q, "q")?.vector::<4>()?);
+    let omega = so3::log(so3::canonical(q).map_err(raise)?);
+    Ok(arrays::list(py, omega.to_array().to_vec()))
+}
+
+/// (4,) quaternion (x, y, z, w), w >= 0, of a (3, 3) rotation matrix.
+///
+/// Raises
+/// ------
+/// PoseError
+///     If the matrix is no rotation.
+#[pyfunction]
+pub fn so3_from_matrix(py: Python<'_>, matrix: &Bound<'_, PyAny>) -> PyResult<Array1<f64>> {
+    let rows = Numbers::new(matrix, "matrix")?.matrix::<3, 3>()?;
+    let q = so3::from_matrix(&DMat3::from_cols_array_2d(&rows).transpose()).map_err(raise)?;
+    Ok(arrays::list(py, q.to_array().to_vec()))
+}
+
+/// (3, 3) left Jacobian V of SO(3) at `omega`, (3,).
+#[pyfunction]
+pub fn so3_left_jacobian(py: Python<'_>, omega: &Bound<'_, PyAny>) -> PyResult<Matrix> {
+    matrix3(py, &so3::left_jacobian(vector(omega, "omega")?))
+}
+
+/// (3, 3) inverse of the left Jacobian at `omega`, (3,), for ``|omega| < 2π``.
+#[pyfunction]
+pub fn so3_left_jacobian_inverse(py: Python<'_>, omega: &Bound<'_, PyAny>) -> PyResult<Matrix> {
+    matrix3(py, &so3::left_jacobian_inverse(vector(omega, "omega")?))
+}
+
+/// (4, 4) rigid motion of a twist (ωx ωy ωz vx vy vz), (6,).
+#[pyfunction]
+pub fn se3_exp(py: Python<'_>, twist: &Bound<'_, PyAny>) -> PyResult<Matrix> {
+    let [a, b, c, x, y, z] = Numbers::new(twist, "twist")?.vector::<6>()?;
+    arrays::pose_matrix(py, &Pose::exp(DVec3::new(a, b, c), DVec3::new(x, y, z)))
+}
+
+/// (6,) twist (ωx ωy ωz vx vy vz) of a (4, 4) rigid motion.
+///
+/// Raises
+/// ------
+/// PoseError
+///     If the matrix is no rigid motion.
+#[pyfunction]
+pub fn se3_log(py: Python<'_>, pose: &Bound<'_, PyAny>) -> PyResult<Array1<f64>> {
+    let (omega, v) = arrays::pose(pose, "pose")?.log();
+    Ok(arrays::list(py, [omega.to_array(), v.to_array()].concat()))
+}
+
+/// (4, 4) rigid motion that maps source to target points with the least weighted squares; never a reflection.
+///
+/// Parameters
+/// ----------
+/// source, target : (N, 3) array_like
+/// weights : (N,) array_like, optional
+///     Not negative; all equal if left out.
+///
+/// Raises
+/// ------
+/// RegisterError
+///     If the points or weights have no rigid motion.
+#[pyfunction]
+#[pyo3(signature = (source, target, weights=None))]
+pub fn rigid_fit(
+    py: Python<'_>,
+    source: &Bound<'_, PyAny>,
+    target: &Bound<'_, PyAny>,
+    weights: Option<&Bound<'_, PyAny>>,
+) -> PyResult<Matrix> {
+    let (source, target) = (Numbers::new(source, "source")?, Numbers::new(target, "target")?);
+    let (source, target) = (source.rows::<DVec3, 3>()?, target.rows::<DVec3, 3>()?);
+    let weights = match weights {
+        Some(weights) => Numbers::new(weights, "weights")?.list()?.to_vec(),
+        None => Vec::new(),
+    };
+    let fit = py.detach(|| register::rigid_fit(source, target, &weights)).map_err(raise)?;
+    arrays::pose_matrix(py, &fit.t_target_source)
+}
+
+/// Nearest of some points to every query; of several equally near ones that with the smallest index.
+///
+/// Parameters
+/// ----------
+/// points : (N, 3) array_like
+///     At least one.
+/// queries : (M, 3) array_like
+///
+/// Returns
+/// -------
+/// indices : (M,) int64
+/// distances : (M,) float64
+///
+/// Raises
+/// ------
+/// RegisterError
+///     If there are no points, or a coordinate is not finite.
+#[pyfunction]
+pub fn nearest(
+    py: Python<'_>,
+    points: &Bound<'_, PyAny>,
+    queries: &Bound<'_, PyAny>,
+) -> PyResult<(Array1<i64>, Array1<f64>)> {
+    let (points, queries) = (Numbers::new(points, "points")?, Numbers::new(queries, "queries")?);
+    let (points, queries) = (points.rows::<DVec3, 3>()?, queries.rows::<DVec3, 3>()?);
+    if let Some(index) = points.iter().chain(queries).position(|p| !p.is_finite()) {
+        let (name, index) =
+            if index < points.len() { ("points", index) } else { ("queries", index - points.len()) };
+        return Err(RegisterError::new_err(format!(
+            "row {index} of {name} has a coordinate that is NaN or infinite"
+        )));
+    }
+    let found = py.detach(|| {
+        let tree = Tree::new(points);
+        queries.iter().map(|&query| tree.nearest(query)).collect::<Option<Vec<_>>>()
+    });
+    let found =
+        found.ok_or_else(|| RegisterError::new_err("there are no points; nearest needs at least one"))?;
+    let (indices, squares): (Vec<i64>, Vec<f64>) = found.into_iter().map(|(i, d)| (i as i64, d)).unzip();
+    Ok((arrays::list(py, indices), arrays::list(py, squares.into_iter().map(sqrt).collect())))
+}

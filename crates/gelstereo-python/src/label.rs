@@ -1,0 +1,93 @@
+//! Row and column of every marker.
+
+use crate::arrays::{self, Array1, Matrix, Numbers};
+use crate::errors::raise;
+use crate::params::Params;
+use gelstereo_core::label as core;
+use gelstereo_core::math::DVec2;
+use gelstereo_core::params::LatticeParams;
+use pyo3::prelude::*;
+
+/// The lattice of an undisturbed frame, complete.
+#[pyclass(frozen, module = "gelstereo")]
+pub struct RestLattice {
+    /// (rows * cols, 2) positions, pixels.
+    #[pyo3(get)]
+    positions_px: Matrix,
+    /// (rows * cols,) whether a marker was filled in from its neighbours.
+    #[pyo3(get)]
+    filled: Array1<bool>,
+    /// Median distance of neighbours, pixels.
+    #[pyo3(get)]
+    pitch_px: f64,
+}
+
+/// Foresight sort (the paper's Algorithm 1): the order of markers row by row, left to right.
+///
+/// Parameters
+/// ----------
+/// positions_px : (rows * cols, 2) array_like
+/// rows, cols : int
+/// tolerance_px : float
+///     l of the algorithm: markers of one row are at least this far apart in x.
+///
+/// Returns
+/// -------
+/// (rows * cols,) int64
+///     Indices into `positions_px`.
+///
+/// Raises
+/// ------
+/// LabelError
+///     If a row does not fill.
+#[pyfunction]
+pub fn foresight_sort(
+    py: Python<'_>,
+    positions_px: &Bound<'_, PyAny>,
+    rows: usize,
+    cols: usize,
+    tolerance_px: f64,
+) -> PyResult<Array1<i64>> {
+    let positions = Numbers::new(positions_px, "positions_px")?;
+    let positions = positions.rows::<DVec2, 2>()?;
+    let lattice = LatticeParams { rows, cols, ..LatticeParams::default() };
+    let mut order = Vec::new();
+    py.detach(|| core::foresight_sort(positions, &lattice, tolerance_px, &mut order)).map_err(raise)?;
+    Ok(arrays::list(py, order.into_iter().map(|i| i as i64).collect()))
+}
+
+/// Label an undisturbed frame and fill in the markers that were not detected.
+///
+/// Parameters
+/// ----------
+/// detected_px : (N, 2) array_like
+///     Up to ``lattice.max_missing`` fewer than the lattice has.
+/// params : Params, optional
+///
+/// Returns
+/// -------
+/// RestLattice
+///
+/// Raises
+/// ------
+/// LabelError
+///     Saying what was found.
+#[pyfunction]
+#[pyo3(signature = (detected_px, params=None))]
+pub fn rest_lattice(
+    py: Python<'_>,
+    detected_px: &Bound<'_, PyAny>,
+    params: Option<&Bound<'_, Params>>,
+) -> PyResult<RestLattice> {
+    let detected = Numbers::new(detected_px, "detected_px")?;
+    let detected = detected.rows::<DVec2, 2>()?;
+    let params = Params::or_default(params);
+    let lattice = py
+        .detach(|| core::rest_lattice(detected, &params.lattice, params.label.tolerance_pitches))
+        .map_err(raise)?;
+    Ok(RestLattice {
+        positions_px: arrays::rows::<_, 2>(py, lattice.positions_px)?,
+        filled: arrays::list(py, lattice.filled),
+        pitch_px: lattice.pitch_px,
+    })
+}

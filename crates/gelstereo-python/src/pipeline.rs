@@ -1,0 +1,208 @@
+//! The sensing pipeline.
+
+use crate::arrays::{self, Array1, Image, Matrix};
+use crate::contact::RestSurface;
+use crate::errors::raise;
+use crate::params::Params;
+use crate::rig::Rig;
+use gelstereo_core::pipeline as core;
+use pyo3::prelude::*;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// What one view contributed to a frame.
+#[pyclass(frozen, module = "gelstereo")]
+pub struct ViewEvidence {
+    inner: core::ViewEvidence,
+}
+
+#[pymethods]
+impl ViewEvidence {
+    /// Markers detected.
+    #[getter]
+    const fn detected(&self) -> usize {
+        self.inner.detected
+    }
+
+    /// Where rows and columns come from: ``"rest"``, ``"foresight"`` (the sort of this frame) or ``"tracks"``; the last
+    /// under ``label.method = "foresight"`` means that the sort refused this frame.
+    #[getter]
+    const fn labels(&self) -> &'static str {
+        match self.inner.labels {
+            core::LabelSource::Rest => "rest",
+            core::LabelSource::Foresight => "foresight",
+            core::LabelSource::Tracks => "tracks",
+        }
+    }
+
+    /// Markers whose label by the sort differs from that by their track.
+    #[getter]
+    const fn relabelled(&self) -> usize {
+        self.inner.relabelled
+    }
+
+    fn __repr__(&self) -> String {
+        format!(
+            "ViewEvidence(detected={}, labels=\"{}\", relabelled={})",
+            self.inner.detected,
+            self.labels(),
+            self.inner.relabelled
+        )
+    }
+}
+
+/// Everything that one stereo frame gave; marker ``row * cols + col`` stands at that index in every array.
+#[pyclass(frozen, get_all, module = "gelstereo")]
+pub struct Frame {
+    /// Frames since the last reset, from 0 (the rest frame).
+    index: u64,
+    /// (N, 2) positions in the left image.
+    left_px: Matrix,
+    /// (N, 2) positions in the right image.
+    right_px: Matrix,
+    /// (N, 3) positions in the sensor frame; of a marker that is not seen, its last good one.
+    points_mm: Matrix,
+    /// (N,) height above the rest surface, towards the camera.
+    indentation_mm: Array1<f64>,
+    /// (N,) uint8 of `MarkerState`.
+    state: Array1<u8>,
+    /// (N,) bool, in contact (Eq. 4).
+    salient: Array1<bool>,
+    /// (M, 3) the salient points, in the order of the markers.
+    salient_points_mm: Matrix,
+    /// Markers whose two views disagreed.
+    mismatched: usize,
+    /// Mean motion of the seen markers of the left view since the reference.
+    motion_px: f64,
+    /// Digest of all results, bit for bit.
+    digest: u64,
+    /// The left view's `ViewEvidence`.
+    left: Py<ViewEvidence>,
+    /// The right view's `ViewEvidence`.
+    right: Py<ViewEvidence>,
+}
+
+impl Frame {
+    fn new(py: Python<'_>, frame: core::Frame) -> PyResult<Self> {
+        let digest = frame.digest();
+        let mut salient_points = Vec::new();
+        frame.salient_points_mm(&mut salient_points);
+        Ok(Self {
+            index: frame.index,
+            left_px: arrays::rows::<_, 2>(py, frame.left_px)?,
+            right_px: arrays::rows::<_, 2>(py, frame.right_px)?,
+            points_mm: arrays::rows::<_, 3>(py, frame.points_mm)?,
+            indentation_mm: arrays::list(py, frame.indentation_mm),
+            state: arrays::list(py, frame.state.into_iter().map(|s| s as u8).collect()),
+            salient: arrays::list(py, frame.salient),
+            salient_points_mm: arrays::rows::<_, 3>(py, salient_points)?,
+            mismatched: frame.mismatched,
+            motion_px: frame.motion_px,
+            digest,
+            left: Py::new(py, ViewEvidence { inner: frame.left })?,
+            right: Py::new(py, ViewEvidence { inner: frame.right })?,
+        })
+    }
+}
+
+#[pymethods]
+impl Frame {
+    fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
+        let markers = self.state.bind(py).len()?;
+        let salient = self.salient_points_mm.bind(py).len()?;
+        Ok(format!(
+            "<Frame {}: {markers} markers, {salient} salient, motion {:.2} px>",
+            self.index, self.motion_px
+        ))
+    }
+}
+
+/// Sensing: stereo frames in, tactile point clouds out. The first frame is the rest frame.
+///
+/// Calls from several threads take turns; the interpreter is released while a frame is processed.
+///
+/// Parameters
+/// ----------
+/// rig : Rig
+/// params : Params, optional
+///
+/// Raises
+/// ------
+/// ParamsError, RigError
+///     If they make no sense.
+#[pyclass(frozen, module = "gelstereo")]
+pub struct Pipeline {
+    stages: Mutex<core::Pipeline>,
+    rig: Py<Rig>,
+    params: Py<Params>,
+}
+
+impl Pipeline {
+    fn lock(&self) -> MutexGuard<'_, core::Pipeline> {
+        self.stages.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[pymethods]
+impl Pipeline {
+    #[new]
+    #[pyo3(signature = (rig, params=None))]
+    fn new(py: Python<'_>, rig: Py<Rig>, params: Option<&Bound<'_, Params>>) -> PyResult<Self> {
+        let params = Params::or_default(params);
+        let stages = core::Pipeline::new(&rig.get().inner, &params).map_err(raise)?;
+        Ok(Self { stages: Mutex::new(stages), rig, params: Py::new(py, Params { inner: params })? })
+    }
+
+    /// The rig it was made for.
+    #[getter]
+    fn rig(&self, py: Python<'_>) -> Py<Rig> {
+        self.rig.clone_ref(py)
+    }
+
+    /// Its settings.
+    #[getter]
+    fn params(&self, py: Python<'_>) -> Py<Params> {
+        self.params.clone_ref(py)
+    }
+
+    /// The rest surface, or None before the rest frame.
+    #[getter]
+    fn rest(&self, py: Python<'_>) -> Option<RestSurface> {
+        py.detach(|| self.lock().rest().cloned()).map(RestSurface::from_core)
+    }
+
+    /// Forget tracks, rest surface and reference: the next frame is the rest frame.
+    fn reset(&self, py: Python<'_>) {
+        py.detach(|| self.lock().reset());
+    }
+
+    /// Measure motion from the present frame on (before grasping, before insertion).
+    fn mark_reference(&self, py: Python<'_>) {
+        py.detach(|| self.lock().mark_reference());
+    }
+
+    /// Run all sensing stages on one stereo frame.
+    ///
+    /// Parameters
+    /// ----------
+    /// left, right : (H, W) uint8
+    ///     Grey images of the rig's size; borrowed when contiguous, copied otherwise.
+    ///
+    /// Returns
+    /// -------
+    /// Frame
+    ///
+    /// Raises
+    /// ------
+    /// ImageError, DetectError, LabelError, TriangulateError, ContactError
+    ///     Naming stage and view. The tracks are then as before the call.
+    fn process(&self, py: Python<'_>, left: &Bound<'_, PyAny>, right: &Bound<'_, PyAny>) -> PyResult<Frame> {
+        let (left, right) = (Image::new(left, "left")?, Image::new(right, "right")?);
+        let (left, right) = (left.view()?, right.view()?);
+        // The frame is made anew because its lists become the arrays that Python keeps.
+        let frame = py.detach(|| {
+            let mut out = core::Frame::default();
+            self.lock().process(left, right, &mut out).map(|()| out)
+        });
+        Frame::new(py, frame.map_err(raise)?)
+    }
+}

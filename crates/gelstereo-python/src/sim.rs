@@ -1,0 +1,293 @@
+//! The simulated sensor.
+
+use crate::arrays::{self, Array1, Matrix};
+use crate::errors::{SceneError, raise};
+use crate::register::{load_mesh, triangle_mesh};
+use crate::rig::Rig;
+use crate::tree;
+use gelstereo_sim as sim;
+use numpy::PyArray2;
+use pyo3::exceptions::PyIndexError;
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyMapping, PyType};
+use std::path::PathBuf;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+const NO_INDENTER: &str =
+    "the scene has no indenter; give it one, for example indenter = { kind = \"sphere\", radius_mm = 4 }";
+
+/// What there is to see, and which effects act; a value that never changes.
+///
+/// ``Scene()`` is the default sensor with nothing that touches it; `to_dict` shows what can be set.
+#[pyclass(frozen, module = "gelstereo")]
+pub struct Scene {
+    inner: sim::Scene,
+    /// Where a mesh file's relative path starts.
+    folder: PathBuf,
+}
+
+impl Scene {
+    fn checked(inner: sim::Scene, folder: PathBuf) -> PyResult<Self> {
+        inner.validate().map_err(raise)?;
+        Ok(Self { inner, folder })
+    }
+}
+
+#[pymethods]
+impl Scene {
+    #[new]
+    fn new() -> Self {
+        Self { inner: sim::Scene::default(), folder: PathBuf::new() }
+    }
+
+    /// A scene from TOML text; what is left out keeps its default.
+    ///
+    /// Raises
+    /// ------
+    /// SceneError
+    ///     Naming the line, if a name is unknown or a value makes no sense.
+    #[classmethod]
+    fn from_toml(_cls: &Bound<'_, PyType>, text: &str) -> PyResult<Self> {
+        Self::checked(tree::from_toml(text).map_err(SceneError::new_err)?, PathBuf::new())
+    }
+
+    /// The scene as TOML text.
+    fn to_toml(&self) -> PyResult<String> {
+        tree::to_toml(&self.inner).map_err(SceneError::new_err)
+    }
+
+    /// A scene from a TOML file; paths of meshes in it are relative to the file.
+    #[classmethod]
+    fn load(cls: &Bound<'_, PyType>, path: PathBuf) -> PyResult<Self> {
+        let folder = path.parent().map(PathBuf::from).unwrap_or_default();
+        let scene = Self::from_toml(cls, &tree::read(cls.py(), path)?)?;
+        Ok(Self { folder, ..scene })
+    }
+
+    /// Write the scene to a TOML file.
+    fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
+        tree::write(py, path, &self.to_toml()?)
+    }
+
+    /// The scene as nested dictionaries.
+    fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        tree::to_dict(py, &self.inner)
+    }
+
+    /// A copy with some settings replaced, as `Params.replace` does.
+    ///
+    /// Raises
+    /// ------
+    /// SceneError
+    ///     If a name is unknown (the valid ones are listed) or a value makes no sense.
+    #[pyo3(signature = (changes=None, /, **settings))]
+    fn replace(
+        &self,
+        changes: Option<&Bound<'_, PyMapping>>,
+        settings: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Self> {
+        let mut inner = self.inner.clone();
+        for mapping in [changes, settings.map(|s| s.as_mapping())].into_iter().flatten() {
+            inner = tree::replace(&inner, mapping)?.map_err(SceneError::new_err)?;
+        }
+        Self::checked(inner, self.folder.clone())
+    }
+
+    /// The simulated rig.
+    #[getter]
+    fn rig(&self) -> Rig {
+        Rig { inner: self.inner.rig.clone() }
+    }
+}
+
+/// One moment of a scene: both images and the truth behind them.
+#[pyclass(frozen, get_all, module = "gelstereo")]
+pub struct SimulatedFrame {
+    /// Which frame of the trajectory; it keys the noise.
+    index: u64,
+    /// (H, W) uint8 left image.
+    left: Py<PyArray2<u8>>,
+    /// (H, W) uint8 right image.
+    right: Py<PyArray2<u8>>,
+    /// (N, 2) true centres in the left image.
+    left_px: Matrix,
+    /// (N, 2) true centres in the right image.
+    right_px: Matrix,
+    /// (N, 3) true marker positions, sensor frame.
+    points_mm: Matrix,
+    /// (N,) true height above the rest surface.
+    indentation_mm: Array1<f64>,
+    /// (N,) bool, whether the indenter touches the gel at this marker.
+    in_contact: Array1<bool>,
+    /// (4, 4) true pose of the indenter, or None when there is none.
+    t_sensor_object: Option<Matrix>,
+}
+
+/// A scene made ready to run: a sequence of `SimulatedFrame` s, each rendered when it is asked for.
+///
+/// Parameters
+/// ----------
+/// scene : Scene
+///
+/// Raises
+/// ------
+/// SceneError, MeshError
+///     If the scene makes no sense or its mesh cannot be read.
+#[pyclass(frozen, module = "gelstereo", sequence)]
+pub struct Simulator {
+    stage: Mutex<sim::Simulator>,
+    scene: Py<Scene>,
+}
+
+#[pymethods]
+impl Simulator {
+    #[new]
+    fn new(py: Python<'_>, scene: Py<Scene>) -> PyResult<Self> {
+        let Scene { inner, folder } = scene.get();
+        let mesh = match &inner.indenter {
+            Some(sim::Shape::Mesh { path, units }) => {
+                let path = folder.join(path).into_pyobject(py)?.into_any();
+                let (vertices_mm, triangles) = load_mesh(&path, &units.into_pyobject(py)?.into_any())?;
+                Some(triangle_mesh(&vertices_mm, &triangles)?)
+            }
+            _ => None,
+        };
+        let stage = py.detach(|| sim::Simulator::new(inner, mesh.as_ref())).map_err(raise)?;
+        Ok(Self { stage: Mutex::new(stage), scene })
+    }
+
+    /// The scene it was made of.
+    #[getter]
+    fn scene(&self, py: Python<'_>) -> Py<Scene> {
+        self.scene.clone_ref(py)
+    }
+
+    fn __len__(&self, py: Python<'_>) -> usize {
+        py.detach(|| self.lock().frames())
+    }
+
+    fn __getitem__(&self, py: Python<'_>, index: isize) -> PyResult<SimulatedFrame> {
+        let frames = self.__len__(py);
+        let counted = if index < 0 { index + frames as isize } else { index };
+        let frame = usize::try_from(counted).ok().filter(|&i| i < frames).ok_or_else(|| {
+            PyIndexError::new_err(format!("there is no frame {index}; the scene has {frames}"))
+        })?;
+        let contact = py.detach(|| self.lock().contact(frame));
+        self.moment(py, contact.as_ref(), frame as u64)
+    }
+
+    /// (4, 4) the pose moved along the sensor's z until the part reaches `press_mm` into the gel.
+    ///
+    /// Raises
+    /// ------
+    /// SceneError
+    ///     If the scene has no indenter.
+    fn pressed(&self, py: Python<'_>, t_sensor_object: &Bound<'_, PyAny>, press_mm: f64) -> PyResult<Matrix> {
+        let pose = arrays::pose(t_sensor_object, "t_sensor_object")?;
+        let pose = py.detach(|| self.lock().pressed(pose, press_mm));
+        arrays::pose_matrix(py, &pose.ok_or_else(|| SceneError::new_err(NO_INDENTER))?)
+    }
+
+    /// Render a moment that is not on the trajectory.
+    ///
+    /// Parameters
+    /// ----------
+    /// t_sensor_object : (4, 4) array_like, optional
+    ///     The indenter's pose; nothing touches the gel if it is left out.
+    /// shear_mm : (float, float), optional
+    ///     How far the contact has dragged the surface along, sensor x and y.
+    /// twist_rad : float
+    ///     How far it has turned the surface.
+    /// frame : int
+    ///     Keys the noise.
+    #[pyo3(signature = (t_sensor_object=None, *, shear_mm=None, twist_rad=0.0, frame=0))]
+    fn press(
+        &self,
+        py: Python<'_>,
+        t_sensor_object: Option<&Bound<'_, PyAny>>,
+        shear_mm: Option<(f64, f64)>,
+        twist_rad: f64,
+        frame: u64,
+    ) -> PyResult<SimulatedFrame> {
+        let pose = t_sensor_object.map(|pose| arrays::pose(pose, "t_sensor_object")).transpose()?;
+        let contact = pose.map(|t_sensor_object| sim::ContactState {
+            t_sensor_object,
+            shear_mm: shear_mm.unwrap_or_default().into(),
+            twist_rad,
+        });
+        if let Some(contact) = &contact {
+            contact.validate().map_err(raise)?;
+            if self.scene.get().inner.indenter.is_none() {
+                return Err(SceneError::new_err(NO_INDENTER));
+            }
+        }
+        self.moment(py, contact.as_ref(), frame)
+    }
+}
+
+impl Simulator {
+    fn lock(&self) -> MutexGuard<'_, sim::Simulator> {
+        self.stage.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn moment(
+        &self,
+        py: Python<'_>,
+        contact: Option<&sim::ContactState>,
+        frame: u64,
+    ) -> PyResult<SimulatedFrame> {
+        let (mut truth, mut left, mut right) = (sim::Truth::default(), Vec::new(), Vec::new());
+        py.detach(|| {
+            let mut stage = self.lock();
+            stage.truth(contact, &mut truth);
+            stage.render(&truth, frame, &mut left, &mut right);
+        });
+        let rig = &self.scene.get().inner.rig;
+        Ok(SimulatedFrame {
+            index: frame,
+            left: arrays::shaped(py, left, (rig.left.height_px, rig.left.width_px))?,
+            right: arrays::shaped(py, right, (rig.right.height_px, rig.right.width_px))?,
+            left_px: arrays::rows::<_, 2>(py, truth.left_px)?,
+            right_px: arrays::rows::<_, 2>(py, truth.right_px)?,
+            points_mm: arrays::rows::<_, 3>(py, truth.points_mm)?,
+            indentation_mm: arrays::list(py, truth.indentation_mm),
+            in_contact: arrays::list(py, truth.in_contact),
+            t_sensor_object: contact.map(|c| arrays::pose_matrix(py, &c.t_sensor_object)).transpose()?,
+        })
+    }
+}
+
+/// Triangles of a shape by its dimensions.
+///
+/// Parameters
+/// ----------
+/// shape : mapping
+///     As a scene's ``indenter``, for example ``{"kind": "sphere", "radius_mm": 4.0}``.
+/// tolerance_mm : float
+///     How far the flat triangles may be from a curved surface.
+///
+/// Returns
+/// -------
+/// vertices_mm : (V, 3) float64
+/// triangles : (F, 3) int64
+///
+/// Raises
+/// ------
+/// SceneError
+///     If it is no shape, or a mesh file, which `templates.load_mesh` reads.
+#[pyfunction]
+#[pyo3(signature = (shape, tolerance_mm=0.01))]
+pub fn shape_mesh(
+    py: Python<'_>,
+    shape: &Bound<'_, PyMapping>,
+    tolerance_mm: f64,
+) -> PyResult<(Matrix, Py<PyArray2<i64>>)> {
+    let shape: sim::Shape = tree::from_mapping(shape)?.map_err(SceneError::new_err)?;
+    shape.validate().map_err(raise)?;
+    let mesh = shape.mesh(tolerance_mm).ok_or_else(|| {
+        SceneError::new_err("the shape is a mesh file; gelstereo.templates.load_mesh reads those")
+    })?;
+    let triangles: Vec<i64> = mesh.triangles().iter().flatten().map(|&i| i64::from(i)).collect();
+    let shape = (mesh.triangles().len(), 3);
+    Ok((arrays::rows::<_, 3>(py, mesh.vertices_mm().to_vec())?, arrays::shaped(py, triangles, shape)?))
+}

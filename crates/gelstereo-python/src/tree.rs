@@ -1,0 +1,186 @@
+//! Trees of settings: TOML text, and Python's dictionaries as the same tree.
+
+use pyo3::prelude::*;
+use pyo3::types::{PyBool, PyDict, PyFloat, PyInt, PyList, PyMapping, PyString, PyTuple};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use toml::{Table, Value};
+
+/// A value from TOML text; the message names the line.
+pub fn from_toml<T: DeserializeOwned>(text: &str) -> Result<T, String> {
+    toml::from_str(text).map_err(|error| {
+        let named = named(text, &error, true);
+        let is_path = text.trim_end().ends_with(".toml") && !text.contains('\n');
+        if is_path { format!("{named} (this is the name of a file: use load())") } else { named }
+    })
+}
+
+/// The parser's message, with the line that it is about.
+fn named(text: &str, error: &toml::de::Error, numbered: bool) -> String {
+    let message = error.message();
+    let Some((before, after)) = error.span().and_then(|span| text.split_at_checked(span.start)) else {
+        return message.to_owned();
+    };
+    let start = before.rsplit('\n').next().unwrap_or_default();
+    let line = format!("{start}{}", after.lines().next().unwrap_or_default());
+    match numbered {
+        true => format!("line {}, `{}`: {message}", before.matches('\n').count() + 1, line.trim()),
+        false => format!("`{}`: {message}", line.trim()),
+    }
+}
+
+/// TOML text of a value.
+pub fn to_toml<T: Serialize>(value: &T) -> Result<String, String> {
+    toml::to_string(value).map_err(|error| error.to_string())
+}
+
+/// A value with some of its settings replaced, by nested dictionaries or by dotted names; None takes a setting away,
+/// so that it falls back to its default. The inner result is the deserialiser's.
+pub fn replace<T: Serialize + DeserializeOwned>(
+    value: &T,
+    changes: &Bound<'_, PyMapping>,
+) -> PyResult<Result<T, String>> {
+    let mut tree = match Table::try_from(value) {
+        Ok(tree) => tree,
+        Err(error) => return Ok(Err(error.to_string())),
+    };
+    merge(&mut tree, changes)?;
+    // Through text, because only the parser's errors say which setting they are about.
+    Ok(to_toml(&tree).and_then(|text| toml::from_str(&text).map_err(|error| named(&text, &error, false))))
+}
+
+/// A value from nested dictionaries. The inner result is the deserialiser's.
+pub fn from_mapping<T: DeserializeOwned>(mapping: &Bound<'_, PyMapping>) -> PyResult<Result<T, String>> {
+    let mut tree = Table::new();
+    merge(&mut tree, mapping)?;
+    Ok(to_toml(&tree).and_then(|text| toml::from_str(&text).map_err(|error| named(&text, &error, false))))
+}
+
+/// Lays `changes` over `tree`; what is unknown is kept, for deserialisation to refuse by name.
+fn merge(tree: &mut Table, changes: &Bound<'_, PyMapping>) -> PyResult<()> {
+    for item in changes.items()?.iter() {
+        let (name, change): (String, Bound<'_, PyAny>) = item.extract()?;
+        match name.split_once('.') {
+            Some((first, rest)) => {
+                let nested = PyDict::new(changes.py());
+                nested.set_item(rest, change)?;
+                merge_one(tree, first, nested.as_any())?;
+            }
+            None => merge_one(tree, &name, &change)?,
+        }
+    }
+    Ok(())
+}
+
+fn merge_one(tree: &mut Table, name: &str, change: &Bound<'_, PyAny>) -> PyResult<()> {
+    if change.is_none() {
+        tree.remove(name);
+        return Ok(());
+    }
+    let Ok(mapping) = change.cast::<PyMapping>() else {
+        tree.insert(name.to_owned(), value(change)?);
+        return Ok(());
+    };
+    // What names its kind is a variant of its own and shares no settings with the one before.
+    let fresh = mapping.contains("kind")? || !tree.get(name).is_some_and(Value::is_table);
+    if fresh {
+        tree.insert(name.to_owned(), Value::Table(Table::new()));
+    }
+    match tree.get_mut(name) {
+        Some(Value::Table(branch)) => merge(branch, mapping),
+        _ => Ok(()),
+    }
+}
+
+fn value(object: &Bound<'_, PyAny>) -> PyResult<Value> {
+    if object.is_instance_of::<PyBool>() {
+        return Ok(Value::Boolean(object.extract()?));
+    }
+    if object.is_instance_of::<PyString>() {
+        return Ok(Value::String(object.extract()?));
+    }
+    if object.is_instance_of::<PyFloat>() {
+        return Ok(Value::Float(object.extract()?));
+    }
+    if object.is_instance_of::<PyInt>() {
+        return Ok(Value::Integer(object.extract()?));
+    }
+    if let Ok(mapping) = object.cast::<PyMapping>() {
+        let mut nested = Table::new();
+        merge(&mut nested, mapping)?;
+        return Ok(Value::Table(nested));
+    }
+    if object.is_instance_of::<PyList>() || object.is_instance_of::<PyTuple>() {
+        return Ok(Value::Array(object.try_iter()?.map(|item| value(&item?)).collect::<PyResult<_>>()?));
+    }
+    // Arrays and NumPy's numbers know how to become Python's.
+    if object.hasattr("tolist")? {
+        return value(&object.call_method0("tolist")?);
+    }
+    let name = object.get_type().name()?;
+    Err(pyo3::exceptions::PyTypeError::new_err(format!(
+        "a setting is of type {name}; valid is a number, text, a list or a dictionary"
+    )))
+}
+
+/// The tree as nested dictionaries.
+pub fn to_dict<'py, T: Serialize>(py: Python<'py>, value: &T) -> PyResult<Bound<'py, PyDict>> {
+    let tree = Table::try_from(value).map_err(|e| crate::errors::Error::new_err(e.to_string()))?;
+    dict(py, &tree)
+}
+
+/// TOML text as nested dictionaries; Python itself reads TOML only from 3.11 on.
+///
+/// Raises
+/// ------
+/// Error
+///     Naming the line that is no TOML.
+#[pyfunction]
+pub fn parse_toml<'py>(py: Python<'py>, text: &str) -> PyResult<Bound<'py, PyDict>> {
+    dict(py, &from_toml(text).map_err(crate::errors::Error::new_err)?)
+}
+
+fn dict<'py>(py: Python<'py>, tree: &Table) -> PyResult<Bound<'py, PyDict>> {
+    let out = PyDict::new(py);
+    for (name, value) in tree {
+        out.set_item(name, python(py, value)?)?;
+    }
+    Ok(out)
+}
+
+fn python<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyAny>> {
+    Ok(match value {
+        Value::String(text) => PyString::new(py, text).into_any(),
+        Value::Integer(number) => number.into_pyobject(py)?.into_any(),
+        Value::Float(number) => PyFloat::new(py, *number).into_any(),
+        Value::Boolean(flag) => PyBool::new(py, *flag).to_owned().into_any(),
+        Value::Datetime(time) => PyString::new(py, &time.to_string()).into_any(),
+        Value::Array(items) => {
+            PyList::new(py, items.iter().map(|item| python(py, item)).collect::<PyResult<Vec<_>>>()?)?
+                .into_any()
+        }
+        Value::Table(tree) => dict(py, tree)?.into_any(),
+    })
+}
+
+/// Text of a file.
+pub fn read(py: Python<'_>, path: std::path::PathBuf) -> PyResult<String> {
+    py.detach(|| std::fs::read_to_string(&path)).map_err(|error| with_path(error, &path))
+}
+
+/// Writes a file.
+pub fn write(py: Python<'_>, path: std::path::PathBuf, text: &str) -> PyResult<()> {
+    py.detach(|| std::fs::write(&path, text)).map_err(|error| with_path(error, &path))
+}
+
+/// As Python's own `open` raises it: OSError's subclass by number, with the file's name.
+fn with_path(error: std::io::Error, path: &std::path::Path) -> PyErr {
+    match error.raw_os_error() {
+        Some(number) => {
+            let text = error.to_string();
+            let reason = text.split(" (os error").next().unwrap_or_default().to_owned();
+            pyo3::exceptions::PyOSError::new_err((number, reason, path.display().to_string()))
+        }
+        None => pyo3::exceptions::PyOSError::new_err(format!("{}: {error}", path.display())),
+    }
+}

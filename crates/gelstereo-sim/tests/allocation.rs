@@ -1,0 +1,53 @@
+//! After the first frame nothing is allocated, whatever acts.
+#![allow(clippy::unwrap_used)]
+
+use gelstereo_sim::{Scene, Simulator, Truth};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+struct Counting;
+
+static ALLOCATIONS: AtomicUsize = AtomicUsize::new(0);
+
+// SAFETY: every call goes to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static COUNTING: Counting = Counting;
+
+/// Allocations of every frame but the first.
+fn later_allocations(mut simulator: Simulator) -> usize {
+    let (mut truth, mut left, mut right) = (Truth::default(), Vec::new(), Vec::new());
+    let mut before = 0;
+    for frame in 0..simulator.frames() {
+        let contact = simulator.contact(frame);
+        simulator.truth(contact.as_ref(), &mut truth);
+        simulator.render(&truth, frame as u64, &mut left, &mut right);
+        if frame == 0 {
+            before = ALLOCATIONS.load(Ordering::Relaxed);
+        }
+    }
+    ALLOCATIONS.load(Ordering::Relaxed) - before
+}
+
+#[test]
+fn row_35_frames_after_the_first_allocate_nothing() {
+    let mut scene: Scene = toml::from_str(include_str!("../../../scenes/grasp_cylinder.toml")).unwrap();
+    scene.trajectory[0].time_s = 0.8; // few frames will do; the first does not touch
+    scene.trajectory[2].contact.twist_rad = 0.1;
+    let mesh = scene.indenter.as_ref().and_then(|shape| shape.mesh(0.05)).unwrap();
+    let solid = Simulator::new(&scene, None).unwrap();
+    scene.indenter = Some(gelstereo_sim::Shape::Mesh { path: "peg.stl".into(), units: "mm".into() });
+    let meshed = Simulator::new(&scene, Some(&mesh)).unwrap();
+    assert!(ALLOCATIONS.load(Ordering::Relaxed) > 0, "the counter counts");
+    assert_eq!((later_allocations(solid), later_allocations(meshed)), (0, 0));
+}

@@ -1,0 +1,104 @@
+"""Images and point clouds of the commands, with errors that name the file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from gelstereo import Error, ImageError, ShapeError
+
+Floats = npt.NDArray[np.float64]
+
+_IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"}
+
+
+class FileError(Error):
+    """A file is not what the command needs."""
+
+
+def write_image(path: Path, image: npt.NDArray[np.uint8]) -> None:
+    """Write an image; folders are made."""
+    import cv2
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix.lower() not in _IMAGES:
+        raise FileError(f"{path} does not end as an image does; valid is one of {sorted(_IMAGES)}")
+    if not cv2.imwrite(str(path), image):
+        raise OSError(f"{path} could not be written")
+
+
+def read_image(path: Path) -> npt.NDArray[np.uint8]:
+    """A grey image, (H, W) uint8."""
+    import cv2
+
+    if not path.is_file():
+        raise FileNotFoundError(2, "No such image", str(path))
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise ImageError(f"{path} cannot be read as an image")
+    return np.asarray(image, dtype=np.uint8)
+
+
+def stereo_pairs(folder: Path) -> list[tuple[Path, Path]]:
+    """Images of the same name in ``left`` and ``right`` of a folder, in the order of their names."""
+    if not folder.is_dir():
+        raise FileNotFoundError(2, "No such folder", str(folder))
+    views = [{path.name: path for path in _images(folder / view)} for view in ("left", "right")]
+    alone = sorted(set(views[0]) ^ set(views[1]))
+    if alone:
+        raise FileError(
+            f"{alone[0]} stands in only one of {folder}/left and {folder}/right; pairs share a name"
+        )
+    if not views[0]:
+        raise FileError(f"{folder} has no images; valid is left/NAME.png with right/NAME.png")
+    return [(views[0][name], views[1][name]) for name in sorted(views[0])]
+
+
+def _images(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        return []
+    return [path for path in folder.iterdir() if path.suffix.lower() in _IMAGES]
+
+
+def read_points(path: Path) -> Floats:
+    """A point cloud, (N, 3) millimetres, from .npy, .ply or .csv (three columns, a header is skipped)."""
+    if not path.is_file():
+        raise FileNotFoundError(2, "No such point cloud", str(path))
+    kind = path.suffix.lower()
+    readers = {".npy": _read_npy, ".csv": _read_csv, ".txt": _read_csv, ".ply": _read_ply}
+    if kind not in readers:
+        raise FileError(f"{path} ends in {kind or 'nothing'}; valid is one of {sorted(readers)}")
+    try:
+        points = readers[kind](path)
+    except (ValueError, EOFError, IndexError, KeyError) as error:
+        raise FileError(f"{path} cannot be read as a point cloud: {error}") from error
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ShapeError(f"{path} holds an array {points.shape}; valid is (N, 3), in millimetres")
+    return points
+
+
+def _read_npy(path: Path) -> Floats:
+    return np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
+
+
+def _read_csv(path: Path) -> Floats:
+    lines = path.read_text().splitlines()
+    separator = "," if "," in "".join(lines[:2]) else None
+    header = 0 if not lines or _is_number(lines[0].split(separator)[0]) else 1
+    return np.loadtxt(lines[header:], delimiter=separator, ndmin=2)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _read_ply(path: Path) -> Floats:
+    import trimesh
+
+    return np.asarray(trimesh.load(path, process=False).vertices, dtype=np.float64)

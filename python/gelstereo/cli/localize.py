@@ -1,0 +1,75 @@
+"""The command ``gelstereo localize``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from gelstereo import Localization, Template, localize
+from gelstereo.cli.files import read_points
+from gelstereo.cli.options import add_guess, add_params, guess_of, params_of
+from gelstereo.cli.sense import sense_folder
+from gelstereo.templates import MM_PER_UNIT
+
+EXAMPLES = """examples:
+  gelstereo localize --points patch.npy --template peg.stl --units mm --guess-mm 4 0 30.7 --guess-deg 0 90 0
+  gelstereo localize --images out/press --rig rig.toml --template plug.stl --units m --guess-mm 4 0 31
+
+Points are millimetres in the sensor frame (x right, y down, z away from the camera). With images, the first pair is
+the rest frame and the contact of the last one is localized. The pose is printed as JSON.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument(
+        "--points", type=Path, metavar="FILE", help="contact patch: .npy, .ply or .csv, (N, 3) in mm"
+    )
+    source.add_argument(
+        "--images", type=Path, metavar="FOLDER", help="stereo images: left/NAME.png, right/NAME.png"
+    )
+    parser.add_argument("--rig", type=Path, help="rig file of the images; FOLDER/rig.toml if left out")
+    parser.add_argument("--template", type=Path, required=True, metavar="MESH", help="mesh of the part")
+    parser.add_argument("--units", required=True, choices=list(MM_PER_UNIT), help="unit of the mesh")
+    parser.add_argument(
+        "--spacing-mm", type=float, default=0.25, help="distance of template points (%(default)s)"
+    )
+    parser.add_argument("--output", type=Path, metavar="FILE", help="JSON file to write instead of printing")
+    add_guess(parser)
+    add_params(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Localize and print the pose; the exit code."""
+    params = params_of(arguments)
+    template = Template.from_mesh(arguments.template, units=arguments.units, spacing_mm=arguments.spacing_mm)
+    if arguments.points is not None:
+        points_mm = read_points(arguments.points)
+    else:
+        points_mm = sense_folder(arguments.images, arguments.rig, params).frame.salient_points_mm
+    found = localize(points_mm, template, t_sensor_object=guess_of(arguments), params=params)
+    text = json.dumps(as_json(found), indent=2)
+    if arguments.output is None:
+        print(text)
+    else:
+        arguments.output.write_text(text + "\n")
+    return 0
+
+
+def as_json(found: Localization) -> dict[str, Any]:
+    """All of a localization, for JSON."""
+    return {
+        "t_sensor_object": found.t_sensor_object.tolist(),
+        "information": found.information.tolist(),
+        "covariance": found.covariance.tolist(),
+        "converged": found.converged,
+        "iterations": found.iterations,
+        "inliers": found.inliers,
+        "points": found.points,
+        "rmse_mm": found.rmse_mm,
+        "free": [str(direction) for direction in found.free],
+        "digest": f"{found.digest:016x}",
+    }

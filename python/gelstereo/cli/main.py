@@ -1,0 +1,91 @@
+"""Parsing, and what happens to errors: one helpful line and exit code 2, or 130 after Ctrl-C."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from collections.abc import Sequence
+from types import ModuleType
+
+import gelstereo
+from gelstereo import Error
+
+#: Every command is a module with ``EXAMPLES``, ``add_arguments(parser)`` and ``run(arguments) -> int``.
+COMMANDS = {
+    "demo": ("gelstereo.cli.demo", "press a part into a simulated sensor, locate it, and draw the picture"),
+    "calibrate": ("gelstereo.calibrate.command", "stereo chessboard images to a rig file"),
+    "localize": ("gelstereo.cli.localize", "a point cloud or stereo images, and a template, to a pose"),
+    "simulate": ("gelstereo.cli.simulate", "a scene to stereo images with their truth"),
+    "view": ("gelstereo.cli.view", "a recording or a folder of stereo images to a picture"),
+    "frontier": ("gelstereo.frontier.command", "measure every method and write docs/accuracy-vs-time.md"),
+}
+
+EXAMPLES = """examples:
+  gelstereo demo                                  the whole pipeline on a simulated sensor, in a few seconds
+  gelstereo view run.mcap --output located.png    a picture of a recording by gelstereo-host
+  gelstereo COMMAND --help                        more examples of each command
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command.
+
+    Parameters
+    ----------
+    arguments
+        As on the command line, without the program's name; those of the process if left out.
+
+    Returns
+    -------
+    int
+        Exit code: 0 when all went well, 2 when something handed over cannot be used, 130 after Ctrl-C.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        parser, modules = _parser(words)
+        parsed = parser.parse_args(words)
+        return int(modules[parsed.command].run(parsed))
+    except KeyboardInterrupt:
+        print("\nstopped", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # Whoever read the output has seen enough; Python would complain again at exit.
+        sys.stderr.close()
+        return 0
+    except (Error, OSError) as error:
+        print(f"gelstereo: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+
+
+def _parser(words: Sequence[str]) -> tuple[argparse.ArgumentParser, dict[str, ModuleType]]:
+    """The parser, with the arguments of the one command that is asked for: the others are not imported."""
+    parser = argparse.ArgumentParser(
+        prog="gelstereo",
+        description="Visuotactile sensing with stereo markers: from a stereo frame to a pose.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"gelstereo {gelstereo.__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    modules = {}
+    for name, (module_name, summary) in COMMANDS.items():
+        module = _module(name, module_name) if name in words[:1] else None
+        command = commands.add_parser(
+            name,
+            help=summary,
+            description=f"{summary[0].upper()}{summary[1:]}.",
+            epilog=module.EXAMPLES if module else None,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        if module is not None:
+            module.add_arguments(command)
+            modules[name] = module
+    return parser, modules
+
+
+def _module(name: str, module_name: str) -> ModuleType:
+    try:
+        return importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        raise Error(f"`gelstereo {name}` needs {error.name}, which is not installed") from error

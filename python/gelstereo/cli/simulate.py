@@ -1,0 +1,59 @@
+"""The command ``gelstereo simulate``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gelstereo import SimulatedFrame, Simulator, simulate
+from gelstereo.cli.files import write_image
+from gelstereo.cli.progress import progress
+
+EXAMPLES = """examples:
+  gelstereo simulate scenes/press_sphere.toml --output out/sphere
+  gelstereo simulate scenes/board_0_8.toml --output out/board --frames 0 15
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument("scene", type=Path, help="scene file (TOML)")
+    parser.add_argument(
+        "--output",
+        type=Path,
+        required=True,
+        help="folder for left/NNNN.png, right/NNNN.png, truth.npz, rig.toml",
+    )
+    parser.add_argument(
+        "--frames", type=int, nargs="+", metavar="N", help="frames to render; all if left out"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Render the scene; the exit code."""
+    simulator = simulate(arguments.scene)
+    wanted = range(len(simulator)) if arguments.frames is None else arguments.frames
+    frames = [_render(simulator, index, arguments.output) for index in progress(wanted, "rendering")]
+    _write_truth(arguments.output / "truth.npz", frames)
+    simulator.scene.rig.save(arguments.output / "rig.toml")
+    simulator.scene.save(arguments.output / "scene.toml")
+    print(f"wrote {len(frames)} stereo frames and their truth to {arguments.output}")
+    return 0
+
+
+def _render(simulator: Simulator, index: int, folder: Path) -> SimulatedFrame:
+    frame = simulator[index]
+    write_image(folder / "left" / f"{frame.index:04d}.png", frame.left)
+    write_image(folder / "right" / f"{frame.index:04d}.png", frame.right)
+    return frame
+
+
+def _write_truth(path: Path, frames: list[SimulatedFrame]) -> None:
+    names = ["index", "points_mm", "indentation_mm", "in_contact", "left_px", "right_px"]
+    if all(frame.t_sensor_object is not None for frame in frames):
+        names.append("t_sensor_object")
+    arrays: dict[str, Any] = {name: np.stack([getattr(frame, name) for frame in frames]) for name in names}
+    np.savez_compressed(path, **arrays)

@@ -1,0 +1,30 @@
+"""Rotations, rigid motions, rigid fits, nearest neighbours and shapes: the core's own, for checks and for scripts.
+
+Quaternions are (x, y, z, w). Twists are (ωx ωy ωz vx vy vz), radians then millimetres.
+"""
+
+from gelstereo._native import (
+    nearest,
+    rigid_fit,
+    se3_exp,
+    se3_log,
+    shape_mesh,
+    so3_exp,
+    so3_from_matrix,
+    so3_left_jacobian,
+    so3_left_jacobian_inverse,
+    so3_log,
+)
+
+__all__ = [
+    "nearest",
+    "rigid_fit",
+    "se3_exp",
+    "se3_log",
+    "shape_mesh",
+    "so3_exp",
+    "so3_from_matrix",
+    "so3_left_jacobian",
+    "so3_left_jacobian_inverse",
+    "so3_log",
+]
