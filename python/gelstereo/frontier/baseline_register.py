@@ -46,6 +46,10 @@ def _pose(rotation: Array, translation: Array) -> Array:
     return pose
 
 
+def _inverse(pose: Array) -> Array:
+    return np.asarray(np.linalg.inv(pose), np.float64)
+
+
 def _apply(pose: Array, points: Array) -> Array:
     return np.asarray(points @ pose[:3, :3].T + pose[:3, 3], np.float64)
 
@@ -70,7 +74,7 @@ def filterreg(
     on the surface rather than an outlier has. The width follows the residuals down to its floor.
     """
     tree = cKDTree(template_mm)
-    t_object_sensor = np.linalg.inv(guess)
+    t_object_sensor = _inverse(guess)
     sigma = sigma_start_mm
     neighbours = min(_NEIGHBOURS, len(template_mm))
     for _ in range(max_iterations):
@@ -104,7 +108,7 @@ def filterreg(
         if still and narrower >= 0.999 * sigma:
             break
         sigma = narrower
-    return np.asarray(np.linalg.inv(t_object_sensor), np.float64)
+    return _inverse(t_object_sensor)
 
 
 def icp(
@@ -121,7 +125,7 @@ def icp(
 ) -> Array:
     """Iterate closest points, point to point or point to plane: t_sensor_object (4, 4) from a guess."""
     tree = cKDTree(template_mm)
-    t_object_sensor = np.linalg.inv(guess)
+    t_object_sensor = _inverse(guess)
     for _ in range(max_iterations):
         moved = _apply(t_object_sensor, points_mm)
         distance, index = tree.query(moved)
@@ -136,7 +140,7 @@ def icp(
         t_object_sensor = step @ t_object_sensor
         if np.abs(_apply(step, moved) - moved).max() < step_tolerance * spacing_mm:
             break
-    return np.asarray(np.linalg.inv(t_object_sensor), np.float64)
+    return _inverse(t_object_sensor)
 
 
 def ransac_icp(
@@ -156,7 +160,7 @@ def ransac_icp(
     """Random triples of patch and template points, then point-to-point ICP: t_sensor_object (4, 4)."""
     random = np.random.default_rng(seed)
     tree = cKDTree(template_mm)
-    t_object_guess = np.linalg.inv(guess)
+    t_object_guess = _inverse(guess)
     start = _apply(t_object_guess, points_mm)
     centroid = start.mean(axis=0)
     best, best_inliers = np.eye(4), int((tree.query(start)[0] < max_distance_mm).sum())
@@ -179,7 +183,7 @@ def ransac_icp(
         points_mm,
         template_mm,
         normals,
-        np.linalg.inv(best @ t_object_guess),
+        _inverse(best @ t_object_guess),
         spacing_mm=spacing_mm,
         max_distance_mm=max_distance_mm,
         max_iterations=max_iterations,

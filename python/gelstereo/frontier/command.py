@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import cv2
+
 from gelstereo.frontier.page import draw, write_page
 from gelstereo.frontier.registering import measure_registration
 from gelstereo.frontier.sensing import measure_boards, measure_detection, measure_labels, measure_whole

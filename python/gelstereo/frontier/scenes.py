@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import trimesh
+
 from gelstereo import Scene, SimulatedFrame, Simulator, Template
 
 __all__ = ["BOARDS_MM", "CONDITIONS", "PARTS", "Part", "board_press", "part_press", "sphere_press"]

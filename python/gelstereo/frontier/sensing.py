@@ -11,6 +11,8 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
+
 from gelstereo import Detector, Error, Params, Pipeline, Rig, Scene, SimulatedFrame
 from gelstereo.frontier.baseline import (
     Baseline,
@@ -21,7 +23,6 @@ from gelstereo.frontier.baseline import (
 from gelstereo.frontier.rungs import Rung, rungs_of
 from gelstereo.frontier.scenes import BOARDS_MM, board_press, sphere_press
 from gelstereo.frontier.timing import InstructionCounter, Times, time_side_by_side
-from scipy.spatial import cKDTree
 
 __all__ = ["Row", "measure_boards", "measure_detection", "measure_labels", "measure_whole"]
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
 from gelstereo import Error, RestSurface
 
 __all__ = ["CloudRecording", "RecordingError"]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
 from gelstereo.recordings.clouds import RecordingError
 
 __all__ = ["CylinderFit", "PlaneFit", "SphereFit", "fit_cylinder", "fit_plane", "fit_sphere"]

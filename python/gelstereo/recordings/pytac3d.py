@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+
 from gelstereo.recordings.clouds import CloudRecording, RecordingError
 
 __all__ = ["load_pytac3d", "pytac3d_example"]

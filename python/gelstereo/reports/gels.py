@@ -14,6 +14,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 import numpy.typing as npt
+
 from gelstereo import Detector, Error, Params, RestLattice, foresight_sort, rest_lattice
 from gelstereo.reports.markdown import replace_between, table
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import trimesh
+
 from gelstereo import Localization, Params, Template, localize
 from gelstereo.recordings import (
     CloudRecording,
