@@ -304,7 +304,7 @@ class Baseline:
                 tracks, seen_here = nearest_within_gate(self._tracks[view], detected, gate_px)
                 order = self._sort(tracks, view)
                 self._tracks[view], seen = tracks[order], seen & seen_here[order]
-        points_mm = self._triangulate(self._tracks["left"], self._tracks["right"])
+        points_mm = self.triangulate(self._tracks["left"], self._tracks["right"])
         if first:
             self._rest_px, self._rest_mm = self._tracks["left"].copy(), points_mm
         salient = indentation_mm(points_mm, self._rest_mm) > self._params["contact"]["saliency_mm"]
@@ -328,7 +328,7 @@ class Baseline:
             raise ValueError(f"a row of the {view} view does not fill")
         return order
 
-    def _triangulate(self, left_px: Array, right_px: Array) -> Array:
+    def triangulate(self, left_px: Array, right_px: Array) -> Array:
         """Points in the left camera's frame: undistort, rectify, Q, and back by the left rectifying rotation."""
         geometry = self._geometry
         left = cv2.undistortPoints(
