@@ -73,6 +73,30 @@ def test_held_out_errors_are_those_of_the_noise(rig: TrueRig) -> None:
     assert abs(held_out.square_bias_mm) < held_out.square_mm < 0.05 * SQUARE_MM
 
 
+def test_rig_triangulates_the_board_and_survives_its_file(rig: TrueRig, tmp_path: Path) -> None:
+    left, right = corners(rig)
+    found = solve(left, right)
+    found.save(tmp_path / "rig.toml")
+    loaded = gelstereo.Rig.load(tmp_path / "rig.toml")
+    # The file holds the rotation's matrix, the rig its quaternion: equal to round-off.
+    np.testing.assert_allclose(loaded.t_right_left, found.rig.t_right_left, atol=1e-15)
+    np.testing.assert_array_equal(loaded.left_matrix, found.rig.left_matrix)
+    np.testing.assert_array_equal(loaded.right_distortion, found.rig.right_distortion)
+    points_mm = gelstereo.triangulate(loaded, left[0], right[0]).reshape(BOARD[1], BOARD[0], 3)
+    # One pixel of disparity is 0.23 mm at 32 mm; sqrt(2) corners of 0.1 px leave 0.03 mm along z, less across.
+    side_mm = np.linalg.norm(np.diff(points_mm, axis=1), axis=-1)
+    assert side_mm.mean() == pytest.approx(SQUARE_MM, abs=0.02)
+    assert side_mm.std() < 0.06
+
+
+def test_rectification_agrees_with_opencv(rig: TrueRig) -> None:
+    found = solve(*corners(rig))
+    ours, opencv = found.rig.rectification(), found.rectification
+    np.testing.assert_allclose(ours.r_left, opencv.r_left, atol=1e-9)
+    np.testing.assert_allclose(ours.r_right, opencv.r_right, atol=1e-9)
+    assert ours.baseline_mm == pytest.approx(1.0 / opencv.q[3, 2], rel=1e-9)
+
+
 def test_noisy_pair_is_named_and_dropped_only_when_asked(rig: TrueRig) -> None:
     left, right = corners(rig)
     right[4] = right[4] + np.random.default_rng(5).normal(0.0, 8 * NOISE_PX, right[4].shape)

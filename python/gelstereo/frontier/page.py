@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import platform
 from collections.abc import Sequence
 from pathlib import Path
+
+import numpy as np
 
 from gelstereo.frontier.rungs import rungs_of
 from gelstereo.frontier.scenes import CONDITIONS
@@ -27,7 +30,8 @@ def write_page(page: Path, rows: Sequence[Row], boards: Sequence[Sequence[str]],
     replace_between(
         page,
         "conditions",
-        f"All figures: {CONDITIONS}. Times: one thread, {processor}, {rounds} rounds in which all methods take turns.",
+        f"All figures: {CONDITIONS}. Times: one thread, {processor}, {rounds} rounds (registration a quarter) in "
+        f"which all methods take turns; {_load()}.",
     )
     head = ["method", "error", "median ms", "p99 ms", "10^6 instructions", "baseline's time over this"]
     for stage in _AXES:
@@ -59,6 +63,17 @@ def _processor() -> str:
     return platform.processor() or platform.machine()
 
 
+def _load() -> str:
+    """Say how busy the machine was."""
+    try:
+        load = os.getloadavg()[1]
+    except OSError:
+        return "the machine's load is unknown"
+    return (
+        f"{load:.1f} programs on {os.cpu_count()} processors meanwhile, which shows in the 99th percentiles"
+    )
+
+
 def draw(path: Path, rows: Sequence[Row]) -> None:
     """Draw error over time, one panel per stage."""
     import matplotlib
@@ -68,23 +83,17 @@ def draw(path: Path, rows: Sequence[Row]) -> None:
 
     figure, axes = plt.subplots(2, 2, figsize=(13, 8.5), layout="constrained")
     for axis, (stage, label) in zip(axes.ravel(), _AXES.items(), strict=True):
-        shown = [row for row in rows if row.stage == stage]
-        for row in shown:
-            marker, colour = ("s", "0.45") if row.baseline else ("o", "tab:blue")
-            axis.plot(row.times.median_ms, row.value, marker, color=colour, markersize=8)
-            axis.annotate(
-                row.name,
-                (row.times.median_ms, row.value),
-                xytext=(6, 5),
-                textcoords="offset points",
-                fontsize=8,
-            )
+        shown = [row for row in rows if row.stage == stage and np.isfinite(row.value)]
+        for index, row in enumerate(shown):
+            marker = "sDPX"[index % 4] if row.baseline else "o^v<>p"[index % 6]
+            axis.plot(row.times.median_ms, row.value, marker, color=f"C{index}", markersize=9, label=row.name)
         axis.set_xscale("log")
         axis.set(title=stage, xlabel="median time, ms", ylabel=label)
-        axis.set_ylim(0.0, 1.15 * max(row.value for row in shown if row.value == row.value) + 1e-9)
+        axis.set_ylim(0.0, 1.5 * max(row.value for row in shown) + 1e-9)  # room for the legend
         low, high = axis.get_xlim()
-        axis.set_xlim(low / 1.3, high * 4.0)  # room for the names
+        axis.set_xlim(low / 1.3, high * 1.3)
         axis.grid(alpha=0.3, which="both")
-    figure.suptitle("accuracy and time: gelstereo (dots), plain OpenCV and SciPy (squares); simulated")
+        axis.legend(fontsize=8, loc="upper center", ncols=2)
+    figure.suptitle("accuracy and time, simulated; lower left is better")
     figure.savefig(path, dpi=110)
     plt.close(figure)

@@ -166,13 +166,18 @@ def measure_labels(rounds: int, counter: InstructionCounter, report: Report) -> 
     for name, params in [(rung.name, rung.params()) for rung in rungs_of("label")] + [(yardstick, baseline)]:
         report(f"label: {name}")
         wrong: list[float | None] = []
+        refusals = 0
         for press in presses:
             runner = _Runner(params, native=name != yardstick)
             wrong.append(_wrong_labels(runner, press))
+            refusals += runner.refusals
         text = " / ".join("refused" if share is None else f"{100 * share:.1f}" for share in wrong)
         degrees = " / ".join(f"{d:.0f}" for d in _ROTATIONS_DEG)
         known = [1.0 if share is None else share for share in wrong]
-        errors.append((name, f"{text} % wrong at {degrees} deg", 100.0 * float(np.mean(known))))
+        text = f"{text} % wrong at {degrees} deg"
+        if refusals:
+            text += f"; the sort refused {refusals} of {sum(map(len, presses))} frames, labelled by tracks"
+        errors.append((name, text, 100.0 * float(np.mean(known))))
         calls[name] = _repeat_last(_Runner(params, native=name != yardstick), presses[0])
         if name != yardstick:
             with tempfile.TemporaryDirectory() as folder:
@@ -188,12 +193,15 @@ class _Runner:
         rig = Scene().rig
         self._pipeline = Pipeline(rig, params) if native else None
         self._baseline = None if native else Baseline(_geometry(rig), params.to_dict())
-        self._rest_mm: Array | None = None
+        self._sorts = params.to_dict()["label"]["method"] == "foresight"
+        #: Frames whose labels come from tracks because the sort refused.
+        self.refusals = 0
 
     def process(self, frame: SimulatedFrame) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
         """Give left pixels, points and which markers were seen."""
         if self._pipeline is not None:
             result = self._pipeline.process(frame.left, frame.right)
+            self.refusals += self._sorts and "tracks" in (result.left.labels, result.right.labels)
             return result.left_px, result.points_mm, result.state == 0
         assert self._baseline is not None
         found = self._baseline.process(frame.left, frame.right)
