@@ -20,7 +20,7 @@ const MARGIN_PX: i64 = 2;
 /// Fractional bits of grey levels here. Coordinates below 2^15 and 2^24 pixels keep every sum within 63 bits.
 const LEVEL_BITS: u32 = 12;
 
-/// Mean position weighted by contrast, over the component and [`MARGIN_PX`] around it.
+/// Mean position weighted by contrast, over the component and `MARGIN_PX` around it.
 ///
 /// The contrast is measured from a plane through the outermost of these pixels, so that neither a slope of light nor the
 /// marker's neighbours (which bend the background of the threshold) shift the centre. It counts from 1/8 of the
@@ -29,7 +29,7 @@ const LEVEL_BITS: u32 = 12;
 /// noise, but sharp edges pass it within less than a pixel, and the centre would depend on where in a pixel it lies.
 #[derive(Clone, Debug, Default)]
 pub struct GreyCentre {
-    /// First and last column of the grown component, row by row from [`MARGIN_PX`] above its top.
+    /// First and last column of the grown component, row by row from `MARGIN_PX` above its top.
     spans: Vec<(i64, i64)>,
 }
 
@@ -109,7 +109,7 @@ struct Window<'a> {
     ends: (i64, i64),
 }
 
-/// Grey level of the gel as a plane, with [`LEVEL_BITS`] fractional bits.
+/// Grey level of the gel as a plane, with `LEVEL_BITS` fractional bits.
 struct Plane {
     level: i64,
     per_u: i64,

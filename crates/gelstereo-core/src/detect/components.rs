@@ -13,7 +13,7 @@ pub struct Run {
     pub end: u32,
     /// A run of the same component that stands earlier in raster order, or itself.
     parent: u32,
-    /// The next run of the same component, or [`NO_RUN`].
+    /// The next run of the same component, or `NO_RUN`.
     next: u32,
 }
 

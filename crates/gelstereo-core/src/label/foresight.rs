@@ -13,8 +13,8 @@ use core::cmp::Ordering;
 /// marker joins the row when its abscissa is at least l from each one that joined before, until the row is full.
 ///
 /// The algorithm is printed with slips; they are read so:
-/// - its loops start at 1 over arrays counted from 0 (S[0] would be skipped, and with R empty the comparison with
-///   R[0] too): they start at 0;
+/// - its loops start at 1 over arrays counted from 0 (`S[0]` would be skipped, and with R empty the comparison with
+///   `R[0]` too): they start at 0;
 /// - `i < 2r` runs past the end when fewer than 2r markers are left: the foresight space is what is left, at most 2r;
 /// - a row leaves the foresight space in the order of its ordinates, although T' is to run from left to right: each row is
 ///   sorted by abscissa;

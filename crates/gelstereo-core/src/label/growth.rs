@@ -21,6 +21,9 @@ const STEPS: [(isize, isize); 4] = [(0, 1), (1, 0), (0, -1), (-1, 0)];
 /// `tolerance_pitches` of the prediction. Detections off the lattice are ignored. The labels are right for any
 /// rotation up to 40 degrees: row 0 is the upper one, column 0 the left one.
 ///
+/// The frame must be undisturbed if markers may be missing: where a press makes dots merge, one that slipped into the
+/// place of a missing one cannot be told from it.
+///
 /// # Errors
 /// [`LabelError`] naming what was found. A lattice is refused unless exactly one placement of rows x cols covers it,
 /// and unless it has at least 3 x 3 markers.
@@ -47,8 +50,9 @@ pub fn rest_lattice(
     check_regular(lattice.rows, lattice.cols, tolerance_pitches * pitch_px, |r, c| {
         partial.get(r as isize, c as isize)
     })?;
-    let filled = partial.at.iter().map(Option::is_none).collect();
+    let filled: Vec<bool> = partial.at.iter().map(Option::is_none).collect();
     let positions_px = partial.filled().ok_or(LabelError::Count { found, expected, max_missing })?;
+    growth.check_gaps(&positions_px, &filled, pitch_px, lattice.cols)?;
     Ok(RestLattice { positions_px, filled, pitch_px })
 }
 
@@ -72,7 +76,7 @@ fn neighbour_distance(points: &[DVec2], grid: &mut Grid) -> Option<f64> {
     median(&mut distances).filter(|&d| d > 0.0)
 }
 
-/// The detection whose neighbours to the right and left, and above and below, are the most symmetric.
+/// The detection whose neighbours to the right and left, and above and below, are the most symmetric and square.
 fn find_seed(points: &[DVec2], grid: &Grid, near_px: f64) -> Option<Seed> {
     let mut best: Option<(f64, Seed)> = None;
     for centre in 0..points.len() {
@@ -80,8 +84,11 @@ fn find_seed(points: &[DVec2], grid: &Grid, near_px: f64) -> Option<Seed> {
         let [right, down, left, up] = around.map(|m| points[m] - points[centre]);
         let size = right.length_squared() + down.length_squared();
         let asymmetry = ((right + left).length_squared() + (down + up).length_squared()) / size;
-        if asymmetry < 0.1 && best.as_ref().is_none_or(|(least, _)| asymmetry < *least) {
-            best = Some((asymmetry, Seed { centre, around }));
+        // The middle of two merged dots can be symmetric as well, but its rows and columns are oblique.
+        let slant = right.dot(down) / (0.5 * size);
+        let score = asymmetry + slant * slant;
+        if asymmetry < 0.1 && best.as_ref().is_none_or(|(least, _)| score < *least) {
+            best = Some((score, Seed { centre, around }));
         }
     }
     best.map(|(_, seed)| seed)
@@ -162,33 +169,59 @@ impl<'a> Growth<'a> {
         Some(())
     }
 
-    /// Breadth first from the seed: steps near the seed, where most is known, come first.
+    /// From the seed outwards.
     fn grow(&mut self, seed: &Seed) {
         let middle = (self.rows / 2, self.cols / 2);
-        let mut queue = vec![middle];
+        let mut places = vec![middle];
         self.label(middle, seed.centre);
         for (&(dr, dc), &detection) in STEPS.iter().zip(&seed.around) {
             let place = (middle.0 + dr, middle.1 + dc);
             self.label(place, detection);
-            queue.push(place);
+            places.push(place);
         }
-        let mut next = 0;
-        while let Some(&(row, col)) = queue.get(next) {
-            next += 1;
-            for step in STEPS {
-                let place = (row + step.0, col + step.1);
-                if self.index(place.0, place.1).is_some_and(|index| self.at[index].is_none())
-                    && let Some(detection) = self.find((row, col), step)
-                {
-                    self.label(place, detection);
-                    queue.push(place);
+        // Sure steps first: a speck or the middle of two merged dots, once labelled, would mislead those that follow.
+        for share in [0.5, 1.0] {
+            self.spread(&mut places, share * self.tolerance_pitches);
+        }
+    }
+
+    /// Labels what lies one step from a labelled place, until nothing new is found.
+    ///
+    /// What could not be predicted, or was predicted badly, when its neighbour's turn came may be found later, when more
+    /// is known around it: the list is gone through until it stays the same.
+    fn spread(&mut self, places: &mut Vec<(isize, isize)>, tolerance_pitches: f64) {
+        let mut before = 0;
+        while before < places.len() {
+            before = places.len();
+            let mut next = 0;
+            while let Some(&place) = places.get(next) {
+                next += 1;
+                for step in STEPS {
+                    places.extend(self.step(place, step, tolerance_pitches));
                 }
             }
         }
     }
 
+    /// Labels the neighbour of a labelled place, if that is new and found.
+    fn step(
+        &mut self,
+        from: (isize, isize),
+        step: (isize, isize),
+        tolerance_pitches: f64,
+    ) -> Option<(isize, isize)> {
+        let place = (from.0 + step.0, from.1 + step.1);
+        let index = self.index(place.0, place.1)?;
+        if self.at[index].is_some() {
+            return None;
+        }
+        let detection = self.find(from, step, tolerance_pitches)?;
+        self.label(place, detection)?;
+        Some(place)
+    }
+
     /// The free detection at one step from a labelled place; none if a labelled one is nearer to the prediction.
-    fn find(&self, from: (isize, isize), (dr, dc): (isize, isize)) -> Option<usize> {
+    fn find(&self, from: (isize, isize), (dr, dc): (isize, isize), tolerance_pitches: f64) -> Option<usize> {
         let here = self.position(from.0, from.1)?;
         let straight = self.position(from.0 - dr, from.1 - dc).map(|before| here * 2.0 - before);
         // The same step one row or column to either side.
@@ -197,7 +230,7 @@ impl<'a> Growth<'a> {
             Some(here + self.position(r + dr, c + dc)? - self.position(r, c)?)
         });
         let predicted = mean(straight.into_iter().chain(beside))?;
-        let radius_px = self.tolerance_pitches * predicted.distance(here);
+        let radius_px = tolerance_pitches * predicted.distance(here);
         self.grid.nearest(self.points, predicted, radius_px, |_| true).filter(|&m| !self.taken[m])
     }
 
@@ -224,6 +257,26 @@ impl<'a> Growth<'a> {
             }
             _ => Err(self.shape_error(lattice)),
         }
+    }
+
+    /// Refuses a marker that was filled in although an unlabelled detection lies within the tolerance of it: the labels
+    /// around it have slipped. (The middle of two merged dots is half a pitch from both.)
+    fn check_gaps(
+        &self,
+        positions_px: &[DVec2],
+        filled: &[bool],
+        pitch_px: f64,
+        cols: usize,
+    ) -> Result<(), LabelError> {
+        let most_px = self.tolerance_pitches * pitch_px;
+        for n in (0..filled.len()).filter(|&n| filled[n]) {
+            let slipped = self.grid.nearest(self.points, positions_px[n], most_px, |m| !self.taken[m]);
+            if let Some(m) = slipped {
+                let off_px = positions_px[n].distance(self.points[m]);
+                return Err(LabelError::Irregular { row: n / cols, col: n % cols, off_px, most_px });
+            }
+        }
+        Ok(())
     }
 
     /// Labelled places above and left of each corner of the canvas, and how many corners a row has.

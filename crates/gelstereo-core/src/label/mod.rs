@@ -72,7 +72,7 @@ pub enum LabelError {
         row: usize,
         /// Its column.
         col: usize,
-        /// Distance from the middle of its neighbours, pixels; infinite where the lattice folds over.
+        /// Distance from where its neighbours say, pixels; infinite where the lattice folds over.
         off_px: f64,
         /// Largest valid one.
         most_px: f64,
@@ -111,7 +111,7 @@ impl core::fmt::Display for LabelError {
             ),
             Self::Irregular { row, col, off_px, most_px } if off_px.is_finite() => write!(
                 f,
-                "the marker labelled row {row}, column {col} lies {off_px:.1} px from the middle of its neighbours; at \
+                "the marker labelled row {row}, column {col} lies {off_px:.1} px from where its neighbours say; at \
                  most {most_px:.1} px is a lattice"
             ),
             Self::Irregular { row, col, .. } => {

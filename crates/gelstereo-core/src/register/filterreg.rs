@@ -87,7 +87,7 @@ fn plane_step(problem: &Problem<'_>, scratch: &Scratch) -> Pose {
     for ((soft, &point), &weight) in scratch.soft.iter().zip(&scratch.sources).zip(&scratch.weights) {
         system.add(&soft.sighting(problem.template, point - frame.centre_mm, weight, sigma_mm));
     }
-    frame.motion(system.solve())
+    frame.motion(system.solve(problem.params.max_distance_mm))
 }
 
 /// Standard deviation per axis of the points around their Gaussian means' samples, at the coordinates after `motion`:

@@ -39,7 +39,7 @@ pub(super) fn point_to_plane(
                 normal_variance: problem.template.step_variance(nearest, offset, sigma_mm),
             });
         });
-        frame.motion(system.solve())
+        frame.motion(system.solve(problem.params.max_distance_mm))
     })
 }
 

@@ -10,13 +10,13 @@
 //! δn has variance τ² across n and δx has σ² per axis,
 //!
 //! ```text
-//! E[Σ δJ δJᵀ] = N = Σ τ² B (I - n nᵀ) Bᵀ + σ²/ρ² (I - n nᵀ)ₒ,   B = ([x - c]ₓ / ρ ; I),   τ² = κ² (σ² + t²/2)
+//! E[Σ δJ δJᵀ] = N = Σ τ² B (I - n nᵀ) Bᵀ + σ²/ρ² (I - n nᵀ)ₒ,   B = ([x - c]ₓ / ρ ; I)
 //! ```
 //!
-//! (the last term acts on rotations), with κ the template's curvature at the point and t the tangential distance at
-//! which its normal was read: the normal turns by κ per millimetre. An eigenvector u of Σ J Jᵀ with eigenvalue λ is
-//! free when λ is no larger than such noise makes it by itself, or when it is known no better than to the patch's
-//! own size:
+//! (the last term acts on rotations). τ² follows from the template around the point: for the evidence it is the spread
+//! of the normals within half a spacing (`facet`), for a step the turn over the distance at which the normal was read
+//! (`Template::step_variance`). An eigenvector u of Σ J Jᵀ with eigenvalue λ is free when λ is no larger than such
+//! noise makes it by itself, or when it is known no better than to the patch's own size:
 //!
 //! ```text
 //! λ <= (1 + 3 √(2/n)) uᵀ N u + σ²/ρ²
@@ -90,9 +90,9 @@ pub struct Observability {
     pub centre_mm: DVec3,
     /// Rms radius ρ of the patch, which makes rotations comparable to translations.
     pub radius_mm: f64,
-    /// Information along every direction, per mm², ascending; exactly 0 along free ones.
+    /// Information along every direction, per mm²; exactly 0 along free ones.
     pub values: Vector6,
-    /// Unit directions (ρ ω, v), one a row.
+    /// Unit directions (ρ ω, v), one a row, in the order of what they would know if normals were exact.
     pub directions: [Vector6; 6],
 }
 
@@ -136,8 +136,9 @@ impl System {
     }
 
     /// The motion (ω, v) about the centroid that brings the points closest to the surface, still along the free
-    /// directions.
-    pub fn solve(&self) -> (DVec3, DVec3) {
+    /// directions. It moves no more than `limit_mm` rms over the patch: the planes say nothing of places farther off
+    /// than the correspondences, and a weak direction must not carry the patch there.
+    pub fn solve(&self, limit_mm: f64) -> (DVec3, DVec3) {
         let seen = self.observe(DVec3::ZERO);
         let mut z = [0.0; 6];
         for (u, value) in seen.directions.iter().zip(seen.values) {
@@ -147,7 +148,10 @@ impl System {
                 z.iter_mut().zip(u).for_each(|(z, u)| *z += step * u);
             }
         }
-        (DVec3::new(z[0], z[1], z[2]) / self.radius_mm, DVec3::new(z[3], z[4], z[5]))
+        let length = sqrt(dot(&z, &z));
+        let share = if length > limit_mm { limit_mm / length } else { 1.0 };
+        let (omega, v) = halves(&z.map(|z| z * share));
+        (omega / self.radius_mm, v)
     }
 }
 
@@ -312,7 +316,11 @@ mod tests {
             let residual = normal.dot(v + omega.cross(lever));
             system.add(&Sighting { lever, normal, residual, weight: 1.0, normal_variance: 0.0 });
         }
-        let (omega_found, v_found) = system.solve();
+        let (omega_found, v_found) = system.solve(1.0);
         assert!((omega_found - omega).length() < 1e-13 && (v_found - v).length() < 1e-13);
+        // A hundredth of a millimetre at most: the same direction, shorter.
+        let (omega_short, v_short) = system.solve(0.01);
+        let moved = sqrt(4.0 * omega_short.length_squared() + v_short.length_squared());
+        assert!((moved - 0.01).abs() < 1e-15 && v_short.dot(v) > 0.0);
     }
 }

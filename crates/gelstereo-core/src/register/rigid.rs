@@ -166,6 +166,7 @@ fn best_rotation(moments: &Moments) -> (DQuat, usize) {
         core::array::from_fn(|i| sum[i] + eigen.vectors[k][3] * eigen.vectors[k][i])
     });
     let quaternion = |q: [f64; 4]| so3::canonical(DQuat::from_array(q));
+    // Where that space hardly holds the identity, its share is round-off, and one half turn is as good as another.
     let share = nearest.iter().fold(0.0_f64, |m, q| m.max(q.abs()));
     let rotation = if free > 0 && share > 1e-8 { quaternion(nearest) } else { quaternion(eigen.vectors[3]) };
     (rotation.unwrap_or(DQuat::IDENTITY), free)

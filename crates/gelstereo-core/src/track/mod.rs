@@ -31,7 +31,7 @@ pub struct Tracks {
     pub positions_px: Vec<DVec2>,
     /// States.
     pub state: Vec<MarkerState>,
-    /// Frames since the marker was measured, or [`NEVER_SEEN`].
+    /// Frames since the marker was measured, or `NEVER_SEEN`.
     unseen_frames: Vec<u32>,
     /// Displacement since the rest frame, less the mean one of its neighbours, when the marker was last measured.
     own_px: Vec<DVec2>,

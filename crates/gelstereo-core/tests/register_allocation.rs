@@ -1,0 +1,60 @@
+//! Registration allocates nothing once it has seen a patch as large.
+
+// A test may stop at what it did not expect.
+#![allow(clippy::unwrap_used)]
+
+mod contact_patch;
+
+use contact_patch::{Contact, Shape};
+use gelstereo_core::math::random::Stream;
+use gelstereo_core::math::{DVec3, Pose};
+use gelstereo_core::params::{RegisterMethod, RegisterParams};
+use gelstereo_core::register::Registrar;
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+thread_local! {
+    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
+}
+
+/// The system's allocator, counting calls of each thread.
+struct Counting;
+
+// SAFETY: every call is handed to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.with(|count| count.set(count.get() + 1));
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static COUNTING: Counting = Counting;
+
+#[test]
+fn a_second_run_allocates_nothing() {
+    let shape = Shape::Sphere { radius_mm: 5.0 };
+    let template = shape.template(0.5);
+    let mut random = Stream::new(1, "allocation");
+    let contact = Contact::press(&shape, Pose::exp(DVec3::X, DVec3::ZERO), 1.2, 0.03, &mut random);
+    let guess = contact.guess(0.05, 0.5, &mut random);
+    for method in [
+        RegisterMethod::FilterregPoint,
+        RegisterMethod::FilterregPlane,
+        RegisterMethod::RansacIcp,
+        RegisterMethod::IcpPlane,
+    ] {
+        let settings = RegisterParams { method, ransac_hypotheses: 100, ..Default::default() };
+        let mut registrar = Registrar::new(&settings);
+        let before = ALLOCATIONS.get();
+        registrar.run(&contact.points_mm, &template, &guess).unwrap();
+        let first = ALLOCATIONS.get() - before;
+        assert!(first > 0, "the counter counts");
+        registrar.run(&contact.points_mm, &template, &guess).unwrap();
+        assert_eq!(ALLOCATIONS.get() - before - first, 0, "{method:?}");
+    }
+}
