@@ -1,0 +1,128 @@
+//! Runs one stage on given input, for instruction counts under callgrind.
+//!
+//! ```text
+//! rung detect   params.toml image.pgm image.pgm
+//! rung frame    params.toml rig.toml left0.pgm right0.pgm left1.pgm right1.pgm ...
+//! rung register params.toml template.txt patch.txt guess.txt
+//! ```
+//!
+//! All input but the last piece warms up; only the last runs inside [`measured`], which `--toggle-collect` names.
+//! Text files hold numbers separated by white space: x y z nx ny nz per template point after one line with the
+//! spacing, x y z per patch point, and the rows of the guess.
+#![allow(clippy::print_stdout, reason = "it is a program")]
+
+use gelstereo_core::detect::{Detector, Markers};
+use gelstereo_core::image::GrayView;
+use gelstereo_core::math::{DVec3, Pose};
+use gelstereo_core::params::Params;
+use gelstereo_core::pipeline::{Frame, Pipeline};
+use gelstereo_core::register::{Registrar, Template};
+use gelstereo_core::rig::Rig;
+use std::error::Error;
+use std::fs;
+
+type Outcome<T> = Result<T, Box<dyn Error>>;
+
+fn main() -> Outcome<()> {
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    let [stage, params, files @ ..] = words.as_slice() else {
+        return Err("usage: rung detect|frame|register params.toml FILES".into());
+    };
+    let params: Params = toml::from_str(&fs::read_to_string(params)?)?;
+    let outcome = match stage.as_str() {
+        "detect" => detect(&params, files)?,
+        "frame" => frame(&params, files)?,
+        "register" => register(&params, files)?,
+        other => return Err(format!("no stage {other}").into()),
+    };
+    println!("{outcome}");
+    Ok(())
+}
+
+/// What callgrind counts.
+#[inline(never)]
+fn measured<T>(work: impl FnOnce() -> T) -> T {
+    work()
+}
+
+fn detect(params: &Params, files: &[String]) -> Outcome<String> {
+    let images = files.iter().map(|path| Pgm::read(path)).collect::<Outcome<Vec<_>>>()?;
+    let (last, warm_up) = images.split_last().ok_or("no image")?;
+    let (mut detector, mut markers) = (Detector::new(&params.detect), Markers::default());
+    for image in warm_up {
+        detector.run(image.view()?, &mut markers)?;
+    }
+    let view = last.view()?;
+    measured(|| detector.run(view, &mut markers))?;
+    Ok(format!("{} markers", markers.centres_px.len()))
+}
+
+fn frame(params: &Params, files: &[String]) -> Outcome<String> {
+    let (rig, files) = files.split_first().ok_or("no rig")?;
+    let rig: Rig = toml::from_str(&fs::read_to_string(rig)?)?;
+    let images = files.iter().map(|path| Pgm::read(path)).collect::<Outcome<Vec<_>>>()?;
+    let (mut pipeline, mut out) = (Pipeline::new(&rig, params)?, Frame::default());
+    let pairs: Vec<&[Pgm]> = images.chunks_exact(2).collect();
+    let (last, warm_up) = pairs.split_last().ok_or("no images")?;
+    for pair in warm_up {
+        pipeline.process(pair[0].view()?, pair[1].view()?, &mut out)?;
+    }
+    let (left, right) = (last[0].view()?, last[1].view()?);
+    measured(|| pipeline.process(left, right, &mut out))?;
+    Ok(format!("digest {:016x}", out.digest()))
+}
+
+fn register(params: &Params, files: &[String]) -> Outcome<String> {
+    let [template, patch, guess] = files else { return Err("give template, patch and guess".into()) };
+    let (template, patch, guess) = (numbers(template)?, numbers(patch)?, numbers(guess)?);
+    let (spacing_mm, rows) = template.split_first().ok_or("the template is empty")?;
+    let points: Vec<DVec3> = rows.chunks_exact(6).map(|row| DVec3::new(row[0], row[1], row[2])).collect();
+    let normals: Vec<DVec3> = rows.chunks_exact(6).map(|row| DVec3::new(row[3], row[4], row[5])).collect();
+    let template = Template::new(&points, &normals, *spacing_mm)?;
+    let patch: Vec<DVec3> = patch.chunks_exact(3).map(DVec3::from_slice).collect();
+    if guess.len() != 16 {
+        return Err("a guess has 16 numbers".into());
+    }
+    let guess = Pose::from_rows(&std::array::from_fn(|i| std::array::from_fn(|j| guess[4 * i + j])))?;
+    let mut registrar = Registrar::new(&params.register);
+    registrar.run(&patch, &template, &guess)?;
+    let found = measured(|| registrar.run(&patch, &template, &guess))?;
+    Ok(format!("digest {:016x}", found.digest()))
+}
+
+fn numbers(path: &str) -> Outcome<Vec<f64>> {
+    Ok(fs::read_to_string(path)?.split_whitespace().map(str::parse).collect::<Result<_, _>>()?)
+}
+
+/// A binary grey image.
+struct Pgm {
+    width: usize,
+    height: usize,
+    pixels: Vec<u8>,
+}
+
+impl Pgm {
+    /// Reads `P5 width height 255` and the pixels, as OpenCV writes them.
+    fn read(path: &str) -> Outcome<Self> {
+        let bytes = fs::read(path)?;
+        let mut at = 0;
+        let mut word = || {
+            let start = at;
+            while at < bytes.len() && !bytes[at].is_ascii_whitespace() {
+                at += 1;
+            }
+            at += 1;
+            String::from_utf8_lossy(bytes.get(start..at - 1).unwrap_or_default()).into_owned()
+        };
+        if word() != "P5" {
+            return Err(format!("{path} is no binary PGM").into());
+        }
+        let (width, height) = (word().parse()?, word().parse()?);
+        word();
+        Ok(Self { width, height, pixels: bytes.get(at..).unwrap_or_default().to_vec() })
+    }
+
+    fn view(&self) -> Outcome<GrayView<'_>> {
+        Ok(GrayView::new(&self.pixels, self.width, self.height, self.width)?)
+    }
+}

@@ -1,0 +1,154 @@
+"""The board in every pair of images: found, named when not, and numbered alike in both views."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from .corners import CornerFinder, Corners, neighbouring_boards
+from .errors import BoardNotFoundError, ImageError
+from .pairs import ImagePair
+
+__all__ = ["Observation", "Progress", "align", "observe"]
+
+Points = npt.NDArray[np.float64]
+#: Called with the steps done, the steps in all, and what is being done.
+Progress = Callable[[int, int, str], None]
+
+_HINT_IMAGES = 2
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What one pair shows."""
+
+    pair: ImagePair
+    left: Corners
+    right: Corners
+
+    @property
+    def problem(self) -> str | None:
+        """Why the pair is of no use, or ``None``."""
+        reasons = []
+        for view, corners in (("left", self.left), ("right", self.right)):
+            if corners.timed_out:
+                reasons.append(f"{view}: corner search reached its time limit")
+            elif corners.corners_px is None:
+                reasons.append(f"{view}: board not found")
+        return "; ".join(reasons) or None
+
+
+def observe(
+    pairs: Sequence[ImagePair], board: tuple[int, int], finder: CornerFinder, progress: Progress
+) -> list[Observation]:
+    """Find the board, inner corners (columns, rows), in every pair.
+
+    Images in which the classic search fails are tried again with the sector search, but not when the classic search
+    finds a board of another size: the sector search would then invent or leave out corners.
+
+    Raises
+    ------
+    ImageError
+        A file cannot be read, or the sizes within one camera differ.
+    BoardNotFoundError
+        No image shows the board; it says which size was found instead, if any.
+    """
+    paths = [path for pair in pairs for path in (pair.left, pair.right)]
+    found: dict[Path, Corners] = {}
+    for done, path in enumerate(paths):
+        progress(done, len(paths), f"corners of {path.name}")
+        found[path] = finder.find(path, board)
+    _check_sizes([(pair.left, found[pair.left]) for pair in pairs])
+    _check_sizes([(pair.right, found[pair.right]) for pair in pairs])
+    missing = [path for path in paths if found[path].corners_px is None and not found[path].timed_out]
+    _refuse_other_board(missing, len(paths), board, finder)
+    for done, path in enumerate(missing):
+        progress(done, len(missing), f"second search in {path.name}")
+        found[path] = finder.find(path, board, "sectors")
+    if _count(found) == 0:
+        timed_out = sum(corners.timed_out for corners in found.values())
+        raise BoardNotFoundError(
+            _not_found_message(board, len(paths), len(paths), timed_out, None, None), board, None
+        )
+    return [align(Observation(pair, found[pair.left], found[pair.right]), board) for pair in pairs]
+
+
+def _count(found: dict[Path, Corners]) -> int:
+    return sum(corners.corners_px is not None for corners in found.values())
+
+
+def _check_sizes(images: Sequence[tuple[Path, Corners]]) -> None:
+    first_path, first = images[0]
+    for path, corners in images:
+        if corners.size_px != first.size_px:
+            message = (
+                f"{path.name} is {corners.size_px[0]}x{corners.size_px[1]} px but {first_path.name} is "
+                f"{first.size_px[0]}x{first.size_px[1]} px; all images of one camera must have the same size"
+            )
+            raise ImageError(message, path)
+
+
+def _refuse_other_board(
+    missing: Sequence[Path], images: int, board: tuple[int, int], finder: CornerFinder
+) -> None:
+    """Refuse when images without the board show one of a neighbouring size.
+
+    A smaller one in a few images is a board cut off by the border. A larger one, or one in most images, is what there
+    is: asked for less, the search would number different parts of it in different images.
+    """
+    for path in missing[:_HINT_IMAGES]:
+        sizes = [
+            size for size in neighbouring_boards(board) if finder.find(path, size).corners_px is not None
+        ]
+        if not sizes:
+            continue
+        size = max(sizes, key=_corners_of)
+        if _corners_of(size) > _corners_of(board) or 2 * len(missing) >= images:
+            raise BoardNotFoundError(
+                _not_found_message(board, len(missing), images, 0, size, path), board, size
+            )
+
+
+def _corners_of(board: tuple[int, int]) -> int:
+    return board[0] * board[1]
+
+
+def _not_found_message(
+    board: tuple[int, int],
+    missing: int,
+    images: int,
+    timed_out: int,
+    found: tuple[int, int] | None,
+    path: Path | None,
+) -> str:
+    message = f"{missing} of {images} images show no board with {board[0]}x{board[1]} inner corners"
+    if found is not None and path is not None:
+        return f"{message}, but {path.name} shows {found[0]}x{found[1]}: try {found[0]}x{found[1]}?"
+    if timed_out:
+        message += f" ({timed_out} searches reached the time limit: use smaller images or a longer limit)"
+    return (
+        f"{message}, nor one of a neighbouring size; the whole board with a white margin must be visible, "
+        "sharp and evenly lit (count inner corners, not squares)"
+    )
+
+
+def align(observation: Observation, board: tuple[int, int]) -> Observation:
+    """Give the right view's corners the left view's numbering.
+
+    A chessboard looks the same after half a turn (a square one after a quarter), and the search may start at either
+    end. Of these numberings the one wins whose corners lie nearest to the left view's, both about their centroids;
+    it is right while the views are rolled against each other by less than 90 (45) degrees.
+    """
+    left, right = observation.left.corners_px, observation.right.corners_px
+    if left is None or right is None:
+        return observation
+    cols, rows = board
+    grid = right.reshape(rows, cols, 2)
+    turns = range(4) if rows == cols else (0, 2)
+    candidates = [np.rot90(grid, turn).reshape(-1, 2) for turn in turns]
+    best = min(candidates, key=lambda c: float(np.sum((c - c.mean(0) - (left - left.mean(0))) ** 2)))
+    return replace(observation, right=replace(observation.right, corners_px=np.ascontiguousarray(best)))

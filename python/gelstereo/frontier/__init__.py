@@ -1,0 +1,1 @@
+"""What accuracy costs: every rung of every ladder on fixed simulated scenes, beside a plain OpenCV baseline."""

@@ -1,0 +1,49 @@
+"""Every rung of every ladder. Adding one is one line here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from gelstereo import Params
+
+__all__ = ["RUNGS", "Rung", "Stage", "rungs_of"]
+
+Stage = Literal["detect", "label", "register", "whole"]
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One method of one stage."""
+
+    stage: Stage
+    name: str
+    #: What differs from the preset.
+    changes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    preset: str = "paper"
+
+    def params(self) -> Params:
+        """Give the settings that pick this rung."""
+        return Params.preset(self.preset).replace({k: dict(v) for k, v in self.changes.items()})
+
+
+RUNGS = (
+    Rung("detect", "gaussian + binary (paper)", {"detect": {"background": "gaussian", "centre": "binary"}}),
+    Rung("detect", "gaussian + grey", {"detect": {"background": "gaussian", "centre": "grey"}}),
+    Rung("detect", "box + binary", {"detect": {"background": "box", "centre": "binary"}}),
+    Rung("detect", "box + grey", {"detect": {"background": "box", "centre": "grey"}}),
+    Rung("label", "foresight (paper)", {"label": {"method": "foresight"}}, "balanced"),
+    Rung("label", "temporal", {"label": {"method": "temporal"}}, "balanced"),
+    Rung("register", "filterreg_point (paper)", {"register": {"method": "filterreg_point"}}),
+    Rung("register", "filterreg_plane", {"register": {"method": "filterreg_plane"}}),
+    Rung("register", "ransac_icp (paper's comparison)", {"register": {"method": "ransac_icp"}}),
+    Rung("register", "icp_plane", {"register": {"method": "icp_plane"}}),
+    Rung("whole", "preset paper"),
+    Rung("whole", "preset balanced", preset="balanced"),
+)
+
+
+def rungs_of(stage: Stage) -> list[Rung]:
+    """List a stage's rungs."""
+    return [rung for rung in RUNGS if rung.stage == stage]

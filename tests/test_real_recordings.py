@@ -1,0 +1,183 @@
+"""Recordings of a real stereo-marker sensor, from the wheel pytac3d."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gelstereo.recordings import (
+    CloudRecording,
+    RecordingError,
+    contacts,
+    episodes,
+    fit_cylinder,
+    fit_plane,
+    fit_sphere,
+    load_pytac3d,
+    pytac3d_example,
+)
+from gelstereo.reports.recordings import PARTS, SALIENCY_MM, Part, register_part, touching
+from hypothesis import given
+from hypothesis import strategies as st
+
+needs_wheel = pytest.mark.skipif(
+    find_spec("PyTac3D") is None,
+    reason="the wheel pytac3d is absent (pip install --no-deps pytac3d==3.3.0.9)",
+)
+
+
+@pytest.fixture(scope="module")
+def recording() -> CloudRecording:
+    return load_pytac3d(pytac3d_example("example_1", "AD2-0065L"))
+
+
+@needs_wheel
+def test_recording_is_what_its_description_says(recording: CloudRecording) -> None:
+    assert (len(recording), recording.rows, recording.cols) == (252, 20, 20)
+    assert recording.pitch_mm == pytest.approx(1.0, abs=0.01)
+    assert 25.0 < 1.0 / np.median(np.diff(recording.time_s)) < 35.0
+
+
+@needs_wheel
+def test_contact_is_found_in_the_pressed_episodes_and_nowhere_else(recording: CloudRecording) -> None:
+    indentation = recording.indentation_mm()
+    runs = episodes(indentation, SALIENCY_MM)
+    # Pressed frames by the data's description, touch growing and fading at the ends.
+    for run, (first, last) in zip(runs, [(22, 80), (105, 135), (170, 212)], strict=True):
+        assert abs(run.start - first) <= 2 and abs(run.stop - 1 - last) <= 2
+    salient = (indentation > SALIENCY_MM).sum(axis=1)
+    firm = np.concatenate([salient[30:80], salient[112:132], salient[176:210]])
+    assert firm.min() >= 40 and firm.max() <= 100
+    untouched = np.ones(len(recording), bool)
+    untouched[np.concatenate([np.arange(run.start, run.stop) for run in runs])] = False
+    assert not salient[untouched].any()
+
+
+@needs_wheel
+def test_contacts_are_counted(recording: CloudRecording) -> None:
+    found = touching(recording)
+    assert [len(found[frame]) for frame in (40, 120, 190, 95, 150)] == [2, 1, 1, 0, 0]
+
+
+@needs_wheel
+@pytest.mark.parametrize("part", PARTS, ids=lambda part: part.name)
+def test_template_registers_to_its_episode(recording: CloudRecording, part: Part) -> None:
+    frames = register_part(recording, part, every=3)
+    assert len(frames) >= 9
+    assert all(f.result.converged for f in frames)
+    assert {len(f.result.free) for f in frames} == {part.free}
+    residual_mm = np.array([f.result.rmse_mm for f in frames])
+    # Rest noise is 3 um; what is above it is the gel's shoulder and the unknown part. Most frames stay within ten
+    # times the noise, none leaves a tenth of a millimetre.
+    assert np.median(residual_mm) < 0.03
+    assert residual_mm.max() < 0.1
+    if part.radius_mm is not None:
+        assert np.median([f.radius_mm for f in frames]) == pytest.approx(part.radius_mm, rel=0.05)
+
+
+@needs_wheel
+def test_two_balls_have_two_radii_in_every_firm_frame(recording: CloudRecording) -> None:
+    small, large = (register_part(recording, part, every=5) for part in PARTS[:2])
+    for a, b in zip(small[2:-2], large[2:-2], strict=True):
+        assert a.frame == b.frame
+        assert a.radius_mm is not None and b.radius_mm is not None
+        assert b.radius_mm > 1.5 * a.radius_mm
+
+
+@needs_wheel
+@pytest.mark.parametrize("sensor", ["HDL1-GWH0021", "HDL1-GWH0022"])
+def test_both_fingers_of_a_grasp_touch_in_every_frame(sensor: str) -> None:
+    grasp = load_pytac3d(pytac3d_example("example_2", sensor))
+    assert grasp.pitch_mm == pytest.approx(1.09, abs=0.02)
+    assert episodes(grasp.indentation_mm(), SALIENCY_MM) == [range(len(grasp))]
+    assert all(len(found) >= 1 for found in touching(grasp))
+
+
+@needs_wheel
+def test_unknown_recording_names_those_there_are() -> None:
+    with pytest.raises(RecordingError, match="example_1/AD2-0065L"):
+        pytac3d_example("example_1", "nobody")
+
+
+def test_folder_without_arrays_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"no 3D_Positions\.npy"):
+        load_pytac3d(tmp_path)
+    for name in ("3D_Positions", "3D_Displacements"):
+        np.save(tmp_path / f"{name}.npy", np.zeros((3, 7, 3)))
+    np.save(tmp_path / "sendTimestamp.npy", np.arange(3.0))
+    with pytest.raises(RecordingError, match=r"valid is \(frames, 400, 3\)"):
+        load_pytac3d(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"time_s": np.array([0.0, 2.0, 1.0])}, "time runs backwards at frame 2"),
+        ({"time_s": np.zeros(2)}, "2 times for 3 frames"),
+        ({"rest_mm": np.zeros((5, 3))}, "rest frame has shape"),
+        ({"rest_mm": np.full((4, 3), np.nan)}, "rest frame contain NaN"),
+    ],
+)
+def test_contradicting_arrays_are_refused(change: dict[str, np.ndarray], words: str) -> None:
+    arrays = {
+        "points_mm": np.zeros((3, 4, 3)),
+        "rest_mm": np.zeros((4, 3)),
+        "time_s": np.arange(3.0),
+    } | change
+    with pytest.raises(RecordingError, match=words):
+        CloudRecording("made up", 2, 2, **arrays)
+
+
+RADII = st.floats(1.0, 20.0)
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+@given(RADII, SEEDS)
+def test_sphere_fit_finds_exact_spheres(radius_mm: float, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    directions = random.normal(size=(30, 3)) * [0.5, 0.5, 0.1] - [0.0, 0.0, 1.0]
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    centre = random.uniform(-20.0, 20.0, 3)
+    fit = fit_sphere(centre + radius_mm * directions)
+    assert fit.radius_mm == pytest.approx(radius_mm, rel=1e-6)
+    np.testing.assert_allclose(fit.centre_mm, centre, atol=1e-5)
+
+
+@given(RADII, SEEDS)
+def test_cylinder_fit_finds_exact_cylinders(radius_mm: float, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    angle = random.uniform(-0.8, 0.8, 60)
+    along = random.uniform(-3.0, 3.0, 60) * radius_mm
+    local = np.column_stack([along, radius_mm * np.sin(angle), -radius_mm * np.cos(angle)])
+    yaw, tilt = random.uniform(-np.pi, np.pi), random.uniform(-0.3, 0.3)
+    about_z = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    about_y = np.array([[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]])
+    fit = fit_cylinder(local @ (about_z @ about_y).T)
+    assert fit.radius_mm == pytest.approx(radius_mm, rel=1e-6)
+    assert abs(fit.axis @ (about_z @ about_y)[:, 0]) == pytest.approx(1.0, abs=1e-9)
+
+
+def test_plane_fit_faces_the_camera_and_few_points_are_refused() -> None:
+    x, y = np.random.default_rng(3).uniform(-5.0, 5.0, (2, 40))
+    fit = fit_plane(np.column_stack([x, y, 20.0 + 0.1 * x]))
+    assert fit.rms_mm < 1e-12
+    np.testing.assert_allclose(fit.normal, np.array([0.1, 0.0, -1.0]) / np.hypot(0.1, 1.0), atol=1e-12)
+    with pytest.raises(RecordingError, match="3 points for a sphere; at least 4"):
+        fit_sphere(np.eye(3))
+
+
+def test_watershed_splits_two_bumps_and_keeps_a_rough_one_whole() -> None:
+    row, col = np.mgrid[0:20, 0:20]
+
+    def bump(r: float, c: float, height: float) -> np.ndarray:
+        return height * np.exp(-((row - r) ** 2 + (col - c) ** 2) / 8.0)
+
+    two = contacts((bump(5, 5, 1.0) + bump(13, 13, 0.7)).ravel(), 20, 20, 0.2)
+    assert [round(contact.depth_mm, 1) for contact in two] == [1.0, 0.7]
+    assert not set(two[0].salient) & set(two[1].salient)
+    assert 5 * 20 + 5 in two[0].core and 13 * 20 + 13 in two[1].core
+    rough = 1.0 + np.random.default_rng(1).uniform(-0.05, 0.05, (20, 20))
+    assert len(contacts(rough.ravel(), 20, 20, 0.35)) == 1
+    assert contacts(np.zeros(400), 20, 20, 0.35) == []
