@@ -1,0 +1,47 @@
+//! What a recording says of frames and stages in words and figures. A replay writes the same notes again and compares
+//! them letter by letter; the digests in them stand for all bits of a result.
+
+use crate::report::Stage;
+use crate::sensing::{Action, Sensing, SensingError};
+use gelstereo_core::register::Registration;
+use gelstereo_core::track::MarkerState;
+
+/// What the topic `/gelstereo/frame` says of a frame: evidence and digest, or the error.
+#[must_use]
+pub fn frame_note(sensed: &Result<(), SensingError>, sensing: &Sensing) -> serde_json::Value {
+    match sensed {
+        Err(error) => serde_json::json!({ "error": error.to_string() }),
+        Ok(()) => {
+            let frame = sensing.frame();
+            serde_json::json!({
+                "index": frame.index,
+                "motion_px": frame.motion_px,
+                "seen": frame.state.iter().filter(|&&state| state == MarkerState::Seen).count(),
+                "salient": frame.salient.iter().filter(|&&salient| salient).count(),
+                "detected": [frame.left.detected, frame.right.detected],
+                "mismatched": frame.mismatched,
+                "digest": format!("{:016x}", frame.digest()),
+            })
+        }
+    }
+}
+
+/// What the topic `/gelstereo/stage` says of an action and its result.
+#[must_use]
+pub fn action_note(
+    stage: Stage,
+    action: &Action,
+    result: &Result<Option<Registration>, SensingError>,
+) -> serde_json::Value {
+    let mut note = serde_json::json!({ "stage": stage, "request": action });
+    match result {
+        Ok(Some(found)) => {
+            note["digest"] = format!("{:016x}", found.digest()).into();
+            note["converged"] = found.converged.into();
+            note["free"] = found.free.iter().map(ToString::to_string).collect::<Vec<_>>().into();
+        }
+        Ok(None) => {}
+        Err(error) => note["error"] = error.to_string().into(),
+    }
+    note
+}

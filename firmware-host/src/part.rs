@@ -1,0 +1,202 @@
+//! The part: a shape by its dimensions, or a mesh file.
+
+use gelstereo_core::math::DVec3;
+use gelstereo_core::register::{Template, TemplateError};
+use gelstereo_core::surface::{MeshError, TriangleMesh};
+use gelstereo_sim::Shape;
+use serde::{Deserialize, Serialize};
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+/// The part to be grasped.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PartConfig {
+    /// Distance of the template's points. Default: `0.25` mm.
+    pub spacing_mm: f64,
+    /// Seed of the template's points. Default: `1`.
+    pub seed: u64,
+    /// Default: a peg, 8 mm in diameter and 40 mm long.
+    pub shape: Shape,
+}
+
+impl Default for PartConfig {
+    fn default() -> Self {
+        Self { spacing_mm: 0.25, seed: 1, shape: Shape::Cylinder { radius_mm: 4.0, length_mm: 40.0 } }
+    }
+}
+
+/// Why there is no part.
+#[derive(Debug)]
+pub enum PartError {
+    /// The mesh file cannot be read.
+    Read {
+        /// Which.
+        path: PathBuf,
+        /// The system's answer.
+        error: std::io::Error,
+    },
+    /// The unit is not known.
+    Units {
+        /// What was found.
+        found: String,
+    },
+    /// The file's ending says neither STL nor OBJ.
+    Kind {
+        /// Which file.
+        path: PathBuf,
+    },
+    /// The file is not what its ending says.
+    Decode {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong.
+        message: String,
+    },
+    /// The part is too small or too large to be held.
+    Scale {
+        /// Diagonal of its bounding box in the unit given.
+        diagonal_mm: f64,
+        /// The unit given.
+        units: String,
+        /// A unit in which the size would make sense.
+        guess: Option<&'static str>,
+    },
+    /// The triangles are no surface.
+    Mesh(MeshError),
+    /// The surface makes no template.
+    Template(TemplateError),
+}
+
+impl std::fmt::Display for PartError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Read { path, error } => write!(f, "cannot read the mesh {}: {error}", path.display()),
+            Self::Units { found } => {
+                write!(f, "part.shape.units is \"{found}\"; valid is \"mm\", \"cm\", \"m\" or \"in\"")
+            }
+            Self::Kind { path } => write!(f, "{} is no mesh file; valid is .stl or .obj", path.display()),
+            Self::Decode { path, message } => write!(f, "{} is no intact mesh: {message}", path.display()),
+            Self::Scale { diagonal_mm, units, guess } => {
+                write!(
+                    f,
+                    "with units = \"{units}\" the part is {diagonal_mm:.3} mm across; a part that is held between \
+                     fingers has {MIN_DIAGONAL_MM} to {MAX_DIAGONAL_MM} mm"
+                )?;
+                match guess {
+                    Some(guess) => write!(f, " (is the file in \"{guess}\"?)"),
+                    None => Ok(()),
+                }
+            }
+            Self::Mesh(error) => write!(f, "part: {error}"),
+            Self::Template(error) => write!(f, "part: {error}"),
+        }
+    }
+}
+
+impl std::error::Error for PartError {}
+
+/// Units that a mesh file may have, and their length; the most usual first, for the guess.
+const UNITS: [(&str, f64); 4] = [("mm", 1.0), ("m", 1000.0), ("in", 25.4), ("cm", 10.0)];
+const MIN_DIAGONAL_MM: f64 = 2.0;
+const MAX_DIAGONAL_MM: f64 = 500.0;
+/// Facets of a round shape stay this close to it: a tenth of what the sensor resolves.
+const FACET_TOLERANCE_MM: f64 = 0.003;
+
+/// A part's surface and its file, if it came from one.
+#[derive(Clone, Debug)]
+pub struct Part {
+    /// Its triangles, part frame.
+    pub mesh: TriangleMesh,
+    /// Name and bytes of the mesh file, which a recording keeps.
+    pub file: Option<(String, Vec<u8>)>,
+}
+
+impl Part {
+    /// By dimensions, or from the mesh file that the shape names.
+    ///
+    /// # Errors
+    /// [`PartError`].
+    pub fn load(shape: &Shape) -> Result<Self, PartError> {
+        match shape {
+            Shape::Mesh { path, .. } => {
+                let path = Path::new(path);
+                let bytes =
+                    std::fs::read(path).map_err(|error| PartError::Read { path: path.to_owned(), error })?;
+                Self::from_bytes(shape, bytes)
+            }
+            _ => Self::from_bytes(shape, Vec::new()),
+        }
+    }
+
+    /// As [`Self::load`], with the bytes of the mesh file.
+    ///
+    /// # Errors
+    /// [`PartError`].
+    pub fn from_bytes(shape: &Shape, bytes: Vec<u8>) -> Result<Self, PartError> {
+        if let Shape::Mesh { path, units } = shape {
+            let path = Path::new(path);
+            let mesh = decode(path, &bytes, units)?;
+            let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
+            return Ok(Self { mesh, file: Some((name, bytes)) });
+        }
+        let mesh = shape.mesh(FACET_TOLERANCE_MM).ok_or(PartError::Mesh(MeshError::Empty))?;
+        Ok(Self { mesh, file: None })
+    }
+
+    /// Points and normals for registration.
+    ///
+    /// # Errors
+    /// [`PartError::Template`].
+    pub fn template(&self, config: &PartConfig) -> Result<Template, PartError> {
+        Template::from_mesh(&self.mesh, config.spacing_mm, config.seed).map_err(PartError::Template)
+    }
+}
+
+fn decode(path: &Path, bytes: &[u8], units: &str) -> Result<TriangleMesh, PartError> {
+    let Some(&(_, mm)) = UNITS.iter().find(|(name, _)| *name == units) else {
+        return Err(PartError::Units { found: units.to_owned() });
+    };
+    let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
+    let (vertices, triangles) = match extension.as_deref() {
+        Some("stl") => decode_stl(path, bytes)?,
+        Some("obj") => decode_obj(path, bytes)?,
+        _ => return Err(PartError::Kind { path: path.to_owned() }),
+    };
+    let mesh = TriangleMesh::new(vertices.into_iter().map(|v| v * mm).collect(), triangles)
+        .map_err(PartError::Mesh)?;
+    let (low, high) = mesh.bounds_mm();
+    let diagonal_mm = (high - low).length();
+    let fits = |diagonal: f64| (MIN_DIAGONAL_MM..=MAX_DIAGONAL_MM).contains(&diagonal);
+    if !fits(diagonal_mm) {
+        let guess = UNITS.iter().find(|(_, other)| fits(diagonal_mm / mm * other)).map(|(name, _)| *name);
+        return Err(PartError::Scale { diagonal_mm, units: units.to_owned(), guess });
+    }
+    Ok(mesh)
+}
+
+type Triangles = (Vec<DVec3>, Vec<[u32; 3]>);
+
+fn decode_stl(path: &Path, bytes: &[u8]) -> Result<Triangles, PartError> {
+    let mesh = stl_io::read_stl(&mut Cursor::new(bytes))
+        .map_err(|error| PartError::Decode { path: path.to_owned(), message: error.to_string() })?;
+    let vertices = mesh.vertices.iter().map(|v| DVec3::from_array(v.0.map(f64::from))).collect();
+    let triangles = mesh.faces.iter().map(|face| face.vertices.map(|index| index as u32)).collect();
+    Ok((vertices, triangles))
+}
+
+fn decode_obj(path: &Path, bytes: &[u8]) -> Result<Triangles, PartError> {
+    let options = tobj::LoadOptions { triangulate: true, single_index: true, ..Default::default() };
+    // Materials have no bearing on a surface.
+    let (models, _) = tobj::load_obj_buf(&mut Cursor::new(bytes), &options, |_| Ok(Default::default()))
+        .map_err(|error| PartError::Decode { path: path.to_owned(), message: error.to_string() })?;
+    let (mut vertices, mut triangles) = (Vec::new(), Vec::new());
+    for model in models {
+        let first = vertices.len() as u32;
+        let (points, _) = model.mesh.positions.as_chunks::<3>();
+        vertices.extend(points.iter().map(|p| DVec3::from_array(p.map(f64::from))));
+        let (corners, _) = model.mesh.indices.as_chunks::<3>();
+        triangles.extend(corners.iter().map(|c| c.map(|index| first + index)));
+    }
+    Ok((vertices, triangles))
+}

@@ -1,0 +1,200 @@
+//! What came of a job.
+
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// A stage of the job (Fig. 11 of the paper).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Stage {
+    /// Gripper made ready and opened, robot at the part.
+    Open,
+    /// The gel without contact.
+    Rest,
+    /// Closing until the grasp trigger.
+    Close,
+    /// The part's pose in the hand.
+    Localize,
+    /// The part brought above the hole.
+    Align,
+    /// Lowering until the insertion trigger.
+    Insert,
+    /// The end.
+    Done,
+}
+
+impl Stage {
+    /// Its name.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Open => "open",
+            Self::Rest => "rest",
+            Self::Close => "close",
+            Self::Localize => "localize",
+            Self::Align => "align",
+            Self::Insert => "insert",
+            Self::Done => "done",
+        }
+    }
+}
+
+/// A figure with its unit in the name.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Figure {
+    /// For example `motion_px`.
+    pub name: &'static str,
+    /// Its value.
+    pub value: f64,
+}
+
+/// What a stage took and gave.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct StageReport {
+    /// Which.
+    pub stage: Stage,
+    /// Time on this computer's clock.
+    pub wall_s: f64,
+    /// Time on the frame source's clock.
+    pub source_s: f64,
+    /// Stereo pairs sensed.
+    pub frames: u64,
+    /// What it gave.
+    pub figures: Vec<Figure>,
+}
+
+/// How a job ended, as far as the robot itself can tell.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case", tag = "kind")]
+pub enum Outcome {
+    /// The insertion trigger stopped the robot at the depth of the hole, within what is known of the part's place.
+    Inserted {
+        /// Depth below the rim at the stop, by what is known of the part's place along the axis.
+        depth_mm: f64,
+        /// Three standard deviations of that depth.
+        within_mm: f64,
+    },
+    /// The insertion trigger stopped the robot before the depth of the hole.
+    Jammed {
+        /// Depth below the rim at the stop, by what is known of the part's place along the axis.
+        depth_mm: f64,
+        /// Three standard deviations of that depth.
+        within_mm: f64,
+    },
+    /// Nothing stopped the part as far as the robot went.
+    NothingFelt {
+        /// Depth below the rim where the robot gave up.
+        depth_mm: f64,
+    },
+    /// The fingers came to rest before the grasp trigger.
+    NotGrasped {
+        /// Mean marker motion then.
+        motion_px: f64,
+        /// Opening width then.
+        width_mm: f64,
+    },
+    /// The part's pose could not be determined.
+    NotLocalized {
+        /// Why.
+        reason: String,
+    },
+    /// There were no more stereo pairs.
+    SourceEnded {
+        /// During this stage.
+        stage: Stage,
+    },
+    /// Somebody asked to stop.
+    Interrupted {
+        /// During this stage.
+        stage: Stage,
+    },
+}
+
+impl std::fmt::Display for Outcome {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Inserted { depth_mm, within_mm } => {
+                write!(
+                    f,
+                    "inserted: felt the bottom at a depth of {depth_mm:.2} mm, within {within_mm:.2} mm"
+                )
+            }
+            Self::Jammed { depth_mm, within_mm } => write!(
+                f,
+                "jammed: stopped by the insertion trigger at a depth of {depth_mm:.2} mm, within {within_mm:.2} mm"
+            ),
+            Self::NothingFelt { depth_mm } => {
+                write!(f, "nothing felt down to a depth of {depth_mm:.2} mm: no part, or no hole's bottom")
+            }
+            Self::NotGrasped { motion_px, width_mm } => write!(
+                f,
+                "not grasped: the fingers rest at {width_mm:.2} mm with a marker motion of {motion_px:.2} px"
+            ),
+            Self::NotLocalized { reason } => write!(f, "not localized: {reason}"),
+            Self::SourceEnded { stage } => write!(f, "no more stereo pairs during {}", stage.name()),
+            Self::Interrupted { stage } => write!(f, "interrupted during {}", stage.name()),
+        }
+    }
+}
+
+/// The part's pose in the hand, with its evidence.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Localized {
+    /// Rows of the 4x4 matrix that maps part coordinates to sensor coordinates, millimetres.
+    pub t_sensor_object: [[f64; 4]; 4],
+    /// Rows of the 4x4 matrix that maps part coordinates to gripper coordinates, millimetres.
+    pub t_gripper_object: [[f64; 4]; 4],
+    /// Whether the iterations came to rest.
+    pub converged: bool,
+    /// Iterations.
+    pub iterations: u32,
+    /// Points that the template explains.
+    pub inliers: usize,
+    /// Points in contact.
+    pub points: usize,
+    /// Residual of the inliers.
+    pub rmse_mm: f64,
+    /// Standard deviations of x y z, millimetres, then rotations, radians (sensor frame).
+    pub sigma: [f64; 6],
+    /// Standard deviation of the part's place along the axis of insertion.
+    pub axial_sigma_mm: f64,
+    /// What the contact leaves free, in words.
+    pub free: Vec<String>,
+}
+
+/// What a simulated job really did. The errors are those of the part's pose in the hand as it was localized, or as it was
+/// expected if it was not localized.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct TruthReport {
+    /// Error of the part's origin across the axis of insertion, as it was localized.
+    pub lateral_error_mm: f64,
+    /// Error of the tip across the axis of insertion.
+    pub tip_error_mm: f64,
+    /// Error of the direction of that axis.
+    pub tilt_error_rad: f64,
+    /// Error along the axis.
+    pub axial_error_mm: f64,
+    /// How deep the part got; negative when it never reached the rim.
+    pub inserted_mm: f64,
+    /// How deep it could have gone in the posture in which it was aligned.
+    pub limit_mm: f64,
+    /// Whether the outcome says what happened.
+    pub outcome_is_true: bool,
+}
+
+/// What came of a job.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct JobReport {
+    /// How it ended.
+    pub outcome: Outcome,
+    /// The stages that were begun.
+    pub stages: Vec<StageReport>,
+    /// The part in the hand, once it was found.
+    pub localized: Option<Localized>,
+    /// What really happened, where that is known: in simulation only.
+    pub truth: Option<TruthReport>,
+    /// Digest of all frames' digests, in order.
+    pub digest: String,
+    /// The recording.
+    pub recording: Option<PathBuf>,
+}

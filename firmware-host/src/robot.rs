@@ -1,0 +1,62 @@
+//! Robots that carry the gripper.
+
+use gelstereo_core::math::Pose;
+use std::fmt;
+
+/// What a robot says of itself.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RobotStatus {
+    /// Maps gripper coordinates to base coordinates.
+    pub t_base_gripper: Pose,
+    /// Whether it moves.
+    pub moving: bool,
+}
+
+/// Why a robot does not do what it was asked.
+#[derive(Clone, Debug, PartialEq)]
+pub enum RobotError {
+    /// A speed is not above 0 and finite.
+    Speed {
+        /// Speed asked for.
+        speed_mm_s: f64,
+    },
+    /// The robot does not answer, or reports a fault.
+    Device {
+        /// What it said.
+        message: String,
+    },
+}
+
+impl fmt::Display for RobotError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Speed { speed_mm_s } => {
+                write!(f, "the robot was asked for a speed of {speed_mm_s} mm/s; valid is above 0 and finite")
+            }
+            Self::Device { message } => write!(f, "robot: {message}"),
+        }
+    }
+}
+
+impl std::error::Error for RobotError {}
+
+/// A robot arm with the gripper at its flange. Moves return at once; [`Robot::status`] says when they are over.
+pub trait Robot {
+    /// Starts to move the gripper on a straight line to a pose in the base frame, turning evenly on the way.
+    ///
+    /// # Errors
+    /// [`RobotError`].
+    fn move_to(&mut self, t_base_gripper: &Pose, speed_mm_s: f64) -> Result<(), RobotError>;
+
+    /// Stops where it is.
+    ///
+    /// # Errors
+    /// [`RobotError::Device`].
+    fn stop(&mut self) -> Result<(), RobotError>;
+
+    /// Asks for the present state.
+    ///
+    /// # Errors
+    /// [`RobotError::Device`].
+    fn status(&mut self) -> Result<RobotStatus, RobotError>;
+}

@@ -1,0 +1,230 @@
+//! The pipeline, registration and template behind one door, which the job and the replay share.
+
+use crate::source::StereoPair;
+use gelstereo_core::image::ImageError;
+use gelstereo_core::math::linalg::{Symmetric, eigen};
+use gelstereo_core::math::{DMat3, DQuat, DVec3, Pose, so3};
+use gelstereo_core::params::Params;
+use gelstereo_core::pipeline::{Frame, Pipeline, PipelineError};
+use gelstereo_core::register::{RegisterError, Registrar, Registration, Template};
+use gelstereo_core::rig::Rig;
+use serde::{Deserialize, Serialize};
+
+/// Why sensing gave no result.
+#[derive(Debug)]
+pub enum SensingError {
+    /// A buffer is no image.
+    Image(ImageError),
+    /// The pipeline refused.
+    Pipeline(PipelineError),
+    /// Registration refused.
+    Register(RegisterError),
+}
+
+impl std::fmt::Display for SensingError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Image(error) => error.fmt(f),
+            Self::Pipeline(error) => error.fmt(f),
+            Self::Register(error) => write!(f, "registration: {error}"),
+        }
+    }
+}
+
+impl std::error::Error for SensingError {}
+
+/// What the job asks of the pipeline besides frames. A recording keeps it, so that a replay can ask the same.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "action", deny_unknown_fields)]
+pub enum Action {
+    /// The next frame is the rest frame.
+    Reset,
+    /// Motion counts from the last frame on.
+    MarkReference,
+    /// Registration of the last frame's contact, from this guess of `t_sensor_object`.
+    Localize {
+        /// Unit quaternion x y z w; kept as it is, since a matrix would lose its last bits.
+        rotation_xyzw: [f64; 4],
+        /// Translation.
+        translation_mm: [f64; 3],
+    },
+}
+
+impl Action {
+    /// Registration from a guess.
+    #[must_use]
+    pub fn localize(guess: &Pose) -> Self {
+        Self::Localize {
+            rotation_xyzw: guess.rotation.to_array(),
+            translation_mm: guess.translation_mm.to_array(),
+        }
+    }
+}
+
+/// The sensing stages and what they keep from frame to frame.
+#[derive(Clone, Debug)]
+pub struct Sensing {
+    pipeline: Pipeline,
+    registrar: Registrar,
+    template: Template,
+    contact_share: f64,
+    frame: Frame,
+    patch_mm: Vec<DVec3>,
+}
+
+impl Sensing {
+    /// For this rig and template. `contact_share` is [`TaskConfig::contact_share`](crate::config::TaskConfig).
+    ///
+    /// # Errors
+    /// [`SensingError::Pipeline`].
+    pub fn new(
+        rig: &Rig,
+        params: &Params,
+        template: Template,
+        contact_share: f64,
+    ) -> Result<Self, SensingError> {
+        Ok(Self {
+            pipeline: Pipeline::new(rig, params).map_err(SensingError::Pipeline)?,
+            registrar: Registrar::new(&params.register),
+            template,
+            contact_share,
+            frame: Frame::default(),
+            patch_mm: Vec::new(),
+        })
+    }
+
+    /// The last good frame.
+    #[must_use]
+    pub const fn frame(&self) -> &Frame {
+        &self.frame
+    }
+
+    /// Senses one stereo pair.
+    ///
+    /// # Errors
+    /// [`SensingError`].
+    pub fn process(&mut self, pair: &StereoPair) -> Result<&Frame, SensingError> {
+        let left = pair.left.view().map_err(SensingError::Image)?;
+        let right = pair.right.view().map_err(SensingError::Image)?;
+        self.pipeline.process(left, right, &mut self.frame).map_err(SensingError::Pipeline)?;
+        Ok(&self.frame)
+    }
+
+    /// Does what was asked; only a localisation has a result.
+    ///
+    /// # Errors
+    /// [`SensingError::Register`].
+    pub fn act(&mut self, action: &Action) -> Result<Option<Registration>, SensingError> {
+        match action {
+            Action::Reset => self.pipeline.reset(),
+            Action::MarkReference => self.pipeline.mark_reference(),
+            Action::Localize { rotation_xyzw, translation_mm } => {
+                let guess = Pose {
+                    rotation: DQuat::from_array(*rotation_xyzw),
+                    translation_mm: DVec3::from_array(*translation_mm),
+                };
+                self.select_patch();
+                return self
+                    .registrar
+                    .run(&self.patch_mm, &self.template, &guess)
+                    .map(Some)
+                    .map_err(SensingError::Register);
+            }
+        }
+        Ok(None)
+    }
+
+    /// The salient markers that lie on the part, not on the gel's shoulder beside it.
+    fn select_patch(&mut self) {
+        let Frame { indentation_mm, salient, points_mm, .. } = &self.frame;
+        let salient_mm = || indentation_mm.iter().zip(salient).zip(points_mm).filter(|((_, s), _)| **s);
+        let least_mm = self.contact_share * salient_mm().map(|((&h, _), _)| h).fold(0.0, f64::max);
+        self.patch_mm.clear();
+        self.patch_mm.extend(salient_mm().filter(|((h, _), _)| **h >= least_mm).map(|(_, &point)| point));
+    }
+}
+
+/// Covariance of the part's position and rotation in ROS's order (x y z of its origin, then rotations about the axes
+/// of the sensor frame), millimetres and radians.
+///
+/// The information of the contact and that of what was expected beforehand are added, so that a direction that the
+/// contact leaves free has the variance of the expectation: large but finite, as ROS's filters want it.
+#[must_use]
+pub fn covariance(
+    information: &Symmetric<6>,
+    t_sensor_object: &Pose,
+    prior_sigma_mm: f64,
+    prior_sigma_rad: f64,
+) -> Symmetric<6> {
+    // A perturbation exp(ω, v) moves the part's origin p by δp = v + ω x p: v = δp + [p]x ω.
+    let p = so3::hat(t_sensor_object.translation_mm);
+    // Rows (ω, v), columns (δp, ω), in units of the prior's sigmas, so that the sum is well scaled.
+    let jacobian: [[f64; 6]; 6] = core::array::from_fn(|row| {
+        core::array::from_fn(|col| match (row < 3, col < 3) {
+            (true, true) => 0.0,
+            (true, false) => prior_sigma_rad * f64::from(u8::from(row == col - 3)),
+            (false, true) => prior_sigma_mm * f64::from(u8::from(row - 3 == col)),
+            (false, false) => prior_sigma_rad * entry(&p, row - 3, col - 3),
+        })
+    });
+    let scale = |i: usize| if i < 3 { prior_sigma_mm } else { prior_sigma_rad };
+    let sum: Symmetric<6> = core::array::from_fn(|i| {
+        core::array::from_fn(|j| {
+            let contact: f64 = (0..6)
+                .flat_map(|a| (0..6).map(move |b| (a, b)))
+                .map(|(a, b)| jacobian[a][i] * information[a][b] * jacobian[b][j])
+                .sum();
+            contact + f64::from(u8::from(i == j))
+        })
+    });
+    let eigen = eigen(&sum);
+    core::array::from_fn(|i| {
+        core::array::from_fn(|j| {
+            // No eigenvalue is below 1, the prior's own.
+            let inverse: f64 =
+                (0..6).map(|k| eigen.vectors[k][i] * eigen.vectors[k][j] / eigen.values[k].max(1.0)).sum();
+            scale(i) * inverse * scale(j)
+        })
+    })
+}
+
+fn entry(matrix: &DMat3, row: usize, col: usize) -> f64 {
+    matrix.col(col)[row]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn without_contact_the_covariance_is_the_expectation() {
+        let far = Pose::from_translation_mm(DVec3::new(4.0, 0.0, 32.0));
+        let c = covariance(&[[0.0; 6]; 6], &far, 0.5, 0.02);
+        for (i, row) in c.iter().enumerate() {
+            for (j, &value) in row.iter().enumerate() {
+                let sigma: f64 = if i < 3 { 0.5 } else { 0.02 };
+                let expected = if i == j { sigma * sigma } else { 0.0 };
+                assert!((value - expected).abs() < 1e-15, "{i} {j}: {value}");
+            }
+        }
+    }
+
+    /// Sensor-frame rotation known to 1 mrad, translation v to 0.01 mm: a part 30 mm away has a lateral variance of
+    /// 0.01² + (30 * 0.001)².
+    #[test]
+    fn a_rotation_about_the_sensor_moves_a_far_part() {
+        let far = Pose::from_translation_mm(DVec3::new(0.0, 0.0, 30.0));
+        let information = core::array::from_fn(|i| {
+            core::array::from_fn(|j| match (i == j, i < 3) {
+                (true, true) => 1e6,
+                (true, false) => 1e4,
+                _ => 0.0,
+            })
+        });
+        let c = covariance(&information, &far, 1e3, 1e3);
+        assert!(
+            (c[0][0] - 1e-3).abs() < 1e-9 && (c[2][2] - 1e-4).abs() < 1e-9 && (c[3][3] - 1e-6).abs() < 1e-12
+        );
+        assert!((c[0][4] - 30.0 * 1e-6).abs() < 1e-9, "x grows with the turn about y: {}", c[0][4]);
+    }
+}

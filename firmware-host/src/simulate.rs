@@ -1,0 +1,139 @@
+//! A scene made into a folder of image pairs with its truth.
+
+use crate::part::{Part, PartError};
+use gelstereo_sim::{Scene, SceneError, Shape, Simulator, Truth};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Why a scene gave no images.
+#[derive(Debug)]
+pub enum SimulateError {
+    /// The scene's file cannot be read.
+    Read {
+        /// Which.
+        path: PathBuf,
+        /// The system's answer.
+        error: std::io::Error,
+    },
+    /// The text is no scene.
+    Parse {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong, with the line.
+        error: toml::de::Error,
+    },
+    /// The scene makes no sense.
+    Scene(SceneError),
+    /// The indenter's mesh.
+    Part(PartError),
+    /// A file cannot be written.
+    Write {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        message: String,
+    },
+}
+
+impl std::fmt::Display for SimulateError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Read { path, error } => write!(f, "cannot read {}: {error}", path.display()),
+            Self::Parse { path, error } => write!(f, "{}: {}", path.display(), error.to_string().trim_end()),
+            Self::Scene(error) => write!(f, "scene: {error}"),
+            Self::Part(error) => error.fmt(f),
+            Self::Write { path, message } => write!(f, "cannot write {}: {message}", path.display()),
+        }
+    }
+}
+
+impl std::error::Error for SimulateError {}
+
+/// Writes `left_00000.png`, `right_00000.png`, `truth_00000.csv` and so on, and the scene with all its defaults as
+/// `scene.toml`, and the rig as `rig.toml`; returns the number of frames.
+///
+/// The truth has a row per marker, `row * cols + col`: x_mm, y_mm, z_mm (sensor frame), indentation_mm, in_contact,
+/// left_x_px, left_y_px, right_x_px, right_y_px.
+///
+/// # Errors
+/// [`SimulateError`].
+pub fn simulate(
+    scene_path: &Path,
+    folder: &Path,
+    stop: &AtomicBool,
+    progress: &mut dyn FnMut(usize, usize),
+) -> Result<usize, SimulateError> {
+    let text = std::fs::read_to_string(scene_path)
+        .map_err(|error| SimulateError::Read { path: scene_path.to_owned(), error })?;
+    let mut scene: Scene =
+        toml::from_str(&text).map_err(|error| SimulateError::Parse { path: scene_path.to_owned(), error })?;
+    let mesh = match &mut scene.indenter {
+        Some(shape @ Shape::Mesh { .. }) => {
+            if let Shape::Mesh { path, .. } = shape {
+                let base = scene_path.parent().unwrap_or(Path::new(""));
+                *path = base.join(&*path).to_string_lossy().into_owned();
+            }
+            Some(Part::load(shape).map_err(SimulateError::Part)?.mesh)
+        }
+        _ => None,
+    };
+    let mut simulator = Simulator::new(&scene, mesh.as_ref()).map_err(SimulateError::Scene)?;
+    create_folder(folder)?;
+    for (name, text) in [("scene.toml", toml::to_string(&scene)), ("rig.toml", toml::to_string(&scene.rig))] {
+        let path = folder.join(name);
+        let text =
+            text.map_err(|error| SimulateError::Write { path: path.clone(), message: error.to_string() })?;
+        write(&path, text.as_bytes())?;
+    }
+    let sizes = [&scene.rig.left, &scene.rig.right].map(|c| (c.width_px as u32, c.height_px as u32));
+    let (mut truth, mut views) = (Truth::default(), [Vec::new(), Vec::new()]);
+    let frames = simulator.frames();
+    for frame in 0..frames {
+        if stop.load(Ordering::Relaxed) {
+            return Ok(frame);
+        }
+        let contact = simulator.contact(frame);
+        simulator.truth(contact.as_ref(), &mut truth);
+        let [left, right] = &mut views;
+        simulator.render(&truth, frame as u64, left, right);
+        for ((name, pixels), (width, height)) in ["left", "right"].into_iter().zip(&views).zip(sizes) {
+            let path = folder.join(format!("{name}_{frame:05}.png"));
+            image::save_buffer(&path, pixels, width, height, image::ExtendedColorType::L8)
+                .map_err(|error| SimulateError::Write { path: path.clone(), message: error.to_string() })?;
+        }
+        write(&folder.join(format!("truth_{frame:05}.csv")), table(&truth).as_bytes())?;
+        progress(frame + 1, frames);
+    }
+    Ok(frames)
+}
+
+fn create_folder(folder: &Path) -> Result<(), SimulateError> {
+    std::fs::create_dir_all(folder)
+        .map_err(|error| SimulateError::Write { path: folder.to_owned(), message: error.to_string() })
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Result<(), SimulateError> {
+    std::fs::write(path, bytes)
+        .map_err(|error| SimulateError::Write { path: path.to_owned(), message: error.to_string() })
+}
+
+fn table(truth: &Truth) -> String {
+    let mut text =
+        String::from("x_mm,y_mm,z_mm,indentation_mm,in_contact,left_x_px,left_y_px,right_x_px,right_y_px\n");
+    for (i, p) in truth.points_mm.iter().enumerate() {
+        let (left, right) = (truth.left_px[i], truth.right_px[i]);
+        text += &format!(
+            "{},{},{},{},{},{},{},{},{}\n",
+            p.x,
+            p.y,
+            p.z,
+            truth.indentation_mm[i],
+            u8::from(truth.in_contact[i]),
+            left.x,
+            left.y,
+            right.x,
+            right.y
+        );
+    }
+    text
+}

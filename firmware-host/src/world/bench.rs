@@ -1,0 +1,191 @@
+//! A peg in its holder, the simulated sensor, and a hole.
+//!
+//! The peg stands loosely in its holder until the robot moves with the peg between the fingers: a finger that touches
+//! it alone pushes it along, and two that yield alike press it from both sides alike. From then on it is rigid in the
+//! hand, but for the gel: what holds the peg back while the hand moves on drags the gel's surface along.
+
+use super::hole::{Fit, Hole, Peg};
+use super::{Hand, WorldError};
+use crate::config::Config;
+use crate::source::StereoPair;
+use gelstereo_core::math::random::Stream;
+use gelstereo_core::math::{DVec3, Pose, so3};
+use gelstereo_sim::{ContactState, Scene, Shape, Simulator, Truth};
+
+/// Where the peg is held.
+#[derive(Clone, Copy, Debug)]
+enum Hold {
+    Holder { t_base_object: Pose },
+    Hand { t_gripper_object: Pose },
+}
+
+/// The gripper stalls when the gel is pressed to this share of its thickness.
+const STALL_SHARE: f64 = 0.75;
+
+/// What the simulated hand works at.
+#[derive(Debug)]
+pub struct Bench {
+    simulator: Simulator,
+    size_px: [(usize, usize); 2],
+    peg: Peg,
+    hole: Hole,
+    stall_mm: f64,
+    hold: Hold,
+    /// Where the part's origin was in the sensor frame when it first touched the gel.
+    touch_mm: Option<DVec3>,
+    deepest_mm: f64,
+    truth: Truth,
+}
+
+/// What a simulated job can be judged by.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BenchTruth {
+    /// Part in the gripper, as it was grasped.
+    pub t_gripper_object: Pose,
+    /// Peg against hole, as if nothing held the peg back.
+    pub fit: Fit,
+    /// How deep the peg got into the hole at most; negative when it never reached the rim.
+    pub deepest_mm: f64,
+    /// Half the peg's length.
+    pub half_length_mm: f64,
+}
+
+impl Bench {
+    /// With the peg somewhere near where the job expects it.
+    ///
+    /// # Errors
+    /// [`WorldError`].
+    pub fn new(config: &Config) -> Result<Self, WorldError> {
+        let (simulated, task) = (&config.simulated, &config.task);
+        let shape = simulated.shape.as_ref().unwrap_or(&config.part.shape).clone();
+        let peg = peg(&shape, config.insertion_axis()).ok_or(WorldError::NotRound)?;
+        let rig = config.rig.clone().unwrap_or_else(Scene::default_rig);
+        let size_px = [&rig.left, &rig.right].map(|camera| (camera.width_px, camera.height_px));
+        let scene = Scene {
+            seed: simulated.seed,
+            frame_rate_hz: simulated.frame_rate_hz,
+            rig,
+            gel: simulated.gel.clone(),
+            indenter: Some(shape),
+            effects: simulated.effects.clone(),
+            trajectory: Vec::new(),
+        };
+        let goal = task.goal_pose.pose();
+        let inwards = goal.transform_vector(peg.axis);
+        let bottom_mm = goal.transform_point(peg.axis * peg.half_length_mm);
+        Ok(Self {
+            simulator: Simulator::new(&scene, None).map_err(WorldError::Scene)?,
+            size_px,
+            peg,
+            hole: Hole {
+                rim_mm: bottom_mm - inwards * task.insertion_depth_mm,
+                inwards,
+                diameter_mm: simulated.hole_diameter_mm,
+                depth_mm: task.insertion_depth_mm,
+            },
+            stall_mm: STALL_SHARE * simulated.gel.thickness_mm,
+            hold: Hold::Holder { t_base_object: misplaced(config) },
+            touch_mm: None,
+            deepest_mm: f64::NEG_INFINITY,
+            truth: Truth::default(),
+        })
+    }
+
+    /// Takes a picture; `frame` keys its noise.
+    pub fn expose(&mut self, hand: &Hand, frame: u64, pair: &mut StereoPair) {
+        self.push(hand);
+        let (t_base_object, fit) = self.t_base_object(hand);
+        let t_sensor_object = (hand.t_base_gripper * hand.t_gripper_sensor).inverse() * t_base_object;
+        // The part sticks to where it first touched.
+        let dragged_mm = self.touch_mm.map_or(DVec3::ZERO, |touch| t_sensor_object.translation_mm - touch);
+        let shear_mm = [dragged_mm.x, dragged_mm.y];
+        let contact = ContactState { t_sensor_object, shear_mm, twist_rad: 0.0 };
+        self.simulator.truth(Some(&contact), &mut self.truth);
+        if self.touch_mm.is_none() && self.truth.in_contact.contains(&true) {
+            self.touch_mm = Some(t_sensor_object.translation_mm);
+        }
+        if matches!(self.hold, Hold::Hand { .. }) {
+            self.deepest_mm = self.deepest_mm.max(fit.depth_mm.min(fit.limit_mm));
+        }
+        for (gray, size_px) in [&mut pair.left, &mut pair.right].into_iter().zip(self.size_px) {
+            (gray.width, gray.height) = size_px;
+        }
+        self.simulator.render(&self.truth, frame, &mut pair.left.pixels, &mut pair.right.pixels);
+    }
+
+    /// Whether the gel is pressed so far that the gripper gives up.
+    #[must_use]
+    pub fn stalls(&self) -> bool {
+        self.truth.indentation_mm.iter().any(|&h| h > self.stall_mm)
+    }
+
+    /// The robot starts to move: what is between the fingers comes along.
+    pub fn depart(&mut self, t_base_gripper: &Pose) {
+        if let (Hold::Holder { t_base_object }, Some(_)) = (self.hold, self.touch_mm) {
+            self.hold = Hold::Hand { t_gripper_object: t_base_gripper.inverse() * t_base_object };
+        }
+    }
+
+    /// What is really there.
+    #[must_use]
+    pub fn truth(&self, hand: &Hand) -> BenchTruth {
+        BenchTruth {
+            t_gripper_object: hand.t_base_gripper.inverse() * self.t_base_object_free(hand),
+            fit: self.t_base_object(hand).1,
+            deepest_mm: self.deepest_mm,
+            half_length_mm: self.peg.half_length_mm,
+        }
+    }
+
+    /// The fingers push a peg that stands in its holder along the closing direction, until both press it alike.
+    fn push(&mut self, hand: &Hand) {
+        let Hold::Holder { t_base_object } = &mut self.hold else { return };
+        let closing = hand.t_base_gripper.transform_vector(DVec3::X);
+        let x_mm = (t_base_object.translation_mm - hand.t_base_gripper.translation_mm).dot(closing);
+        let room_mm = (0.5 * hand.width_mm - self.peg.radius_mm).max(0.0);
+        let shift_mm = closing * (x_mm.clamp(-room_mm, room_mm) - x_mm);
+        *t_base_object = Pose::from_translation_mm(shift_mm) * *t_base_object;
+    }
+
+    /// Part in the base frame, as if nothing held it back.
+    fn t_base_object_free(&self, hand: &Hand) -> Pose {
+        match self.hold {
+            Hold::Holder { t_base_object } => t_base_object,
+            Hold::Hand { t_gripper_object } => hand.t_base_gripper * t_gripper_object,
+        }
+    }
+
+    /// Part in the base frame: a peg in the hand goes no deeper than the hole lets it.
+    fn t_base_object(&self, hand: &Hand) -> (Pose, Fit) {
+        let free = self.t_base_object_free(hand);
+        let fit = self.hole.fit(&self.peg, &free);
+        let excess_mm = match self.hold {
+            Hold::Holder { .. } => 0.0,
+            Hold::Hand { .. } => (fit.depth_mm - fit.limit_mm).max(0.0),
+        };
+        (Pose::from_translation_mm(-self.hole.inwards * excess_mm) * free, fit)
+    }
+}
+
+/// The round peg that a shape is, with its tip towards `axis`.
+fn peg(shape: &Shape, axis: DVec3) -> Option<Peg> {
+    match *shape {
+        Shape::Cylinder { radius_mm, length_mm } if axis.z.abs() > 1.0 - 1e-9 => {
+            Some(Peg { radius_mm, half_length_mm: 0.5 * length_mm, axis })
+        }
+        _ => None,
+    }
+}
+
+/// Where the part really stands: off by a random offset, tilt and spin.
+fn misplaced(config: &Config) -> Pose {
+    let simulated = &config.simulated;
+    let mut stream = Stream::new(simulated.seed, "part in its holder");
+    let mut within = |most: f64| (2.0 * stream.uniform() - 1.0) * most;
+    let mut vector = |most: f64| DVec3::new(within(most), within(most), within(most));
+    let offset_mm = vector(simulated.offset_mm);
+    let tilt = vector(simulated.tilt_rad);
+    let spin = config.insertion_axis() * within(core::f64::consts::PI);
+    let off = Pose { rotation: so3::exp(tilt) * so3::exp(spin), translation_mm: offset_mm };
+    config.task.part_pose.pose() * off
+}

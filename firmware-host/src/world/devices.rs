@@ -1,0 +1,118 @@
+//! The world as the job sees it: a camera, a gripper and a robot.
+
+use super::World;
+use crate::gripper::{Gripper, GripperError, GripperStatus};
+use crate::robot::{Robot, RobotError, RobotStatus};
+use crate::source::{FrameSource, Next, SourceError, StereoPair};
+use gelstereo_core::math::Pose;
+use std::cell::RefCell;
+use std::rc::Rc;
+use std::time::Duration;
+
+/// The simulated sensor; it waits for nothing and never ends.
+#[derive(Clone, Debug)]
+pub struct SimulatedCamera(pub Rc<RefCell<World>>);
+
+impl FrameSource for SimulatedCamera {
+    fn next_pair(&mut self, _timeout: Duration, pair: &mut StereoPair) -> Result<Next, SourceError> {
+        let exposed = self.0.borrow_mut().expose(pair);
+        let exposed = exposed.map_err(|error| SourceError::Device { message: error.to_string() })?;
+        Ok(if exposed { Next::Pair } else { Next::End })
+    }
+}
+
+/// Real images in a simulated world: its time passes by their frames.
+pub struct PacedSource {
+    /// Where the images come from.
+    pub source: Box<dyn FrameSource>,
+    /// Whose time passes.
+    pub world: Rc<RefCell<World>>,
+}
+
+impl FrameSource for PacedSource {
+    fn next_pair(&mut self, timeout: Duration, pair: &mut StereoPair) -> Result<Next, SourceError> {
+        self.world.borrow_mut().tick();
+        self.source.next_pair(timeout, pair)
+    }
+
+    fn len_hint(&self) -> Option<usize> {
+        self.source.len_hint()
+    }
+}
+
+/// The simulated gripper.
+#[derive(Clone, Debug)]
+pub struct SimulatedGripper(pub Rc<RefCell<World>>);
+
+impl Gripper for SimulatedGripper {
+    fn activate(&mut self) -> Result<(), GripperError> {
+        self.0.borrow_mut().activated = true;
+        Ok(())
+    }
+
+    fn move_to(&mut self, width_mm: f64, speed_mm_s: f64, _force: f64) -> Result<(), GripperError> {
+        let mut world = self.0.borrow_mut();
+        if !world.activated {
+            return Err(GripperError::NotActivated);
+        }
+        let (min_mm, max_mm) = world.mount.kinematics.width_range_mm();
+        if !(width_mm >= min_mm && width_mm <= max_mm) {
+            return Err(GripperError::Width { width_mm, min_mm, max_mm });
+        }
+        if !(speed_mm_s > 0.0 && speed_mm_s.is_finite()) {
+            let message = format!("asked for a speed of {speed_mm_s} mm/s; valid is above 0 and finite");
+            return Err(GripperError::Device { message });
+        }
+        world.width_mm.target = width_mm;
+        world.width_mm.speed = speed_mm_s;
+        world.stalled = false;
+        Ok(())
+    }
+
+    fn stop(&mut self) -> Result<(), GripperError> {
+        let mut world = self.0.borrow_mut();
+        world.width_mm.target = world.width_mm.now;
+        Ok(())
+    }
+
+    fn status(&mut self) -> Result<GripperStatus, GripperError> {
+        let world = self.0.borrow();
+        Ok(GripperStatus {
+            width_mm: world.width_mm.now,
+            moving: world.width_mm.now != world.width_mm.target,
+            object_detected: world.stalled,
+        })
+    }
+}
+
+/// The simulated robot.
+#[derive(Clone, Debug)]
+pub struct SimulatedRobot(pub Rc<RefCell<World>>);
+
+impl Robot for SimulatedRobot {
+    fn move_to(&mut self, t_base_gripper: &Pose, speed_mm_s: f64) -> Result<(), RobotError> {
+        if !(speed_mm_s > 0.0 && speed_mm_s.is_finite()) {
+            return Err(RobotError::Speed { speed_mm_s });
+        }
+        let mut world = self.0.borrow_mut();
+        let from = world.t_base_gripper.now;
+        if let Some(bench) = &mut world.bench {
+            bench.depart(&from);
+        }
+        world.t_base_gripper.target = *t_base_gripper;
+        world.t_base_gripper.speed = speed_mm_s;
+        Ok(())
+    }
+
+    fn stop(&mut self) -> Result<(), RobotError> {
+        let mut world = self.0.borrow_mut();
+        world.t_base_gripper.target = world.t_base_gripper.now;
+        Ok(())
+    }
+
+    fn status(&mut self) -> Result<RobotStatus, RobotError> {
+        let world = self.0.borrow();
+        let robot = &world.t_base_gripper;
+        Ok(RobotStatus { t_base_gripper: robot.now, moving: robot.now != robot.target })
+    }
+}

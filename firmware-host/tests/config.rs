@@ -1,0 +1,121 @@
+//! Configurations: round trip, presets, and what errors say.
+#![allow(clippy::unwrap_used)]
+
+use gelstereo_core::params::Params;
+use gelstereo_host::check::check;
+use gelstereo_host::config::{Config, SourceConfig};
+use gelstereo_host::part::Part;
+use gelstereo_sim::Shape;
+
+fn error(text: &str) -> String {
+    match Config::parse(text, "cell.toml") {
+        Err(error) => error.to_string(),
+        Ok(config) => config.validate().unwrap_err().to_string(),
+    }
+}
+
+#[test]
+fn the_printed_default_is_the_default() {
+    let text = Config::default().to_toml().unwrap();
+    assert_eq!(Config::parse(&text, "default").unwrap(), Config::default());
+    assert_eq!(Config::parse("", "empty").unwrap(), Config::default());
+}
+
+#[test]
+fn a_file_states_what_differs_from_its_preset() {
+    let config = Config::parse("preset = \"paper\"\n[params.contact]\nsaliency_mm = 0.5\n", "").unwrap();
+    let mut expected = Params::default();
+    expected.contact.saliency_mm = 0.5;
+    assert_eq!(config.params, expected);
+}
+
+#[test]
+fn errors_name_what_was_found_and_what_is_valid() {
+    let unknown = error("[task]\ninsertion_depth = 3\n");
+    assert!(unknown.starts_with("cell.toml: TOML parse error at line 2, column 1"), "{unknown}");
+    assert!(unknown.contains("unknown field `insertion_depth`, expected one of"), "{unknown}");
+    assert_eq!(error("preset = \"fast\""), "preset is \"fast\"; valid is one of [\"paper\", \"balanced\"]");
+    assert_eq!(
+        error("[params.detect]\nsmooth_kernel_px = 4"),
+        "params.detect.smooth_kernel_px is 4; valid is odd, 1 to 31"
+    );
+    assert_eq!(
+        error("[task]\ninsertion_speed_mm_s = 0"),
+        "task.insertion_speed_mm_s is 0; valid is a finite number above 0"
+    );
+    assert_eq!(
+        error("[task]\nopen_width_mm = 120"),
+        "task.open_width_mm is 120; valid is a width that mount.kinematics can have"
+    );
+    let folder = error("[source]\nkind = \"folder\"\npath = \"pairs\"\nframe_rate_hz = 30");
+    assert!(folder.contains("add rig_file"), "{folder}");
+    let kind = error("[source]\nkind = \"webcam\"");
+    assert!(kind.contains("unknown variant `webcam`, expected `simulated` or `folder`"), "{kind}");
+}
+
+#[test]
+fn a_mesh_needs_a_unit_that_makes_sense() {
+    // A tetrahedron with edges of some 0.03: a 50 mm part in metres.
+    let obj = b"v 0 0 0\nv 0.03 0 0\nv 0 0.03 0\nv 0 0 0.03\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n".to_vec();
+    let load = |units: &str| {
+        let shape = Shape::Mesh { path: "part.obj".to_owned(), units: units.to_owned() };
+        Part::from_bytes(&shape, obj.clone())
+    };
+    let (low, high) = load("m").unwrap().mesh.bounds_mm();
+    assert!((high - low - gelstereo_core::math::DVec3::splat(30.0)).length() < 1e-4);
+    let small = load("mm").unwrap_err().to_string();
+    assert_eq!(
+        small,
+        "with units = \"mm\" the part is 0.052 mm across; a part that is held between fingers has 2 to 500 mm (is \
+         the file in \"m\"?)"
+    );
+    let unknown = load("millimetres").unwrap_err().to_string();
+    assert_eq!(unknown, "part.shape.units is \"millimetres\"; valid is \"mm\", \"cm\", \"m\" or \"in\"");
+    let shape = Shape::Mesh { path: "part.step".to_owned(), units: "mm".to_owned() };
+    let kind = Part::from_bytes(&shape, obj.clone()).unwrap_err().to_string();
+    assert_eq!(kind, "part.step is no mesh file; valid is .stl or .obj");
+    let shape = Shape::Mesh { path: "part.stl".to_owned(), units: "m".to_owned() };
+    let damaged = Part::from_bytes(&shape, obj).unwrap_err().to_string();
+    assert!(damaged.starts_with("part.stl is no intact mesh: "), "{damaged}");
+}
+
+#[test]
+fn check_finds_every_fault_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = Config::default();
+    config.recording.path = folder.path().join("out/run.mcap");
+    assert!(check(&config).iter().all(|finding| finding.result.is_ok()));
+    assert!(!config.recording.path.exists());
+
+    let file = folder.path().join("file");
+    std::fs::write(&file, "").unwrap();
+    config.recording.path = file.join("run.mcap");
+    config.part.shape = Shape::Mesh { path: "missing.stl".to_owned(), units: "m".to_owned() };
+    config.source = SourceConfig::Folder { path: folder.path().to_owned(), frame_rate_hz: 30.0 };
+    let findings = check(&config);
+    let wrong: Vec<&str> = findings.iter().filter(|f| f.result.is_err()).map(|f| f.subject).collect();
+    assert_eq!(wrong, ["configuration", "part", "recording"], "{findings:?}");
+}
+
+/// A real USB plug, drawn in metres (44.85 x 8 x 18.5 mm by its README).
+#[test]
+fn a_real_mesh_in_metres_read_as_millimetres_is_refused_with_a_guess() {
+    let folder = std::env::var("GELSTEREO_DATA")
+        .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data").to_owned());
+    let path = format!("{folder}/meshes_realsense/plug.stl");
+    if !std::path::Path::new(&path).exists() {
+        eprintln!("skipped: {path} is absent; set GELSTEREO_DATA");
+        return;
+    }
+    let load = |units: &str| Part::load(&Shape::Mesh { path: path.clone(), units: units.to_owned() });
+    let part = load("m").unwrap();
+    let (low, high) = part.mesh.bounds_mm();
+    let mut size = (high - low).to_array();
+    size.sort_by(f64::total_cmp);
+    for (found, stated) in size.into_iter().zip([8.0, 18.5, 44.85]) {
+        assert!((found - stated).abs() < 0.01, "{size:?}");
+    }
+    assert!(part.file.is_some_and(|(name, bytes)| name == "plug.stl" && !bytes.is_empty()));
+    let message = load("mm").unwrap_err().to_string();
+    assert!(message.ends_with("(is the file in \"m\"?)"), "{message}");
+}

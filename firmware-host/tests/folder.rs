@@ -1,0 +1,103 @@
+//! Image pairs in folders, and the job on them.
+#![allow(clippy::unwrap_used)]
+
+use gelstereo_host::config::{Config, SourceConfig};
+use gelstereo_host::report::{Outcome, Stage};
+use gelstereo_host::run::{Setup, run_with};
+use gelstereo_host::simulate::simulate;
+use gelstereo_host::source::{FolderSource, FrameSource, Next, SourceError, StereoPair};
+use image::{GrayImage, Luma};
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+fn grey(path: &Path, width: u32, height: u32, level: u8) {
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    GrayImage::from_pixel(width, height, Luma([level])).save(path).unwrap();
+}
+
+fn read_all(folder: &Path) -> Result<Vec<StereoPair>, SourceError> {
+    let mut source = FolderSource::open(folder, 20.0)?;
+    let (mut pairs, mut pair) = (Vec::new(), StereoPair::default());
+    while source.next_pair(Duration::ZERO, &mut pair)? == Next::Pair {
+        pairs.push(pair.clone());
+    }
+    Ok(pairs)
+}
+
+#[test]
+fn pairs_come_in_order_whatever_their_format_and_layout() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    for (name, level) in [("left_2.png", 30), ("right_2.pgm", 40), ("left_1.pgm", 10), ("right_1.png", 20)] {
+        grey(&at(name), 8, 6, level);
+    }
+    std::fs::write(at("notes.txt"), "not an image").unwrap();
+    let pairs = read_all(folder.path()).unwrap();
+    let levels: Vec<_> = pairs.iter().map(|p| (p.left.pixels[0], p.right.pixels[0], p.time_ns)).collect();
+    assert_eq!(levels, [(10, 20, 0), (30, 40, 50_000_000)]);
+    assert_eq!((pairs[0].left.width, pairs[0].left.height, pairs[0].left.pixels.len()), (8, 6, 48));
+
+    let folder = tempfile::tempdir().unwrap();
+    for view in ["left", "right"] {
+        grey(&folder.path().join(view).join("0007.png"), 8, 6, 50);
+    }
+    assert_eq!(read_all(folder.path()).unwrap().len(), 1);
+}
+
+#[test]
+fn faults_of_a_folder_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let message = || read_all(folder.path()).unwrap_err().to_string();
+    assert!(message().contains("holds 0 images but none whose name says left or right"), "{}", message());
+    grey(&at("left_1.png"), 8, 6, 0);
+    grey(&at("right_1.png"), 8, 6, 0);
+    grey(&at("left_2.png"), 8, 6, 0);
+    assert!(message().contains("left_2.png has no partner: there is no right image"), "{}", message());
+    grey(&at("right_2.png"), 9, 6, 0);
+    assert!(message().contains("right_2.png is 9 x 6 pixels but the first image 8 x 6"), "{}", message());
+    std::fs::write(at("right_2.png"), "no image").unwrap();
+    assert!(message().contains("right_2.png is no PNG, PGM or JPEG image that can be read"), "{}", message());
+    grey(&at("LEFT_1.pgm"), 8, 6, 0);
+    assert!(message().contains("are images of the same view and number"), "{}", message());
+}
+
+/// A scene made into a folder, and the job on that folder: it ends where the images do.
+#[test]
+fn the_job_runs_on_image_pairs_as_far_as_they_go() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = folder.path().join("scene.toml");
+    std::fs::write(
+        &scene,
+        "indenter = { kind = \"sphere\", radius_mm = 6 }\n\
+         trajectory = [{ time_s = 0, position_mm = [4, 0, 35] }, { time_s = 0.2, position_mm = [4, 0, 34] }]\n\
+         [effects.sensor_noise]\n",
+    )
+    .unwrap();
+    let pairs = folder.path().join("pairs");
+    let stop = AtomicBool::new(false);
+    let frames = simulate(&scene, &pairs, &stop, &mut |_, _| {}).unwrap();
+    assert_eq!(frames, 7, "0 to 0.2 s at 30 Hz");
+    let truth = std::fs::read_to_string(pairs.join("truth_00006.csv")).unwrap();
+    assert_eq!(truth.lines().count(), 626);
+
+    let config_path = folder.path().join("cell.toml");
+    let text = "rig_file = \"pairs/rig.toml\"\n[source]\nkind = \"folder\"\npath = \"pairs\"\nframe_rate_hz = 30\n\
+                [task]\nopening_speed_mm_s = 10000\n";
+    std::fs::write(&config_path, text).unwrap();
+    let config = Config::load(&config_path).unwrap();
+    assert!(matches!(&config.source, SourceConfig::Folder { path, .. } if *path == pairs));
+    let report = run_with(&config, Setup::new(&config).unwrap(), None, &stop, &mut |_| {}).unwrap();
+    assert_eq!(report.outcome, Outcome::SourceEnded { stage: Stage::Close });
+    assert!(report.truth.is_none(), "nobody knows the truth of real images");
+
+    let black = tempfile::tempdir().unwrap();
+    for name in ["left_0.png", "left_1.png", "right_0.png", "right_1.png"] {
+        grey(&black.path().join(name), 640, 480, 0);
+    }
+    let source = SourceConfig::Folder { path: black.path().to_owned(), frame_rate_hz: 30.0 };
+    let config = Config { source, ..config };
+    let error = run_with(&config, Setup::new(&config).unwrap(), None, &stop, &mut |_| {}).unwrap_err();
+    assert!(error.to_string().starts_with("rest: left view: "), "{error}");
+}
