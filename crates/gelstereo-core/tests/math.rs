@@ -211,3 +211,47 @@ fn random_numbers_have_the_moments_of_their_laws() {
     assert!((fourth - 3.0).abs() < 5.0 * (96.0 / n).sqrt());
     assert!(bins.iter().all(|&b| (b as f64 - n / 7.0).abs() < 5.0 * (n * 6.0 / 49.0).sqrt()));
 }
+
+#[cfg(feature = "serde")]
+mod poses_in_files {
+    use gelstereo_core::math::{DVec3, Pose};
+    use proptest::prelude::*;
+
+    #[derive(Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+    struct File {
+        pose: Pose,
+    }
+
+    proptest! {
+        /// A rig that is saved and loaded gives the same bits in every later result.
+        #[test]
+        fn come_back_with_the_same_bits(twist in prop::array::uniform6(-3.0..3.0_f64)) {
+            let [a, b, c, x, y, z] = twist;
+            let file = File { pose: Pose::exp(DVec3::new(a, b, c), DVec3::new(x, y, z) * 10.0) };
+            let back: File = toml::from_str(&toml::to_string(&file).unwrap()).unwrap();
+            prop_assert_eq!(back, file);
+        }
+    }
+
+    #[test]
+    fn may_be_rows_and_typed_quaternions_are_normalised() {
+        let rows = "pose = [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]";
+        let typed = "pose = { rotation_xyzw = [0, 0, 0.7071, 0.7071], translation_mm = [1, 2, 3] }";
+        let rows: File = toml::from_str(rows).unwrap();
+        let typed: File = toml::from_str(typed).unwrap();
+        assert!(rows.pose.rotation.dot(typed.pose.rotation) > 1.0 - 1e-15);
+        assert_eq!(rows.pose.translation_mm, typed.pose.translation_mm);
+    }
+
+    #[test]
+    fn that_are_none_say_what_one_is() {
+        for (bad, words) in [
+            ("pose = 3", "rotation_xyzw"),
+            ("pose = { rotation_xyzw = [0, 0, 0, 0], translation_mm = [0, 0, 0] }", "norm"),
+            ("pose = [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0], [0, 0, 0, 1]]", "no rotation"),
+        ] {
+            let message = toml::from_str::<File>(bad).unwrap_err().to_string();
+            assert!(message.contains(words), "{message}");
+        }
+    }
+}

@@ -93,14 +93,18 @@ fn a_press_is_measured_to_what_the_centres_allow() {
     for (preset, centre_sigma_px) in [("paper", 0.09), ("balanced", 0.03)] {
         let (_, frame, truth) = run(&scene(vec![]), &Params::preset(preset).unwrap(), false);
         assert!(frame.state.iter().all(|&s| s == MarkerState::Seen), "{preset}");
-        let errors = frame.indentation_mm.iter().zip(&truth.indentation_mm).map(|(found, true_)| found - true_);
+        let errors =
+            frame.indentation_mm.iter().zip(&truth.indentation_mm).map(|(found, true_)| found - true_);
         let rms = (errors.map(|e| e * e).sum::<f64>() / 625.0).sqrt();
         let bound = 2.0 * 0.184 * centre_sigma_px;
         assert!(rms < bound, "{preset}: {rms} mm rms, bound {bound}");
         // Saliency agrees but for markers within four standard deviations of the threshold.
         for (i, &salient) in frame.salient.iter().enumerate() {
             let margin = truth.indentation_mm[i] - 0.35;
-            assert!(margin.abs() < 4.0 * bound || salient == (margin > 0.0), "{preset}: marker {i}, {margin}");
+            assert!(
+                margin.abs() < 4.0 * bound || salient == (margin > 0.0),
+                "{preset}: marker {i}, {margin}"
+            );
         }
         assert!(frame.salient.iter().filter(|&&s| s).count() > 40);
     }

@@ -146,18 +146,54 @@ impl Mul for Pose {
     }
 }
 
+/// How a pose is written in a file: as a quaternion, because a matrix does not come back with the same bits.
+#[cfg(feature = "serde")]
+#[derive(serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PoseFields {
+    rotation_xyzw: [f64; 4],
+    translation_mm: [f64; 3],
+}
+
+/// What a file may hold: the above, or the four rows of a homogeneous matrix.
+#[cfg(feature = "serde")]
+#[derive(serde::Deserialize)]
+#[serde(
+    untagged,
+    expecting = "a pose is { rotation_xyzw = [x, y, z, w], translation_mm = [x, y, z] } or four rows of four numbers"
+)]
+enum PoseForms {
+    Fields(PoseFields),
+    Rows([[f64; 4]; 4]),
+}
+
 #[cfg(feature = "serde")]
 impl serde::Serialize for Pose {
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        self.to_rows().serialize(serializer)
+        let (rotation_xyzw, translation_mm) = (self.rotation.to_array(), self.translation_mm.to_array());
+        PoseFields { rotation_xyzw, translation_mm }.serialize(serializer)
     }
 }
 
 #[cfg(feature = "serde")]
 impl<'de> serde::Deserialize<'de> for Pose {
-    /// From four rows of four numbers.
     fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let rows = <[[f64; 4]; 4]>::deserialize(deserializer)?;
-        Self::from_rows(&rows).map_err(serde::de::Error::custom)
+        let pose = match PoseForms::deserialize(deserializer)? {
+            PoseForms::Rows(rows) => Self::from_rows(&rows),
+            PoseForms::Fields(fields) => Self::from_fields(&fields),
+        };
+        pose.map_err(serde::de::Error::custom)
+    }
+}
+
+#[cfg(feature = "serde")]
+impl Pose {
+    fn from_fields(fields: &PoseFields) -> Result<Self, PoseError> {
+        let rotation = DQuat::from_array(fields.rotation_xyzw);
+        let pose = Self { rotation, translation_mm: DVec3::from_array(fields.translation_mm) };
+        // What this type wrote is taken bit for bit; what somebody typed is brought to unit length.
+        let written = (rotation.length_squared() - 1.0).abs() <= 4.0 * f64::EPSILON;
+        let normalized = pose.normalized()?;
+        Ok(if written { pose } else { normalized })
     }
 }
