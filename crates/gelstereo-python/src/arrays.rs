@@ -153,7 +153,15 @@ impl<'py> Image<'py> {
         }
         let view = array.as_array();
         let (height, width) = view.dim();
-        Ok(Self::Copied { bytes: view.iter().copied().collect(), height, width })
+        let mut bytes = Vec::with_capacity(height * width);
+        for row in view.rows() {
+            // One half of a side-by-side frame has whole rows.
+            match row.as_slice() {
+                Some(row) => bytes.extend_from_slice(row),
+                None => bytes.extend(row.iter()),
+            }
+        }
+        Ok(Self::Copied { bytes, height, width })
     }
 
     pub fn view(&self) -> PyResult<GrayView<'_>> {

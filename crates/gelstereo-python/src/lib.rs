@@ -44,7 +44,7 @@ mod _native {
     #[pymodule_export]
     use crate::params::Params;
     #[pymodule_export]
-    use crate::pipeline::{Frame, Pipeline, ViewEvidence};
+    use crate::pipeline::{Frame, Pipeline, ViewEvidence, marker_states};
     #[pymodule_export]
     use crate::register::{FreeDirection, Localization, Template, localize};
     #[pymodule_export]

@@ -6,6 +6,7 @@ use crate::errors::raise;
 use crate::params::Params;
 use crate::rig::Rig;
 use gelstereo_core::pipeline as core;
+use gelstereo_core::track::MarkerState;
 use pyo3::prelude::*;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -205,4 +206,11 @@ impl Pipeline {
         });
         Frame::new(py, frame.map_err(raise)?)
     }
+}
+
+/// Names and values of the core's marker states, which `gelstereo.MarkerState` repeats for the sake of its types.
+#[pyfunction]
+pub fn marker_states() -> std::collections::BTreeMap<&'static str, u8> {
+    let states = [("SEEN", MarkerState::Seen), ("HELD", MarkerState::Held), ("LOST", MarkerState::Lost)];
+    states.map(|(name, state)| (name, state as u8)).into()
 }

@@ -44,11 +44,11 @@ SCENE: dict[str, Any] = {
     "trajectory": [
         {"time_s": 0.0, "position_mm": [4.0, 0.0, 33.0], "rotation_rad": _SIDEWAYS},
         {"time_s": 0.7, "position_mm": [4.0, 0.0, 30.7], "rotation_rad": _SIDEWAYS},
-        {"time_s": 1.0, "position_mm": [4.0, 0.4, 30.7], "rotation_rad": _SIDEWAYS, "shear_mm": [0.0, 0.4]},
+        {"time_s": 1.0, "position_mm": [4.0, 0.8, 30.7], "rotation_rad": _SIDEWAYS, "shear_mm": [0.0, 0.8]},
     ],
 }
 
-#: The gel's shoulder beside a part that is pressed 2 mm deep is higher than the paper's 0.35 mm, and its markers are not
+#: The gel's shoulder beside a part pressed 2 mm deep is higher than the paper's 0.35 mm, and its markers are not
 #: on the part; from here up, those that are salient are.
 SALIENCY_MM = 1.3
 

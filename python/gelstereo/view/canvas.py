@@ -54,10 +54,12 @@ class Canvas:
     def circle(self, centre: Iterable[float], radius: float, colour: Colour, width: float = 0.0) -> None:
         """A disc, or a ring of that line width."""
         thickness = max(1, round(width * _SUPERSAMPLING)) if width > 0 else -1
+        # OpenCV fills the pixels on the circle as well, half a pixel too far.
+        outline = radius * _SUPERSAMPLING - (0.0 if width > 0 else 0.5)
         self._cv2.circle(
             self._pixels,
             self._fixed(centre),
-            round(radius * _SUPERSAMPLING * (1 << _SHIFT)),
+            round(outline * (1 << _SHIFT)),
             colour,
             thickness,
             self._cv2.LINE_AA,

@@ -19,6 +19,8 @@ from gelstereo.view.moment import Moment, Part, pose_in_words
 
 Floats = npt.NDArray[np.float64]
 
+_MAGIC = b"\x89MCAP0\r\n"
+
 #: Deviation of a flattened shape from the true one, in the picture only.
 _SHAPE_TOLERANCE_MM = 0.02
 _MM_PER_METRE = 1000.0
@@ -105,10 +107,15 @@ def _read(path: Path) -> _Recorded:
         raise RecordingError("reading recordings needs mcap: pip install 'gelstereo[recording]'") from error
     recorded = _Recorded()
     with path.open("rb") as stream:
+        if stream.read(len(_MAGIC)) != _MAGIC:
+            raise RecordingError(
+                f"{path} is no MCAP file; valid is a recording by gelstereo-host, or a folder"
+            )
+        stream.seek(0)
         try:
             for _, channel, message in NonSeekingReader(stream).iter_messages(log_time_order=False):
                 _take(recorded, channel.topic, message.data)
-        except McapError as error:
+        except (McapError, struct.error) as error:
             # Of a file that was cut off, what came before the cut is good.
             if recorded.cloud is None:
                 raise RecordingError(f"{path} cannot be read as MCAP: {error}") from error
@@ -128,7 +135,7 @@ def _read_header(stream: Any, recorded: _Recorded) -> None:
                 recorded.config = parse_toml(record.metadata["config_toml"])
             elif isinstance(record, Attachment):
                 recorded.attachments[record.name] = record.data
-    except McapError:
+    except (McapError, struct.error):
         return  # cut off; the header comes first
 
 

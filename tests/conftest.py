@@ -1,0 +1,34 @@
+"""Settings of the property tests, and sensors that many tests look through."""
+
+from __future__ import annotations
+
+import gelstereo
+import hypothesis
+import pytest
+
+# No example may depend on how fast the machine is, and every run tries the same ones.
+hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=True, max_examples=60)
+hypothesis.settings.load_profile("repeatable")
+
+
+@pytest.fixture(scope="session")
+def sensor() -> gelstereo.Simulator:
+    """The default sensor under a ball, with a perfect camera."""
+    return gelstereo.simulate({"indenter": {"kind": "sphere", "radius_mm": 4.0}})
+
+
+@pytest.fixture(scope="session")
+def noisy_press() -> list[gelstereo.SimulatedFrame]:
+    """A ball pressed 1.2 mm deep in five frames, with blur and noise."""
+    simulator = gelstereo.simulate(
+        {
+            "frame_rate_hz": 5,
+            "indenter": {"kind": "sphere", "radius_mm": 4.0},
+            "effects": {"shoulder": {}, "defocus": {}, "sensor_noise": {}},
+            "trajectory": [
+                {"time_s": 0.0, "position_mm": [4.0, 0.0, 33.0]},
+                {"time_s": 0.8, "position_mm": [4.0, 0.0, 31.5]},
+            ],
+        }
+    )
+    return [simulator[index] for index in range(len(simulator))]

@@ -1,0 +1,169 @@
+"""Templates from meshes: units, sampling, and registration of contacts with them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from gelstereo import MeshError, Params, RegisterError, ShapeError, Template, TemplateError, localize
+from gelstereo.geometry import nearest, se3_exp, se3_log, shape_mesh
+from gelstereo.templates import load_mesh
+
+DATA = Path(os.environ.get("GELSTEREO_DATA", Path(__file__).parents[2] / "shared" / "data"))
+MESHES = [*sorted(DATA.glob("factory_meshes/*.obj")), *sorted(DATA.glob("meshes_realsense/*.stl"))]
+PLANE = Params.preset("balanced")
+
+
+@pytest.fixture(scope="module")
+def box() -> trimesh.Trimesh:
+    return trimesh.creation.box((16.0, 16.0, 50.0))
+
+
+@pytest.mark.skipif(not MESHES, reason=f"the real meshes are not at {DATA} (set GELSTEREO_DATA)")
+def test_real_meshes_are_in_metres() -> None:
+    for path in MESHES:
+        with pytest.raises(MeshError, match="try units='m'"):
+            Template.from_mesh(path, units="mm", spacing_mm=1.0)
+        template = Template.from_mesh(str(path), units="m", spacing_mm=1.0)
+        size = np.ptp(template.points_mm, axis=0)
+        assert 5.0 < size.max() < 100.0, path.name
+        assert len(template) > 100
+
+
+@pytest.mark.parametrize(
+    ("extents", "units", "guess"),
+    [
+        ((0.016, 0.016, 0.05), "mm", "'m'"),  # a 50 mm bolt that was written in metres
+        ((16.0, 16.0, 50.0), "m", "'mm'"),  # and one of 50 m
+        ((50000.0, 16.0, 16.0), "m", None),  # no unit makes this a part
+    ],
+)
+def test_absurd_sizes_are_refused_with_a_guess(
+    extents: tuple[float, ...], units: str, guess: str | None
+) -> None:
+    mesh = trimesh.creation.box(extents)
+    with pytest.raises(MeshError, match=r"the extents are .* valid is") as caught:
+        Template.from_mesh(mesh, units=units)  # type: ignore[arg-type]
+    assert ("try units=" in str(caught.value)) == (guess is not None)
+    assert guess is None or f"try units={guess}" in str(caught.value)
+
+
+def test_units_scale(box: trimesh.Trimesh) -> None:
+    in_mm, _ = load_mesh(box, "mm")
+    for units, per_mm in [("m", 1e-3), ("cm", 0.1), ("inch", 1 / 25.4)]:
+        scaled = trimesh.Trimesh(box.vertices * per_mm, box.faces, process=False)
+        vertices, _ = load_mesh(scaled, units)  # type: ignore[arg-type]
+        assert np.allclose(vertices, in_mm, rtol=4 * 2.0**-53, atol=0)
+    with pytest.raises(MeshError, match="valid is one of 'mm', 'cm', 'm', 'inch'"):
+        Template.from_mesh(box, units="furlong")  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="units"):
+        Template.from_mesh(box)  # type: ignore[call-arg]
+
+
+def test_files_that_are_no_mesh(tmp_path: Path, box: trimesh.Trimesh) -> None:
+    with pytest.raises(FileNotFoundError, match="absent"):
+        Template.from_mesh(tmp_path / "absent.stl", units="mm")
+    for name, content in [("empty.stl", b""), ("text.obj", b"hello"), ("odd.xyz9", b"1 2 3")]:
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(MeshError):
+            Template.from_mesh(tmp_path / name, units="mm")
+    box.export(tmp_path / "box.stl")
+    assert len(Template.from_mesh(tmp_path / "box.stl", units="mm", spacing_mm=1.0)) > 1000
+
+
+def test_points_lie_evenly_on_the_surface_with_outward_normals(box: trimesh.Trimesh) -> None:
+    spacing_mm = 0.5
+    template = Template.from_mesh(box, units="mm", spacing_mm=spacing_mm)
+    half = np.array([8.0, 8.0, 25.0])
+    beyond = np.abs(template.points_mm) - half
+    assert np.abs(beyond.max(axis=1)).max() < 1e-12  # on the surface
+    # Outward: a small step along the normal leaves the box.
+    assert (np.abs(template.points_mm + 1e-6 * template.normals) > half).any(axis=1).all()
+    # One point for every spacing² of area; even sampling varies by far less than a random one's root of N.
+    expected = box.area / spacing_mm**2
+    assert len(template) == pytest.approx(expected, rel=0.05)
+    # And no hole larger than a few spacings.
+    on_surface = np.asarray(trimesh.sample.sample_surface(box, 2000, seed=1)[0])
+    assert nearest(template.points_mm, on_surface)[1].max() < 3 * spacing_mm
+
+
+def test_the_same_seed_gives_the_same_points(box: trimesh.Trimesh) -> None:
+    digests = [Template.from_mesh(box, units="mm", spacing_mm=1.0, seed=seed).digest for seed in (1, 1, 2)]
+    assert digests[0] == digests[1] != digests[2]
+
+
+def test_what_is_no_template() -> None:
+    with pytest.raises(TemplateError):
+        Template.from_points(np.empty((0, 3)), np.empty((0, 3)), 0.3)
+    with pytest.raises(ShapeError, match=r"normals has the shape \(3, 2\)"):
+        Template.from_points(np.zeros((3, 3)), np.zeros((3, 2)), 0.3)
+    with pytest.raises(MeshError, match="names vertex 7"):
+        Template.from_triangles(np.eye(3), [[0, 1, 7]])
+    with pytest.raises(MeshError, match="names vertex"):
+        Template.from_triangles(np.eye(3), [[0, 1, -1]])
+
+
+def board_contact(t_sensor_object: np.ndarray, noise_mm: float) -> np.ndarray:
+    """Points of three faces of a box's corner, in the sensor frame: no direction is free."""
+    rng = np.random.default_rng(5)
+    flat = rng.uniform(-8.0, 8.0, (300, 3))
+    for axis in range(3):
+        flat[axis::3, axis] = 8.0 if axis < 2 else 25.0
+    flat[:, 2] = np.where(np.arange(300) % 3 == 2, 25.0, np.abs(flat[:, 2]) + 16.0)
+    points = flat + noise_mm * rng.normal(size=flat.shape)
+    return points @ t_sensor_object[:3, :3].T + t_sensor_object[:3, 3]
+
+
+def test_localize_finds_a_corner_within_its_own_covariance(box: trimesh.Trimesh) -> None:
+    template = Template.from_mesh(box, units="mm", spacing_mm=0.3)
+    truth = np.array(se3_exp([0.2, -0.1, 0.3, 4.0, 1.0, 30.0]))
+    guess = truth @ se3_exp([0.03, -0.03, 0.02, 0.3, -0.3, 0.2])
+    noise_mm = 0.03
+    params = PLANE.replace({"register.point_sigma_mm": noise_mm})
+    points = board_contact(truth, noise_mm)
+    found = localize(points, template, t_sensor_object=guess, params=params)
+    assert found.converged
+    assert found.free == ()
+    assert found.points == 300
+    assert np.array_equal(found.information, found.information.T)
+    # The covariance is the inverse of the information where nothing is free.
+    assert np.allclose(found.covariance @ found.information, np.eye(6), atol=1e-6)
+    twist = np.array(se3_log(truth @ np.linalg.inv(found.t_sensor_object)))
+    # Squared Mahalanobis distance of six dimensions: 99.99 % lie below 27.9; a sampled template adds its own error
+    # of up to the share of the spacing, so twice the deviation is granted.
+    assert twist @ found.information @ twist < 4 * 27.9
+    again = localize(points, template, t_sensor_object=guess, params=params)
+    assert again.digest == found.digest
+
+
+def test_localize_names_what_a_cylinder_leaves_free() -> None:
+    template = Template.from_triangles(*shape_mesh({"kind": "cylinder", "radius_mm": 4.0, "length_mm": 40.0}))
+    rng = np.random.default_rng(2)
+    angle, height = rng.uniform(-0.8, 0.8, 200), rng.uniform(-8.0, 8.0, 200)
+    points = np.column_stack([4 * np.cos(angle), 4 * np.sin(angle), height]) + 0.01 * rng.normal(
+        size=(200, 3)
+    )
+    found = localize(points, template, t_sensor_object=se3_exp([0.01, 0.01, 0, 0.1, 0.1, 0]), params=PLANE)
+    words = [str(direction) for direction in found.free]
+    assert [text.split()[:3] for text in words] == [["slide", "along", "z"], ["spin", "about", "z"]]
+    slide, spin = found.free
+    assert np.abs(np.abs(slide.v) - [0, 0, 1]).max() < 1e-2
+    assert not slide.omega.any()
+    # The spin turns about the cylinder's axis, which its twist puts beside the patch's centre.
+    on_axis = spin.centre_mm + np.cross(spin.omega, spin.v)
+    # Known no better than the noise of the points lets it be: three times register.point_sigma_mm.
+    assert np.abs(on_axis[:2]).max() < 3 * PLANE.to_dict()["register"]["point_sigma_mm"]
+
+
+def test_row_06_patches_that_cannot_be_registered(box: trimesh.Trimesh) -> None:
+    template = Template.from_mesh(box, units="mm", spacing_mm=1.0)
+    for points in (np.empty((0, 3)), np.zeros((1, 3)), np.full((20, 3), np.nan), np.full((20, 3), 1e6)):
+        with pytest.raises(RegisterError):
+            localize(points, template, t_sensor_object=np.eye(4))
+    with pytest.raises(TypeError, match="t_sensor_object"):
+        localize(np.zeros((10, 3)), template)  # type: ignore[call-arg]
+    with pytest.raises(ShapeError, match=r"t_sensor_object has the shape \(3, 3\); valid is \(4, 4\)"):
+        localize(np.zeros((10, 3)), template, t_sensor_object=np.eye(3))
