@@ -206,6 +206,19 @@ def test_corner_search_ends_at_its_time_limit(tmp_path: Path, folder: Path) -> N
         assert finder.find(images(folder, "left")[0], BOARD).corners_px is not None
 
 
+def test_crash_of_the_search_names_the_image_and_is_survived(folder: Path) -> None:
+    first = images(folder, "left")[0]
+    with CornerFinder() as finder:
+        assert finder.find(first, BOARD).corners_px is not None
+        worker = finder._worker
+        assert worker is not None
+        worker._process.kill()
+        worker._process.wait()
+        with pytest.raises(calibrate.ImageError, match=r"ended while it was at work on .*left01\.png"):
+            finder.find(first, BOARD)
+        assert finder.find(first, BOARD).corners_px is not None
+
+
 def test_unreadable_and_odd_sized_images_are_named(tmp_path: Path, folder: Path) -> None:
     text = tmp_path / "left01.png"
     text.write_text("no image")

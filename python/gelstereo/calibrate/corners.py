@@ -7,6 +7,7 @@ import queue
 import subprocess
 import sys
 import threading
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -71,11 +72,18 @@ class CornerFinder:
         Raises
         ------
         ImageError
-            The file cannot be read as an image.
+            The file cannot be read as an image, or the search crashed on it.
         """
         if self._worker is None:
             self._worker = _Worker()
-        reply = self._worker.ask({"path": str(path), "board": board, "method": method}, self.time_limit_s)
+        request = {"path": str(path), "board": board, "method": method}
+        try:
+            reply = self._worker.ask(request, self.time_limit_s)
+        except (CalibrationError, BrokenPipeError) as error:
+            self.close()
+            raise ImageError(
+                f"the corner search ended while it was at work on {path}: {error}", path
+            ) from error
         if reply is None:
             self.close()
             return Corners(self._size_px(path), None, timed_out=True)
@@ -146,7 +154,8 @@ class _Worker:
         self._process.kill()
         self._process.wait()
         self._thread.join()
-        self._stdin.close()
+        with suppress(BrokenPipeError):  # what was not sent yet is of no use now
+            self._stdin.close()
         if self._process.stdout is not None:
             self._process.stdout.close()
 
