@@ -142,9 +142,6 @@ pub struct TaskConfig {
     pub move_speed_mm_s: f64,
     /// Default: `10` mm/s.
     pub insertion_speed_mm_s: f64,
-    /// Only markers that are pressed at least this share of the deepest one are registered: beside the part the gel is
-    /// lifted too, but does not show the part's surface. 0 takes all salient markers, as the paper does. Default: `0.65`.
-    pub contact_share: f64,
     /// How long to wait for a stereo pair. Default: `2` s.
     pub frame_timeout_s: f64,
 }
@@ -173,7 +170,6 @@ impl Default for TaskConfig {
             closing_force: 0.2,
             move_speed_mm_s: 400.0,
             insertion_speed_mm_s: 10.0,
-            contact_share: 0.65,
             frame_timeout_s: 2.0,
         }
     }
@@ -432,12 +428,6 @@ impl Config {
             above_0(name, found)?;
         }
         check((0.0..=1.0).contains(&t.closing_force), "task.closing_force", t.closing_force, "0 to 1")?;
-        check(
-            (0.0..1.0).contains(&t.contact_share),
-            "task.contact_share",
-            t.contact_share,
-            "from 0 to below 1",
-        )?;
         let length = DVec3::from_array(t.insertion_axis).length();
         check(length > 1e-6 && length.is_finite(), "task.insertion_axis", length, "a direction, not zero")?;
         let (min_mm, max_mm) = self.mount.kinematics.width_range_mm();

@@ -114,8 +114,7 @@ impl Replay {
             shape @ Shape::Mesh { .. } => Part::from_bytes(shape, mesh)?,
             shape => Part::load(shape)?,
         };
-        let sensing =
-            Sensing::new(&config.rig()?, &params, part.template(&config.part)?, config.task.contact_share)?;
+        let sensing = Sensing::new(&config.rig()?, &params, part.template(&config.part)?)?;
         let report = ReplayReport {
             frames: 0,
             localizations: 0,

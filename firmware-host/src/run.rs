@@ -83,12 +83,7 @@ impl Setup {
     pub fn new(config: &Config) -> Result<Self, HostError> {
         config.validate()?;
         let part = Part::load(&config.part.shape)?;
-        let sensing = Sensing::new(
-            &config.rig()?,
-            &config.params,
-            part.template(&config.part)?,
-            config.task.contact_share,
-        )?;
+        let sensing = Sensing::new(&config.rig()?, &config.params, part.template(&config.part)?)?;
         let world = World::shared(config)?;
         let source: Box<dyn FrameSource> = match &config.source {
             SourceConfig::Simulated => Box::new(SimulatedCamera(Rc::clone(&world))),

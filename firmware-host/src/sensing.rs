@@ -67,27 +67,20 @@ pub struct Sensing {
     pipeline: Pipeline,
     registrar: Registrar,
     template: Template,
-    contact_share: f64,
     frame: Frame,
     patch_mm: Vec<DVec3>,
 }
 
 impl Sensing {
-    /// For this rig and template. `contact_share` is [`TaskConfig::contact_share`](crate::config::TaskConfig).
+    /// For this rig and template.
     ///
     /// # Errors
     /// [`SensingError::Pipeline`].
-    pub fn new(
-        rig: &Rig,
-        params: &Params,
-        template: Template,
-        contact_share: f64,
-    ) -> Result<Self, SensingError> {
+    pub fn new(rig: &Rig, params: &Params, template: Template) -> Result<Self, SensingError> {
         Ok(Self {
             pipeline: Pipeline::new(rig, params).map_err(SensingError::Pipeline)?,
             registrar: Registrar::new(&params.register),
             template,
-            contact_share,
             frame: Frame::default(),
             patch_mm: Vec::new(),
         })
@@ -123,7 +116,7 @@ impl Sensing {
                     rotation: DQuat::from_array(*rotation_xyzw),
                     translation_mm: DVec3::from_array(*translation_mm),
                 };
-                self.select_patch();
+                self.frame.patch_points_mm(&mut self.patch_mm);
                 return self
                     .registrar
                     .run(&self.patch_mm, &self.template, &guess)
@@ -132,15 +125,6 @@ impl Sensing {
             }
         }
         Ok(None)
-    }
-
-    /// The salient markers that lie on the part, not on the gel's shoulder beside it.
-    fn select_patch(&mut self) {
-        let Frame { indentation_mm, salient, points_mm, .. } = &self.frame;
-        let salient_mm = || indentation_mm.iter().zip(salient).zip(points_mm).filter(|((_, s), _)| **s);
-        let least_mm = self.contact_share * salient_mm().map(|((&h, _), _)| h).fold(0.0, f64::max);
-        self.patch_mm.clear();
-        self.patch_mm.extend(salient_mm().filter(|((h, _), _)| **h >= least_mm).map(|(_, &point)| point));
     }
 }
 

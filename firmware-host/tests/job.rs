@@ -86,7 +86,7 @@ fn ten_pegs_go_in_and_the_outcome_says_so() {
 fn failures_of_ten_pegs_are_told_as_what_they_are() {
     let inserted = (11..=20).filter(|&seed| {
         let mut config = quick(seed);
-        config.task.contact_share = 0.0;
+        config.params.contact.patch_share = 0.0;
         judged(&config, &job(&config))
     });
     let inserted = inserted.count();

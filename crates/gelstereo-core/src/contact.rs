@@ -125,6 +125,14 @@ pub fn saliency(indentation_mm: &[f64], state: &[MarkerState], threshold_mm: f64
     );
 }
 
+/// The contact patch: the salient markers that are pressed at least `share` of the deepest one.
+pub fn patch(indentation_mm: &[f64], salient: &[bool], share: f64, out: &mut Vec<bool>) {
+    let markers = || indentation_mm.iter().zip(salient);
+    let deepest_mm = markers().filter(|&(_, &salient)| salient).map(|(&h, _)| h).fold(0.0, f64::max);
+    out.clear();
+    out.extend(markers().map(|(&h, &salient)| salient && h >= share * deepest_mm));
+}
+
 /// Mean distance of the markers that were seen from their reference positions, in pixels; 0 when none was seen.
 #[must_use]
 pub fn mean_motion_px(reference_px: &[DVec2], now_px: &[DVec2], state: &[MarkerState]) -> f64 {

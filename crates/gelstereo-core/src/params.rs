@@ -230,8 +230,12 @@ impl Default for TriangulateParams {
     serde(default, deny_unknown_fields)
 )]
 pub struct ContactParams {
-    /// Indentation from which a marker is in contact (Eq. 4). Default: `0.35` mm.
+    /// Indentation from which a marker is salient (Eq. 4). Default: `0.35` mm.
     pub saliency_mm: f64,
+    /// Share of the deepest indentation that a salient marker must reach to belong to the contact patch, which is what is
+    /// registered. Beside a deep press the gel is lifted too, but shows no surface of the part; where a ball or a
+    /// cylinder leaves the gel, that has sunk about half as deep as in the middle (Hertz). Default: `0`, all of them.
+    pub patch_share: f64,
     /// Mean marker motion at which the gripper stops closing. Default: `10` px.
     pub grasp_trigger_px: f64,
     /// Mean marker motion at which insertion stops. Default: `5` px.
@@ -240,7 +244,7 @@ pub struct ContactParams {
 
 impl Default for ContactParams {
     fn default() -> Self {
-        Self { saliency_mm: 0.35, grasp_trigger_px: 10.0, insertion_trigger_px: 5.0 }
+        Self { saliency_mm: 0.35, patch_share: 0.0, grasp_trigger_px: 10.0, insertion_trigger_px: 5.0 }
     }
 }
 
@@ -341,7 +345,7 @@ impl Params {
     /// The preset of that name, or `None`; [`Self::PRESETS`] lists them.
     ///
     /// `paper` is the paper's pipeline to the letter, `balanced` its cheaper and more accurate variant: box
-    /// background, grey centroids, labels kept through tracks, point-to-plane registration.
+    /// background, grey centroids, labels kept through tracks, the gel's shoulder left out, point-to-plane registration.
     #[must_use]
     pub fn preset(name: &str) -> Option<Self> {
         match name {
@@ -354,6 +358,7 @@ impl Params {
                 },
                 label: LabelParams { method: LabelMethod::Temporal, ..Default::default() },
                 triangulate: TriangulateParams { centre_sigma_px: 0.04, ..Default::default() },
+                contact: ContactParams { patch_share: 0.65, ..Default::default() },
                 register: RegisterParams { method: RegisterMethod::FilterregPlane, ..Default::default() },
                 ..Self::default()
             }),
@@ -397,6 +402,8 @@ impl Params {
         positive("triangulate.max_epipolar_px", self.triangulate.max_epipolar_px)?;
         positive("triangulate.centre_sigma_px", self.triangulate.centre_sigma_px)?;
         positive("contact.saliency_mm", self.contact.saliency_mm)?;
+        let share = self.contact.patch_share;
+        check((0.0..1.0).contains(&share), "contact.patch_share", share, "from 0 to below 1")?;
         positive("contact.grasp_trigger_px", self.contact.grasp_trigger_px)?;
         positive("contact.insertion_trigger_px", self.contact.insertion_trigger_px)?;
         self.register.validate()

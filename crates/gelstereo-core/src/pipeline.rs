@@ -50,8 +50,10 @@ pub struct Frame {
     pub points_mm: Vec<DVec3>,
     /// Height above the rest surface, towards the camera, millimetres.
     pub indentation_mm: Vec<f64>,
-    /// In contact (Eq. 4).
+    /// Indented by more than the threshold (Eq. 4).
     pub salient: Vec<bool>,
+    /// Salient and in the contact patch, which is what registration is given.
+    pub patch: Vec<bool>,
     /// Mean motion of the seen markers of the left view since the reference, pixels.
     pub motion_px: f64,
     /// Markers that both views saw, but that no point of space explains (rows or disparity disagree).
@@ -77,14 +79,16 @@ impl Frame {
             .f64s([self.motion_px])
             .u64(self.mismatched as u64);
         let digest = self.state.iter().fold(digest, |d, &state| d.bytes(&[state as u8]));
-        let digest = self.salient.iter().fold(digest, |d, &salient| d.bytes(&[u8::from(salient)]));
+        let flags = self.salient.iter().zip(&self.patch);
+        let digest =
+            flags.fold(digest, |d, (&salient, &patch)| d.bytes(&[u8::from(salient), u8::from(patch)]));
         view(view(digest, &self.left), &self.right).value()
     }
 
-    /// The salient points in the order of the markers (sensor frame, millimetres); `out` is cleared first.
-    pub fn salient_points_mm(&self, out: &mut Vec<DVec3>) {
+    /// The points of the contact patch in the order of the markers (sensor frame, millimetres); `out` is cleared first.
+    pub fn patch_points_mm(&self, out: &mut Vec<DVec3>) {
         out.clear();
-        out.extend(self.points_mm.iter().zip(&self.salient).filter(|&(_, &s)| s).map(|(&point, _)| point));
+        out.extend(self.points_mm.iter().zip(&self.patch).filter(|&(_, &p)| p).map(|(&point, _)| point));
     }
 }
 
@@ -436,6 +440,7 @@ impl Pipeline {
         }
         let contact = &self.params.contact;
         contact::saliency(&out.indentation_mm, &out.state, contact.saliency_mm, &mut out.salient);
+        contact::patch(&out.indentation_mm, &out.salient, contact.patch_share, &mut out.patch);
         out.motion_px = contact::mean_motion_px(&self.reference_px, &out.left_px, &out.state);
         out.left = self.left.evidence;
         out.right = self.right.evidence;

@@ -1,6 +1,6 @@
 //! Rest plane, saliency, motion; and the frames from sensor to base.
 
-use gelstereo_core::contact::{ContactError, RestSurface, mean_motion_px, saliency};
+use gelstereo_core::contact::{ContactError, RestSurface, mean_motion_px, patch, saliency};
 use gelstereo_core::frames::{FingerKinematics, SensorMount, adjusted_gripper};
 use gelstereo_core::math::{DVec2, DVec3, Pose, so3};
 use gelstereo_core::track::MarkerState::{Held, Lost, Seen};
@@ -53,6 +53,18 @@ fn only_seen_markers_are_salient_or_move_the_mean() {
     let now = [DVec2::new(3.0, 4.0), DVec2::splat(99.0), DVec2::new(0.0, 1.0), DVec2::splat(99.0)];
     assert_eq!(mean_motion_px(&reference, &now, &state), 3.0);
     assert_eq!(mean_motion_px(&reference, &now, &[Lost; 4]), 0.0);
+}
+
+#[test]
+fn the_patch_leaves_the_shoulder_out() {
+    let (indentation, salient) = ([2.0, 1.3, 1.2, 3.0, 0.4], [true, true, true, false, true]);
+    let mut found = Vec::new();
+    patch(&indentation, &salient, 0.65, &mut found);
+    assert_eq!(found, [true, true, false, false, false]);
+    patch(&indentation, &salient, 0.0, &mut found);
+    assert_eq!(found, salient);
+    patch(&indentation, &[false; 5], 0.65, &mut found);
+    assert_eq!(found, [false; 5]);
 }
 
 proptest! {

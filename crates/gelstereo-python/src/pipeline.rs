@@ -68,8 +68,10 @@ pub struct Frame {
     state: Array1<u8>,
     /// (N,) bool, in contact (Eq. 4).
     salient: Array1<bool>,
-    /// (M, 3) the salient points, in the order of the markers.
-    salient_points_mm: Matrix,
+    /// (N,) whether each is in the contact patch, which is what `localize` wants.
+    patch: Array1<bool>,
+    /// (M, 3) the points of the contact patch, in the order of the markers.
+    patch_points_mm: Matrix,
     /// Markers whose two views disagreed.
     mismatched: usize,
     /// Mean motion of the seen markers of the left view since the reference.
@@ -85,8 +87,8 @@ pub struct Frame {
 impl Frame {
     fn new(py: Python<'_>, frame: core::Frame) -> PyResult<Self> {
         let digest = frame.digest();
-        let mut salient_points = Vec::new();
-        frame.salient_points_mm(&mut salient_points);
+        let mut patch_points = Vec::new();
+        frame.patch_points_mm(&mut patch_points);
         Ok(Self {
             index: frame.index,
             left_px: arrays::rows::<_, 2>(py, frame.left_px)?,
@@ -95,7 +97,8 @@ impl Frame {
             indentation_mm: arrays::list(py, frame.indentation_mm),
             state: arrays::list(py, frame.state.into_iter().map(|s| s as u8).collect()),
             salient: arrays::list(py, frame.salient),
-            salient_points_mm: arrays::rows::<_, 3>(py, salient_points)?,
+            patch: arrays::list(py, frame.patch),
+            patch_points_mm: arrays::rows::<_, 3>(py, patch_points)?,
             mismatched: frame.mismatched,
             motion_px: frame.motion_px,
             digest,
@@ -109,9 +112,9 @@ impl Frame {
 impl Frame {
     fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
         let markers = self.state.bind(py).len()?;
-        let salient = self.salient_points_mm.bind(py).len()?;
+        let patch = self.patch_points_mm.bind(py).len()?;
         Ok(format!(
-            "<Frame {}: {markers} markers, {salient} salient, motion {:.2} px>",
+            "<Frame {}: {markers} markers, {patch} in contact, motion {:.2} px>",
             self.index, self.motion_px
         ))
     }

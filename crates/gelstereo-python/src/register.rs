@@ -256,7 +256,7 @@ impl Localization {
 /// Parameters
 /// ----------
 /// points_mm : (N, 3) array_like
-///     Points on the part's surface, sensor frame: `Frame.salient_points_mm`.
+///     Points on the part's surface, sensor frame: `Frame.patch_points_mm`.
 /// template : Template
 /// t_sensor_object : (4, 4) array_like
 ///     A guess: maps object coordinates to sensor coordinates.

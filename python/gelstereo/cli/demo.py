@@ -48,10 +48,6 @@ SCENE: dict[str, Any] = {
     ],
 }
 
-#: The gel's shoulder beside a part pressed 2 mm deep is higher than the paper's 0.35 mm, and its markers are not
-#: on the part; from here up, those that are salient are.
-SALIENCY_MM = 1.3
-
 #: How far the guess is from the truth: degrees about x, y, z and millimetres along them.
 _GUESS_DEG, _GUESS_MM = (1.5, 2.0, -2.0), (0.5, -0.5, 0.3)
 
@@ -69,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
     from gelstereo.view import Moment, draw
     from gelstereo.view.moment import Part, pose_in_words
 
-    params = params_of(arguments).replace({"contact.saliency_mm": SALIENCY_MM})
+    params = params_of(arguments)
     rest, frame, moment, milliseconds = press(params)
     vertices_mm, triangles = shape_mesh(SCENE["indenter"], 0.01)
     template = Template.from_triangles(vertices_mm, triangles)
@@ -121,7 +117,7 @@ def locate(
     assert moment.t_sensor_object is not None  # the scene has an indenter
     guess = moment.t_sensor_object @ se3_exp([*np.radians(_GUESS_DEG), *_GUESS_MM])
     start = time.perf_counter()
-    found = localize(frame.salient_points_mm, template, t_sensor_object=guess, params=params)
+    found = localize(frame.patch_points_mm, template, t_sensor_object=guess, params=params)
     return found, 1e3 * (time.perf_counter() - start)
 
 

@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.points is not None:
         points_mm = read_points(arguments.points)
     else:
-        points_mm = sense_folder(arguments.images, arguments.rig, params).frame.salient_points_mm
+        points_mm = sense_folder(arguments.images, arguments.rig, params).frame.patch_points_mm
     found = localize(points_mm, template, t_sensor_object=guess_of(arguments), params=params)
     text = json.dumps(as_json(found), indent=2)
     if arguments.output is None:

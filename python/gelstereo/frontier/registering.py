@@ -53,7 +53,7 @@ class Patch:
         truth = press[-1].t_sensor_object
         if truth is None:
             raise Error(f"the scene of {part.name} has no part")
-        return cls(part, part.template(), result.salient_points_mm.copy(), np.array(truth))
+        return cls(part, part.template(), result.patch_points_mm.copy(), np.array(truth))
 
     def start(self, seed: int) -> Array:
         """Draw a guess: turned about the patch's centroid by 5 degrees and moved by 1 mm, in random directions."""
