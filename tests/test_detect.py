@@ -39,6 +39,62 @@ def test_centres_are_opencvs(noisy_press: list[SimulatedFrame]) -> None:
         assert np.abs(found.centres_px - centres[order]).max() < 0.11
 
 
+def pictures() -> list[np.ndarray]:
+    """Noise, blurred noise and steps: every spatial frequency, and grey levels to both ends."""
+    rng = np.random.default_rng(7)
+    noise = rng.integers(0, 256, (90, 120), dtype=np.uint8)
+    soft = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 4), None, 0, 255, cv2.NORM_MINMAX)
+    steps = np.where(np.indices((90, 120)).sum(axis=0) % 40 < 20, 0, 255).astype(np.uint8)
+    return [noise, soft, steps]
+
+
+@pytest.mark.parametrize("kernels", [(1, 3), (3, 9), (3, 51), (7, 31), (11, 21)])
+def test_blur_is_opencvs(kernels: tuple[int, int]) -> None:
+    smooth_px, surround_px = kernels
+    for image in pictures():
+        exact = image.astype(np.float64)
+        smooth = cv2.GaussianBlur(exact, (smooth_px, smooth_px), 0)
+        difference = cv2.GaussianBlur(exact, (surround_px, surround_px), 0) - smooth
+        for threshold in (5, 20, 35, 60):
+            params = PAPER.replace(
+                detect={
+                    "smooth_kernel_px": smooth_px,
+                    "background_kernel_px": surround_px,
+                    "threshold_levels": threshold,
+                }
+            )
+            mask = Detector(params).mask(image)
+            # Each blur is within 1/64 of a level. Farther from the threshold than two of those, and up to the image's
+            # border, both must decide alike.
+            sure = np.abs(difference - threshold) > 2 / 64
+            assert sure.mean() > 0.98
+            assert np.array_equal(mask[sure], (difference >= threshold)[sure])
+
+
+@pytest.mark.parametrize("threshold", [10, 35, 70])
+def test_components_are_opencvs(threshold: int) -> None:
+    params = PAPER.replace(
+        detect={
+            "smooth_kernel_px": 3,
+            "background_kernel_px": 9,
+            "threshold_levels": threshold,
+            "min_area_px2": 1,
+            "max_area_px2": 1_000_000,
+            "min_fill": 0.0,
+        }
+    )
+    detector = Detector(params)
+    for image in pictures():
+        found, mask = detector.detect(image), detector.mask(image)
+        _, _, stats, centroids = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
+        low, high = stats[1:, :2], stats[1:, :2] + stats[1:, 2:4]
+        whole = (low > 0).all(axis=1) & (high < [image.shape[1], image.shape[0]]).all(axis=1)
+        expected = np.column_stack([centroids, stats[:, cv2.CC_STAT_AREA]])[1:][whole]
+        ours = np.column_stack([found.centres_px, found.area_px2])
+        # OpenCV numbers components in an order of its own. Both centroids are a quotient of whole numbers.
+        assert np.allclose(ours[np.lexsort(ours.T)], expected[np.lexsort(expected.T)], rtol=1e-14, atol=0)
+
+
 @pytest.mark.parametrize(
     ("image", "error", "words"),
     [
@@ -59,8 +115,9 @@ def test_centres_are_opencvs(noisy_press: list[SimulatedFrame]) -> None:
     ],
 )
 def test_row_30_images_without_an_answer(image: object, error: type[Error], words: str) -> None:
-    with pytest.raises(error, match=words):
-        Detector(PAPER).detect(image)  # type: ignore[arg-type]
+    for method in (Detector(PAPER).detect, Detector(PAPER).mask):
+        with pytest.raises(error, match=words):
+            method(image)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("preset", Params.presets())

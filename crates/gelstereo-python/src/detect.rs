@@ -4,6 +4,7 @@ use crate::arrays::{self, Array1, Image, Matrix};
 use crate::errors::raise;
 use crate::params::Params;
 use gelstereo_core::detect as core;
+use numpy::PyArray2;
 use pyo3::prelude::*;
 use std::sync::{Mutex, PoisonError};
 
@@ -80,5 +81,32 @@ impl Detector {
             centres_px: arrays::rows::<_, 2>(py, found.centres_px)?,
             area_px2: arrays::list(py, found.area_px2),
         })
+    }
+
+    /// Which pixels of an image differ enough from their surround: what ``detect.threshold_levels`` and
+    /// ``detect.polarity`` keep, before markers are chosen by their size and shape.
+    ///
+    /// Parameters
+    /// ----------
+    /// image : (H, W) uint8
+    ///     Grey image, as in `detect`.
+    ///
+    /// Returns
+    /// -------
+    /// (H, W) bool
+    ///
+    /// Raises
+    /// ------
+    /// ImageError, DetectError
+    ///     As `detect`.
+    fn mask(&self, py: Python<'_>, image: &Bound<'_, PyAny>) -> PyResult<Py<PyArray2<bool>>> {
+        let image = Image::new(image, "image")?;
+        let view = image.view()?;
+        let mask = py.detach(|| {
+            let mut stage = self.stage.lock().unwrap_or_else(PoisonError::into_inner);
+            stage.run(view, &mut core::Markers::default())?;
+            Ok(stage.mask().iter().map(|&pixel| pixel != 0).collect::<Vec<_>>())
+        });
+        arrays::shaped(py, mask.map_err(raise::<core::DetectError>)?, (view.height(), view.width()))
     }
 }
