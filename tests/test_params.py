@@ -43,7 +43,12 @@ def test_an_empty_text_is_the_papers_configuration() -> None:
     assert tree["lattice"]["rows"] * tree["lattice"]["cols"] == 625
     assert tree["track"]["gate_pitches"] == 0.5
     assert tree["label"]["tolerance_pitches"] == pytest.approx(1 / 3)
-    assert tree["contact"] == {"saliency_mm": 0.35, "grasp_trigger_px": 10.0, "insertion_trigger_px": 5.0}
+    assert tree["contact"] == {
+        "saliency_mm": 0.35,
+        "patch_share": 0.0,
+        "grasp_trigger_px": 10.0,
+        "insertion_trigger_px": 5.0,
+    }
 
 
 def test_replace_leaves_the_original_alone_and_none_restores_the_default() -> None:
@@ -66,11 +71,28 @@ def test_replace_leaves_the_original_alone_and_none_restores_the_default() -> No
         ({"contact.saliency_mm": float("nan")}, r"contact.saliency_mm is NaN"),
         ({"lattice.rows": -3}, r"rows = -3"),
         ({"detect": 3}, r"detect = 3"),
+        ({"detect.centre": object()}, r"centre: the setting is of type object; valid is a number"),
+        ({"lattice.rows": 2**70}, r"rows: 1180591620717411303424 does not fit into 64 bits"),
+        ({3: 4}, r"a setting is named 3; valid is text"),
+        ({"detect": {"centre": ["x" * 1000]}}, r"`centre = .{1,60}\.\.\.`"),
     ],
 )
 def test_settings_without_meaning_are_refused_by_name(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(ParamsError, match=words):
         Params().replace(changes)
+
+
+def test_dictionaries_without_an_end_are_refused() -> None:
+    endless: dict[str, Any] = {}
+    endless["detect"] = endless
+    chain: list[Any] = []
+    chain.append(chain)
+    for changes in (endless, {"detect": {"centre": chain}}, {".".join(["a"] * 1000): 1}):
+        with pytest.raises(ParamsError, match="more than 32 deep"):
+            Params().replace(changes)
+    with pytest.raises(ParamsError, match="line 1") as caught:
+        Params.from_toml("a=" + "[" * 100_000)
+    assert len(str(caught.value)) < 200
 
 
 def test_files(tmp_path: Path) -> None:
@@ -85,8 +107,6 @@ def test_files(tmp_path: Path) -> None:
         Params.from_toml("[detect]\n\nfocus = 1")
     with pytest.raises(ParamsError, match='no preset "best"; valid is "paper"'):
         Params.preset("best")
-    with pytest.raises(TypeError, match="of type object"):
-        Params().replace({"detect.centre": object()})
 
 
 def test_every_error_is_an_error_of_gelstereo_and_a_value_error() -> None:

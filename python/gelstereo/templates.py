@@ -51,10 +51,14 @@ def load_mesh(
     FileNotFoundError
         If there is no such file.
     """
-    if units not in MM_PER_UNIT:
+    if not isinstance(units, str) or units not in MM_PER_UNIT:
         valid = ", ".join(f"'{name}'" for name in MM_PER_UNIT)
         raise MeshError(f"units is {units!r}; valid is one of {valid}")
     loaded = _read(Path(mesh)) if isinstance(mesh, (str, Path)) else mesh
+    if not (hasattr(loaded, "vertices") and hasattr(loaded, "faces")):
+        raise MeshError(
+            f"the mesh is of type {type(loaded).__name__}; valid is a file's path or a trimesh.Trimesh"
+        )
     vertices = np.asarray(loaded.vertices, dtype=np.float64)
     triangles = np.asarray(loaded.faces, dtype=np.int64)
     if vertices.size == 0 or triangles.size == 0:

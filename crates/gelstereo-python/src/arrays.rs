@@ -10,6 +10,7 @@ use numpy::{
     Element, IntoPyArray, PyArray, PyArray1, PyArray2, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods,
     PyReadonlyArray2, PyReadonlyArrayDyn, PyUntypedArray, PyUntypedArrayMethods,
 };
+use pyo3::exceptions::PyOverflowError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -117,6 +118,27 @@ impl<'py> Numbers<'py> {
     fn wrong_shape(&self, valid: &str) -> PyErr {
         let shape = shape_text(self.array.shape());
         ShapeError::new_err(format!("{} has the shape {shape}; valid is {valid}", self.name))
+    }
+}
+
+/// A whole number from 0 on. PyO3's own conversion of one that is negative or too large is an `OverflowError` that
+/// does not say what would be valid.
+#[derive(Clone, Copy)]
+pub struct Count(pub usize);
+
+impl<'py> FromPyObject<'_, 'py> for Count {
+    type Error = PyErr;
+
+    fn extract(object: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
+        match object.extract::<usize>() {
+            Ok(count) => Ok(Self(count)),
+            Err(error) if error.is_instance_of::<PyOverflowError>(object.py()) => {
+                let found = object.repr()?;
+                let found: String = found.to_string_lossy().chars().take(40).collect();
+                Err(ShapeError::new_err(format!("a count is {found}; valid is from 0 to {}", usize::MAX)))
+            }
+            Err(error) => Err(error),
+        }
     }
 }
 

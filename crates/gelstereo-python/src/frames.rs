@@ -15,13 +15,28 @@ pub struct FingerKinematics {
     inner: core::FingerKinematics,
 }
 
+impl FingerKinematics {
+    /// Refuses dimensions of which no gripper can be made.
+    fn checked(inner: core::FingerKinematics) -> PyResult<Self> {
+        let (min_mm, max_mm) = inner.width_range_mm();
+        let reach = inner.pad_mm(max_mm).is_ok_and(|pad_mm| pad_mm.is_finite());
+        if reach && min_mm.is_finite() && max_mm > min_mm.max(0.0) && max_mm.is_finite() {
+            return Ok(Self { inner });
+        }
+        Err(FrameError::new_err(format!(
+            "{inner:?} opens from {min_mm} to {max_mm} mm; valid is finite dimensions with which it opens from one width \
+             to a larger one above 0"
+        )))
+    }
+}
+
 #[pymethods]
 impl FingerKinematics {
     /// Fingers that slide along x: the pad stands at x = width / 2 and z = `reach_mm`.
     #[classmethod]
     #[pyo3(signature = (*, reach_mm, max_width_mm))]
-    fn parallel(_cls: &Bound<'_, PyType>, reach_mm: f64, max_width_mm: f64) -> Self {
-        Self { inner: core::FingerKinematics::Parallel { reach_mm, max_width_mm } }
+    fn parallel(_cls: &Bound<'_, PyType>, reach_mm: f64, max_width_mm: f64) -> PyResult<Self> {
+        Self::checked(core::FingerKinematics::Parallel { reach_mm, max_width_mm })
     }
 
     /// Four-bar fingers: the pads stay parallel but advance along z while they close.
@@ -37,10 +52,14 @@ impl FingerKinematics {
         offset_mm: f64,
         reach_mm: f64,
         max_theta_rad: f64,
-    ) -> Self {
-        Self {
-            inner: core::FingerKinematics::Parallelogram { a_mm, b_mm, offset_mm, reach_mm, max_theta_rad },
-        }
+    ) -> PyResult<Self> {
+        Self::checked(core::FingerKinematics::Parallelogram {
+            a_mm,
+            b_mm,
+            offset_mm,
+            reach_mm,
+            max_theta_rad,
+        })
     }
 
     /// The ideal parallelogram of a Robotiq 2F-85; a real gripper wants its own figures.
@@ -116,13 +135,20 @@ impl SensorMount {
         gel_centre_mm: &Bound<'_, PyAny>,
     ) -> PyResult<Self> {
         let centre = DVec3::from_array(Numbers::new(gel_centre_mm, "gel_centre_mm")?.vector::<3>()?);
+        if !centre.is_finite() {
+            return Err(FrameError::new_err(format!(
+                "gel_centre_mm is {centre}; valid is three finite lengths"
+            )));
+        }
         Ok(Self { inner: core::SensorMount::facing(kinematics.get().inner, centre) })
     }
 
     /// A mount from TOML text.
     #[classmethod]
     fn from_toml(_cls: &Bound<'_, PyType>, text: &str) -> PyResult<Self> {
-        Ok(Self { inner: tree::from_toml(text).map_err(FrameError::new_err)? })
+        let inner: core::SensorMount = tree::from_toml(text).map_err(FrameError::new_err)?;
+        FingerKinematics::checked(inner.kinematics)?;
+        Ok(Self { inner })
     }
 
     /// The mount as TOML text.

@@ -1,13 +1,23 @@
 //! Rotations, rigid motions, rigid fits and nearest neighbours.
 
 use crate::arrays::{self, Array1, Matrix, Numbers};
-use crate::errors::{RegisterError, raise};
+use crate::errors::{PoseError, RegisterError, raise};
 use gelstereo_core::math::{DMat3, DQuat, DVec3, Pose, so3, sqrt};
 use gelstereo_core::register::{self, Tree};
 use pyo3::prelude::*;
 
 fn vector(object: &Bound<'_, PyAny>, name: &'static str) -> PyResult<DVec3> {
-    Ok(DVec3::from_array(Numbers::new(object, name)?.vector::<3>()?))
+    Ok(DVec3::from_array(within_reach(Numbers::new(object, name)?.vector::<3>()?, name)?))
+}
+
+/// Numbers of which sums and products stay finite.
+fn within_reach<const N: usize>(values: [f64; N], name: &str) -> PyResult<[f64; N]> {
+    match values.iter().find(|x| !(x.abs() <= 1e12)) {
+        Some(found) => {
+            Err(PoseError::new_err(format!("{name} has a component {found}; valid is finite, up to 1e12")))
+        }
+        None => Ok(values),
+    }
 }
 
 fn matrix3(py: Python<'_>, m: &DMat3) -> PyResult<Matrix> {
@@ -61,7 +71,7 @@ pub fn so3_left_jacobian_inverse(py: Python<'_>, omega: &Bound<'_, PyAny>) -> Py
 /// (4, 4) rigid motion of a twist (ωx ωy ωz vx vy vz), (6,).
 #[pyfunction]
 pub fn se3_exp(py: Python<'_>, twist: &Bound<'_, PyAny>) -> PyResult<Matrix> {
-    let [a, b, c, x, y, z] = Numbers::new(twist, "twist")?.vector::<6>()?;
+    let [a, b, c, x, y, z] = within_reach(Numbers::new(twist, "twist")?.vector::<6>()?, "twist")?;
     arrays::pose_matrix(py, &Pose::exp(DVec3::new(a, b, c), DVec3::new(x, y, z)))
 }
 

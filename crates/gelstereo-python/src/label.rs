@@ -1,12 +1,15 @@
 //! Row and column of every marker.
 
-use crate::arrays::{self, Array1, Matrix, Numbers};
-use crate::errors::raise;
+use crate::arrays::{self, Array1, Count, Matrix, Numbers};
+use crate::errors::{LabelError, raise};
 use crate::params::Params;
 use gelstereo_core::label as core;
 use gelstereo_core::math::DVec2;
 use gelstereo_core::params::LatticeParams;
 use pyo3::prelude::*;
+
+/// Rows or columns, as in `LatticeParams`.
+const MOST_MARKERS: usize = 1000;
 
 /// The lattice of an undisturbed frame, complete.
 #[pyclass(frozen, module = "gelstereo")]
@@ -44,12 +47,19 @@ pub struct RestLattice {
 pub fn foresight_sort(
     py: Python<'_>,
     positions_px: &Bound<'_, PyAny>,
-    rows: usize,
-    cols: usize,
+    rows: Count,
+    cols: Count,
     tolerance_px: f64,
 ) -> PyResult<Array1<i64>> {
     let positions = Numbers::new(positions_px, "positions_px")?;
     let positions = positions.rows::<DVec2, 2>()?;
+    let (Count(rows), Count(cols)) = (rows, cols);
+    if rows.max(cols) > MOST_MARKERS || !(tolerance_px > 0.0 && tolerance_px.is_finite()) {
+        return Err(LabelError::new_err(format!(
+            "rows is {rows}, cols {cols}, tolerance_px {tolerance_px}; valid is up to {MOST_MARKERS} rows and columns, \
+             and a finite tolerance above 0"
+        )));
+    }
     let lattice = LatticeParams { rows, cols, ..LatticeParams::default() };
     let mut order = Vec::new();
     py.detach(|| core::foresight_sort(positions, &lattice, tolerance_px, &mut order)).map_err(raise)?;

@@ -123,7 +123,7 @@ impl Params {
     ) -> PyResult<Self> {
         let mut inner = self.inner.clone();
         for mapping in [changes, settings.map(|s| s.as_mapping())].into_iter().flatten() {
-            inner = tree::replace(&inner, mapping)?.map_err(ParamsError::new_err)?;
+            inner = tree::replace(&inner, mapping).map_err(ParamsError::new_err)?;
         }
         Self::checked(inner)
     }

@@ -1,7 +1,7 @@
 //! Templates and registration.
 
-use crate::arrays::{self, Array1, Matrix, Numbers};
-use crate::errors::raise;
+use crate::arrays::{self, Array1, Count, Matrix, Numbers};
+use crate::errors::{MeshError, RegisterError, raise};
 use crate::params::Params;
 use gelstereo_core::math::DVec3;
 use gelstereo_core::register as core;
@@ -38,13 +38,13 @@ impl Template {
     /// TemplateError
     ///     If it cannot be sampled at this spacing.
     #[classmethod]
-    #[pyo3(signature = (mesh, *, units, spacing_mm=0.25, seed=1))]
+    #[pyo3(signature = (mesh, *, units, spacing_mm=0.25, seed=Count(1)), text_signature = "($cls, mesh, *, units, spacing_mm=0.25, seed=1)")]
     fn from_mesh(
         cls: &Bound<'_, PyType>,
         mesh: &Bound<'_, PyAny>,
         units: &Bound<'_, PyAny>,
         spacing_mm: f64,
-        seed: u64,
+        seed: Count,
     ) -> PyResult<Self> {
         let (vertices_mm, triangles) = load_mesh(mesh, units)?;
         Self::from_triangles(cls, &vertices_mm, &triangles, spacing_mm, seed)
@@ -68,15 +68,16 @@ impl Template {
     /// MeshError, TemplateError
     ///     If they are no surface, or cannot be sampled at this spacing.
     #[classmethod]
-    #[pyo3(signature = (vertices_mm, triangles, *, spacing_mm=0.25, seed=1))]
+    #[pyo3(signature = (vertices_mm, triangles, *, spacing_mm=0.25, seed=Count(1)), text_signature = "($cls, vertices_mm, triangles, *, spacing_mm=0.25, seed=1)")]
     fn from_triangles(
         cls: &Bound<'_, PyType>,
         vertices_mm: &Bound<'_, PyAny>,
         triangles: &Bound<'_, PyAny>,
         spacing_mm: f64,
-        seed: u64,
+        seed: Count,
     ) -> PyResult<Self> {
         let mesh = triangle_mesh(vertices_mm, triangles)?;
+        let seed = seed.0 as u64;
         let inner = cls.py().detach(|| core::Template::from_mesh(&mesh, spacing_mm, seed)).map_err(raise)?;
         Ok(Self { inner })
     }
@@ -152,10 +153,19 @@ pub fn load_mesh<'py>(
 pub fn triangle_mesh(vertices_mm: &Bound<'_, PyAny>, triangles: &Bound<'_, PyAny>) -> PyResult<TriangleMesh> {
     let vertices = Numbers::new(vertices_mm, "vertices_mm")?;
     let triangles = Numbers::new(triangles, "triangles")?;
-    // Indices come through float64, which is exact far beyond u32; what is no index names no vertex.
-    let index = |x: f64| if x >= 0.0 && x < f64::from(u32::MAX) { x as u32 } else { u32::MAX };
-    let triangles = triangles.rows::<[f64; 3], 3>()?.iter().map(|t| t.map(index)).collect();
-    TriangleMesh::new(vertices.rows::<DVec3, 3>()?.to_vec(), triangles).map_err(raise)
+    let (vertices, triangles) = (vertices.rows::<DVec3, 3>()?, triangles.rows::<[f64; 3], 3>()?);
+    // Indices come through float64, which is exact far beyond u32.
+    let is_index = |x: &f64| *x >= 0.0 && *x < f64::from(u32::MAX) && *x == f64::from(*x as u32);
+    for (row, triangle) in triangles.iter().enumerate() {
+        if let Some(found) = triangle.iter().find(|x| !is_index(x)) {
+            return Err(MeshError::new_err(format!(
+                "triangle {row} names vertex {found}; valid is a whole number from 0 to {}",
+                vertices.len().saturating_sub(1)
+            )));
+        }
+    }
+    let triangles = triangles.iter().map(|t| t.map(|x| x as u32)).collect();
+    TriangleMesh::new(vertices.to_vec(), triangles).map_err(raise)
 }
 
 /// A direction of motion that the contact does not determine, in the object's frame; ``str()`` says it in words.
@@ -251,12 +261,16 @@ impl Localization {
     }
 }
 
+/// Points that are registered in seconds. The call cannot be interrupted, and more than the template's own density
+/// tells nothing new.
+const MOST_POINTS: usize = 20_000;
+
 /// Find where a part sits: register a contact patch to its template.
 ///
 /// Parameters
 /// ----------
 /// points_mm : (N, 3) array_like
-///     Points on the part's surface, sensor frame: `Frame.patch_points_mm`.
+///     Points on the part's surface, sensor frame: `Frame.patch_points_mm`. At most 20000.
 /// template : Template
 /// t_sensor_object : (4, 4) array_like
 ///     A guess: maps object coordinates to sensor coordinates.
@@ -282,6 +296,13 @@ pub fn localize(
 ) -> PyResult<Localization> {
     let points = Numbers::new(points_mm, "points_mm")?;
     let points = points.rows::<DVec3, 3>()?;
+    if points.len() > MOST_POINTS {
+        return Err(RegisterError::new_err(format!(
+            "there are {} points; valid is up to {MOST_POINTS}: hand over the contact patch alone, thinned to about \
+             the spacing of the template",
+            points.len()
+        )));
+    }
     let guess = arrays::pose(t_sensor_object, "t_sensor_object")?;
     let template = &template.get().inner;
     let mut stage = core::Registrar::new(&Params::or_default(params).register);

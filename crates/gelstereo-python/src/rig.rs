@@ -1,6 +1,6 @@
 //! The calibrated stereo pair.
 
-use crate::arrays::{self, Matrix, Numbers};
+use crate::arrays::{self, Count, Matrix, Numbers};
 use crate::errors::{RigError, ShapeError, raise};
 use crate::tree;
 use gelstereo_core::camera::Camera;
@@ -64,12 +64,12 @@ impl Rig {
     #[pyo3(signature = (size_px, f_px, baseline_mm, c_px=None))]
     fn parallel(
         _cls: &Bound<'_, PyType>,
-        size_px: (usize, usize),
+        size_px: (Count, Count),
         f_px: f64,
         baseline_mm: f64,
         c_px: Option<(f64, f64)>,
     ) -> PyResult<Self> {
-        let (width_px, height_px) = size_px;
+        let (Count(width_px), Count(height_px)) = size_px;
         let centre = |side: usize| 0.5 * (side as f64 - 1.0);
         let (cx_px, cy_px) = c_px.unwrap_or((centre(width_px), centre(height_px)));
         let camera =
@@ -101,7 +101,7 @@ impl Rig {
     #[allow(clippy::too_many_arguments)] // what cv2.stereoCalibrate returns
     fn from_opencv(
         _cls: &Bound<'_, PyType>,
-        size_px: (usize, usize),
+        size_px: (Count, Count),
         left_matrix: &Bound<'_, PyAny>,
         left_distortion: &Bound<'_, PyAny>,
         right_matrix: &Bound<'_, PyAny>,
@@ -221,9 +221,10 @@ impl Rig {
         let points = points.rows::<DVec3, 3>()?;
         let (mut left, mut right) = (Vec::with_capacity(points.len()), Vec::with_capacity(points.len()));
         for (index, &point) in points.iter().enumerate() {
-            let (l, r) = self.inner.project(point).ok_or_else(|| {
+            let seen = self.inner.project(point).filter(|(l, r)| l.is_finite() && r.is_finite());
+            let (l, r) = seen.ok_or_else(|| {
                 RigError::new_err(format!(
-                    "point {index} is ({}, {}, {}) mm, which is not in front of both cameras; valid is z > 0",
+                    "point {index} is ({}, {}, {}) mm, which is not in front of both cameras; valid is z > 0, all finite",
                     point.x, point.y, point.z
                 ))
             })?;
@@ -319,7 +320,7 @@ impl Rectification {
 }
 
 fn camera(
-    (width_px, height_px): (usize, usize),
+    (Count(width_px), Count(height_px)): (Count, Count),
     matrix: &Numbers<'_>,
     distortion: &Numbers<'_>,
 ) -> PyResult<Camera> {

@@ -1,6 +1,6 @@
 //! The simulated sensor.
 
-use crate::arrays::{self, Array1, Matrix};
+use crate::arrays::{self, Array1, Count, Matrix};
 use crate::errors::{SceneError, raise};
 use crate::register::{load_mesh, triangle_mesh};
 use crate::rig::Rig;
@@ -88,7 +88,7 @@ impl Scene {
     ) -> PyResult<Self> {
         let mut inner = self.inner.clone();
         for mapping in [changes, settings.map(|s| s.as_mapping())].into_iter().flatten() {
-            inner = tree::replace(&inner, mapping)?.map_err(SceneError::new_err)?;
+            inner = tree::replace(&inner, mapping).map_err(SceneError::new_err)?;
         }
         Self::checked(inner, self.folder.clone())
     }
@@ -181,11 +181,14 @@ impl Simulator {
     /// Raises
     /// ------
     /// SceneError
-    ///     If the scene has no indenter.
+    ///     If the scene has no indenter, or the part would be far beyond the sensor.
     fn pressed(&self, py: Python<'_>, t_sensor_object: &Bound<'_, PyAny>, press_mm: f64) -> PyResult<Matrix> {
         let pose = arrays::pose(t_sensor_object, "t_sensor_object")?;
         let pose = py.detach(|| self.lock().pressed(pose, press_mm));
-        arrays::pose_matrix(py, &pose.ok_or_else(|| SceneError::new_err(NO_INDENTER))?)
+        let pose = pose.ok_or_else(|| SceneError::new_err(NO_INDENTER))?;
+        let contact = sim::ContactState { t_sensor_object: pose, shear_mm: [0.0; 2], twist_rad: 0.0 };
+        contact.validate().map_err(raise)?;
+        arrays::pose_matrix(py, &pose)
     }
 
     /// Render a moment that is not on the trajectory.
@@ -200,14 +203,14 @@ impl Simulator {
     ///     How far it has turned the surface.
     /// frame : int
     ///     Keys the noise.
-    #[pyo3(signature = (t_sensor_object=None, *, shear_mm=None, twist_rad=0.0, frame=0))]
+    #[pyo3(signature = (t_sensor_object=None, *, shear_mm=None, twist_rad=0.0, frame=Count(0)), text_signature = "($self, t_sensor_object=None, *, shear_mm=None, twist_rad=0.0, frame=0)")]
     fn press(
         &self,
         py: Python<'_>,
         t_sensor_object: Option<&Bound<'_, PyAny>>,
         shear_mm: Option<(f64, f64)>,
         twist_rad: f64,
-        frame: u64,
+        frame: Count,
     ) -> PyResult<SimulatedFrame> {
         let pose = t_sensor_object.map(|pose| arrays::pose(pose, "t_sensor_object")).transpose()?;
         let contact = pose.map(|t_sensor_object| sim::ContactState {
@@ -221,7 +224,7 @@ impl Simulator {
                 return Err(SceneError::new_err(NO_INDENTER));
             }
         }
-        self.moment(py, contact.as_ref(), frame)
+        self.moment(py, contact.as_ref(), frame.0 as u64)
     }
 }
 
@@ -282,8 +285,13 @@ pub fn shape_mesh(
     shape: &Bound<'_, PyMapping>,
     tolerance_mm: f64,
 ) -> PyResult<(Matrix, Py<PyArray2<i64>>)> {
-    let shape: sim::Shape = tree::from_mapping(shape)?.map_err(SceneError::new_err)?;
+    let shape: sim::Shape = tree::from_mapping(shape).map_err(SceneError::new_err)?;
     shape.validate().map_err(raise)?;
+    if !(tolerance_mm > 0.0 && tolerance_mm.is_finite()) {
+        return Err(SceneError::new_err(format!(
+            "tolerance_mm is {tolerance_mm}; valid is a finite length above 0"
+        )));
+    }
     let mesh = shape.mesh(tolerance_mm).ok_or_else(|| {
         SceneError::new_err("the shape is a mesh file; gelstereo.templates.load_mesh reads those")
     })?;

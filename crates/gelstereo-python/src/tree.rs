@@ -23,9 +23,10 @@ fn named(text: &str, error: &toml::de::Error, numbered: bool) -> String {
     };
     let start = before.rsplit('\n').next().unwrap_or_default();
     let line = format!("{start}{}", after.lines().next().unwrap_or_default());
+    let line = short(line.trim());
     match numbered {
-        true => format!("line {}, `{}`: {message}", before.matches('\n').count() + 1, line.trim()),
-        false => format!("`{}`: {message}", line.trim()),
+        true => format!("line {}, `{}`: {message}", before.matches('\n').count() + 1, line),
+        false => format!("`{line}`: {message}"),
     }
 }
 
@@ -35,92 +36,127 @@ pub fn to_toml<T: Serialize>(value: &T) -> Result<String, String> {
 }
 
 /// A value with some of its settings replaced, by nested dictionaries or by dotted names; None takes a setting away,
-/// so that it falls back to its default. The inner result is the deserialiser's.
+/// so that it falls back to its default.
 pub fn replace<T: Serialize + DeserializeOwned>(
     value: &T,
     changes: &Bound<'_, PyMapping>,
-) -> PyResult<Result<T, String>> {
-    let mut tree = match Table::try_from(value) {
-        Ok(tree) => tree,
-        Err(error) => return Ok(Err(error.to_string())),
-    };
-    merge(&mut tree, changes)?;
-    // Through text, because only the parser's errors say which setting they are about.
-    Ok(to_toml(&tree).and_then(|text| toml::from_str(&text).map_err(|error| named(&text, &error, false))))
+) -> Result<T, String> {
+    let mut tree = Table::try_from(value).map_err(|error| error.to_string())?;
+    merge(&mut tree, changes, DEEPEST)?;
+    from_tree(&tree)
 }
 
-/// A value from nested dictionaries. The inner result is the deserialiser's.
-pub fn from_mapping<T: DeserializeOwned>(mapping: &Bound<'_, PyMapping>) -> PyResult<Result<T, String>> {
+/// A value from nested dictionaries.
+pub fn from_mapping<T: DeserializeOwned>(mapping: &Bound<'_, PyMapping>) -> Result<T, String> {
     let mut tree = Table::new();
-    merge(&mut tree, mapping)?;
-    Ok(to_toml(&tree).and_then(|text| toml::from_str(&text).map_err(|error| named(&text, &error, false))))
+    merge(&mut tree, mapping, DEEPEST)?;
+    from_tree(&tree)
+}
+
+/// Through text, because only the parser's errors say which setting they are about.
+fn from_tree<T: DeserializeOwned>(tree: &Table) -> Result<T, String> {
+    let text = to_toml(tree)?;
+    toml::from_str(&text).map_err(|error| named(&text, &error, false))
+}
+
+/// Levels of nesting that settings can have; a dictionary that holds itself has no end.
+const DEEPEST: usize = 32;
+
+fn deeper(left: usize) -> Result<usize, String> {
+    left.checked_sub(1)
+        .ok_or_else(|| format!("settings are nested more than {DEEPEST} deep; valid is three or four"))
 }
 
 /// Lays `changes` over `tree`; what is unknown is kept, for deserialisation to refuse by name.
-fn merge(tree: &mut Table, changes: &Bound<'_, PyMapping>) -> PyResult<()> {
-    for item in changes.items()?.iter() {
-        let (name, change): (String, Bound<'_, PyAny>) = item.extract()?;
+fn merge(tree: &mut Table, changes: &Bound<'_, PyMapping>, depth: usize) -> Result<(), String> {
+    let depth = deeper(depth)?;
+    for item in changes.items().map_err(text)?.iter() {
+        let (name, change): (Bound<'_, PyAny>, Bound<'_, PyAny>) = item.extract().map_err(text)?;
+        let Ok(name) = name.extract::<String>() else {
+            return Err(format!("a setting is named {}; valid is text", shown(&name)));
+        };
         match name.split_once('.') {
             Some((first, rest)) => {
                 let nested = PyDict::new(changes.py());
-                nested.set_item(rest, change)?;
-                merge_one(tree, first, nested.as_any())?;
+                nested.set_item(rest, change).map_err(text)?;
+                merge_one(tree, first, nested.as_any(), depth)?;
             }
-            None => merge_one(tree, &name, &change)?,
+            None => merge_one(tree, &name, &change, depth)?,
         }
     }
     Ok(())
 }
 
-fn merge_one(tree: &mut Table, name: &str, change: &Bound<'_, PyAny>) -> PyResult<()> {
+fn merge_one(tree: &mut Table, name: &str, change: &Bound<'_, PyAny>, depth: usize) -> Result<(), String> {
     if change.is_none() {
         tree.remove(name);
         return Ok(());
     }
     let Ok(mapping) = change.cast::<PyMapping>() else {
-        tree.insert(name.to_owned(), value(change)?);
+        tree.insert(name.to_owned(), value(change, depth).map_err(|what| format!("{name}: {what}"))?);
         return Ok(());
     };
     // What names its kind is a variant of its own and shares no settings with the one before.
-    let fresh = mapping.contains("kind")? || !tree.get(name).is_some_and(Value::is_table);
+    let fresh = mapping.contains("kind").map_err(text)? || !tree.get(name).is_some_and(Value::is_table);
     if fresh {
         tree.insert(name.to_owned(), Value::Table(Table::new()));
     }
     match tree.get_mut(name) {
-        Some(Value::Table(branch)) => merge(branch, mapping),
+        Some(Value::Table(branch)) => merge(branch, mapping, depth),
         _ => Ok(()),
     }
 }
 
-fn value(object: &Bound<'_, PyAny>) -> PyResult<Value> {
+fn value(object: &Bound<'_, PyAny>, depth: usize) -> Result<Value, String> {
+    let depth = deeper(depth)?;
     if object.is_instance_of::<PyBool>() {
-        return Ok(Value::Boolean(object.extract()?));
+        return object.extract().map(Value::Boolean).map_err(text);
     }
     if object.is_instance_of::<PyString>() {
-        return Ok(Value::String(object.extract()?));
+        return object.extract().map(Value::String).map_err(text);
     }
     if object.is_instance_of::<PyFloat>() {
-        return Ok(Value::Float(object.extract()?));
+        return object.extract().map(Value::Float).map_err(text);
     }
     if object.is_instance_of::<PyInt>() {
-        return Ok(Value::Integer(object.extract()?));
+        return object
+            .extract()
+            .map(Value::Integer)
+            .map_err(|_| format!("{} does not fit into 64 bits; valid is a smaller number", shown(object)));
     }
     if let Ok(mapping) = object.cast::<PyMapping>() {
         let mut nested = Table::new();
-        merge(&mut nested, mapping)?;
+        merge(&mut nested, mapping, depth)?;
         return Ok(Value::Table(nested));
     }
     if object.is_instance_of::<PyList>() || object.is_instance_of::<PyTuple>() {
-        return Ok(Value::Array(object.try_iter()?.map(|item| value(&item?)).collect::<PyResult<_>>()?));
+        let items = object.try_iter().map_err(text)?.map(|item| value(&item.map_err(text)?, depth));
+        return items.collect::<Result<_, _>>().map(Value::Array);
     }
     // Arrays and NumPy's numbers know how to become Python's.
-    if object.hasattr("tolist")? {
-        return value(&object.call_method0("tolist")?);
+    if object.hasattr("tolist").map_err(text)? {
+        return value(&object.call_method0("tolist").map_err(text)?, depth);
     }
-    let name = object.get_type().name()?;
-    Err(pyo3::exceptions::PyTypeError::new_err(format!(
-        "a setting is of type {name}; valid is a number, text, a list or a dictionary"
-    )))
+    let name = object.get_type().name().map_err(text)?;
+    Err(format!("the setting is of type {name}; valid is a number, text, a list or a dictionary"))
+}
+
+fn text(error: PyErr) -> String {
+    error.to_string()
+}
+
+/// What Python's `repr` shows, cut to a line.
+fn shown(object: &Bound<'_, PyAny>) -> String {
+    object.repr().map_or_else(|_| "unprintable".into(), |repr| short(&repr.to_string_lossy()))
+}
+
+/// At most as much of a text as a message has room for.
+fn short(line: &str) -> String {
+    const MOST: usize = 60;
+    match line.char_indices().nth(MOST) {
+        Some((end, _)) => format!("{}...", &line[..end]),
+        None => line.to_owned(),
+    }
 }
 
 /// The tree as nested dictionaries.

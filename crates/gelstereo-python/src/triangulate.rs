@@ -90,6 +90,18 @@ pub fn triangulate_covariance(
             "sigma_px is {sigma_px}; valid is a finite number above 0"
         )));
     }
-    let values = points.iter().flat_map(|&p| stage.covariance_mm2(p, sigma_px)).flatten().collect();
+    if let Some(index) = points.iter().position(|p| !(p.is_finite() && p.z > 0.0)) {
+        return Err(TriangulateError::new_err(format!(
+            "point {index} is {} mm, which no camera can see; valid is z > 0, all finite",
+            points[index]
+        )));
+    }
+    let values: Vec<f64> = points.iter().flat_map(|&p| stage.covariance_mm2(p, sigma_px)).flatten().collect();
+    if !values.iter().all(|value| value.is_finite()) {
+        return Err(TriangulateError::new_err(format!(
+            "sigma_px is {sigma_px} and the points are as far as they are: the covariance has no finite value; valid \
+             is a noise of a few pixels and points within metres"
+        )));
+    }
     arrays::shaped(py, values, (points.len(), 3, 3))
 }

@@ -1,0 +1,71 @@
+"""What has no meaning is refused by an error of gelstereo that says what would be valid, and never becomes NaN."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import gelstereo
+import numpy as np
+import pytest
+from gelstereo import (
+    FingerKinematics,
+    Rig,
+    Scene,
+    SensorMount,
+    Simulator,
+    Template,
+    foresight_sort,
+    geometry,
+    localize,
+    triangulate_covariance,
+)
+
+RIG = Scene().rig
+NAN, INF = float("nan"), float("inf")
+BALL = {"kind": "sphere", "radius_mm": 4.0}
+POINTS = np.array([[0.0, 0, 28], [1, 0, 28], [0, 1, 28]])
+
+
+def parallelogram(a_mm: float) -> FingerKinematics:
+    return FingerKinematics.parallelogram(a_mm=a_mm, b_mm=50, offset_mm=10, reach_mm=60, max_theta_rad=0.8)
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "words"),
+    [
+        (lambda: Rig.parallel((-1, 480), 560, 8), "ShapeError", "a count is -1"),
+        (lambda: Rig.parallel((2**70, 480), 560, 8), "ShapeError", "valid is from 0"),
+        (lambda: RIG.project([[1e308, 0, 1e-300]]), "RigError", "all finite"),
+        (lambda: triangulate_covariance(RIG, -POINTS), "TriangulateError", "no camera can see"),
+        (lambda: triangulate_covariance(RIG, POINTS, 1e200), "TriangulateError", "no finite value"),
+        (lambda: foresight_sort(POINTS[:, :2], 2**40, 2**40, 5.0), "LabelError", "up to 1000"),
+        (lambda: foresight_sort(POINTS[:, :2], 1, 3, NAN), "LabelError", "tolerance"),
+        (lambda: foresight_sort(POINTS[:, :2], -1, 3, 5.0), "ShapeError", "a count is -1"),
+        (lambda: Template.from_mesh(None, units="mm"), "MeshError", "NoneType"),  # type: ignore[arg-type]
+        (lambda: Template.from_mesh("a.stl", units=["mm"]), "MeshError", "'inch'"),  # type: ignore[arg-type]
+        (lambda: Template.from_triangles(np.eye(3), [[0, 1.5, 2]]), "MeshError", "names vertex 1.5"),
+        (lambda: Template.from_triangles(np.eye(3), [[0, NAN, 2]]), "MeshError", "names vertex NaN"),
+        (lambda: Template.from_triangles(np.eye(3), [[0, 1, 2]], seed=-1), "ShapeError", "-1"),
+        (lambda: FingerKinematics.parallel(reach_mm=NAN, max_width_mm=85), "FrameError", "finite"),
+        (lambda: FingerKinematics.parallel(reach_mm=100, max_width_mm=-85), "FrameError", "-85"),
+        (lambda: parallelogram(INF), "FrameError", "finite"),
+        (lambda: SensorMount.facing(FingerKinematics.robotiq_2f85(), [NAN] * 3), "FrameError", "finite"),
+        (lambda: Simulator(Scene().replace(indenter=BALL)).pressed(np.eye(4), NAN), "SceneError", "NaN"),
+        (lambda: geometry.shape_mesh(BALL, NAN), "SceneError", "tolerance_mm is NaN"),
+        (lambda: geometry.shape_mesh(BALL, 0.0), "SceneError", "above 0"),
+        (lambda: geometry.se3_exp([0, 0, 0, NAN, 0, 0]), "PoseError", "twist has a component NaN"),
+        (lambda: geometry.so3_exp([INF, 0, 0]), "PoseError", "omega has a component inf"),
+        (lambda: geometry.so3_left_jacobian([1e300, 0, 0]), "PoseError", "up to 1e12"),
+        (lambda: geometry.so3_left_jacobian_inverse([NAN, 0, 0]), "PoseError", "omega"),
+    ],
+)
+def test_arguments_without_meaning(call: Callable[[], object], error: str, words: str) -> None:
+    with pytest.raises(getattr(gelstereo, error), match=words):
+        call()
+
+
+def test_a_cloud_that_would_take_minutes_is_refused() -> None:
+    template = Template.from_triangles(*geometry.shape_mesh(BALL, 0.05))
+    cloud = np.repeat(template.points_mm, 20_001 // len(template) + 1, axis=0)
+    with pytest.raises(gelstereo.RegisterError, match="valid is up to 20000"):
+        localize(cloud, template, t_sensor_object=np.eye(4))
