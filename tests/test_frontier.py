@@ -10,6 +10,7 @@ import gelstereo
 import numpy as np
 import pytest
 from gelstereo.cli import main
+from gelstereo.frontier.page import write_page
 from gelstereo.frontier.registering import Patch, observable_error_mm
 from gelstereo.frontier.rungs import RUNGS, rungs_of
 from gelstereo.frontier.scenes import BOARDS_MM, PARTS, Part
@@ -50,6 +51,20 @@ def test_quick_run_lists_every_rung_beside_a_baseline(docs: Path) -> None:
     assert "simulated" in re.search(r"begin conditions -->\n(.*)\n", page)[1]  # type: ignore[index]
     picture = docs / "pictures" / "accuracy-vs-time.png"
     assert picture.stat().st_size > 20_000
+
+
+def test_a_page_that_does_not_exist_is_begun(tmp_path: Path) -> None:
+    page = tmp_path / "accuracy-vs-time.md"
+    write_page(page, [], [["0.4", "1"]], 3)
+    assert "| 0.4 | 1 |" in page.read_text()
+
+
+def test_a_count_of_rounds_below_one_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    for words in (["--rounds", "0"], ["--starts", "-1"], ["--starts", "many"]):
+        with pytest.raises(SystemExit) as stopped:
+            main(["frontier", *words])
+        assert stopped.value.code == 2
+        assert "valid is a whole number" in capsys.readouterr().err
 
 
 def test_quick_run_measures_the_papers_boards_within_its_bound(docs: Path) -> None:

@@ -28,15 +28,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--docs", type=Path, default=Path("docs"), help="folder with the page accuracy-vs-time.md"
     )
     parser.add_argument("--quick", action="store_true", help="few rounds and starts: figures mean little")
-    parser.add_argument("--rounds", type=int, help="rounds of timing (default 200, quick 3)")
-    parser.add_argument("--starts", type=int, help="starts of registration per part (default 64, quick 4)")
+    parser.add_argument("--rounds", type=count, help="rounds of timing (default 200, quick 3)")
+    parser.add_argument("--starts", type=count, help="starts of registration per part (default 64, quick 4)")
     parser.add_argument("--no-instructions", action="store_true", help="do not run callgrind")
+
+
+def count(text: str) -> int:
+    """A whole number from 1 on."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is no count; valid is a whole number from 1 on")
+    return int(text)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure every rung, print progress, and write the page and its figure; return the exit code."""
     rounds = arguments.rounds or (3 if arguments.quick else 200)
     starts = arguments.starts or (4 if arguments.quick else 64)
+    pictures = arguments.docs / "pictures"
+    pictures.mkdir(parents=True, exist_ok=True)  # before the minutes that measuring takes
     source = None if arguments.no_instructions or arguments.quick else Path.cwd()
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
@@ -50,8 +59,6 @@ def run(arguments: argparse.Namespace) -> int:
     finally:
         cv2.setNumThreads(threads)
     write_page(arguments.docs / "accuracy-vs-time.md", rows, boards, rounds)
-    pictures = arguments.docs / "pictures"
-    pictures.mkdir(exist_ok=True)
     draw(pictures / "accuracy-vs-time.png", rows)
     print(f"wrote {arguments.docs / 'accuracy-vs-time.md'} and {pictures / 'accuracy-vs-time.png'}")
     return 0

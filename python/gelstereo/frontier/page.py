@@ -7,6 +7,7 @@ import platform
 from collections.abc import Sequence
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 
 from gelstereo.frontier.rungs import rungs_of
@@ -25,7 +26,9 @@ _AXES = {
 
 
 def write_page(page: Path, rows: Sequence[Row], boards: Sequence[Sequence[str]], rounds: int) -> None:
-    """Fill the page's tables."""
+    """Fill the page's tables; a page that does not exist yet is begun."""
+    if not page.exists():
+        page.write_text(_blank(), encoding="utf-8")
     processor = _processor()
     replace_between(
         page,
@@ -39,6 +42,12 @@ def write_page(page: Path, rows: Sequence[Row], boards: Sequence[Sequence[str]],
         replace_between(page, stage, table(head, lines))
     head = ["protrusion mm", *(rung.name for rung in rungs_of("whole")), "OpenCV pipeline (baseline)"]
     replace_between(page, "boards", table(head, boards))
+
+
+def _blank() -> str:
+    """A page with room for every table."""
+    places = [f"<!-- begin {name} -->\n<!-- end {name} -->\n" for name in ("conditions", *_AXES, "boards")]
+    return "\n".join(["# Accuracy versus time\n", *places])
 
 
 def _line(row: Row) -> list[str]:
@@ -76,8 +85,6 @@ def _load() -> str:
 
 def draw(path: Path, rows: Sequence[Row]) -> None:
     """Draw error over time, one panel per stage."""
-    import matplotlib
-
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
