@@ -192,6 +192,14 @@ def test_lists_given_in_the_wrong_order_are_refused(folder: Path) -> None:
         calibrate.pair_images(images(folder, "left"), images(folder, "left"))
 
 
+@pytest.mark.parametrize("limit_s", [0.0, -1.0, float("nan"), float("inf"), 1e12])
+def test_time_limits_that_no_clock_can_keep(limit_s: float) -> None:
+    with pytest.raises(
+        calibrate.CalibrationError, match=r"time_limit_s is .*; valid is above 0, at most 86400 s"
+    ):
+        CornerFinder(limit_s)
+
+
 def test_corner_search_ends_at_its_time_limit(tmp_path: Path, folder: Path) -> None:
     # Thousands of quadrilaterals without a board keep the search busy for seconds.
     cells = np.random.default_rng(0).integers(0, 2, (300, 300), dtype=np.uint8) * 255

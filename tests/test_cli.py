@@ -151,6 +151,57 @@ def test_errors_are_one_line_that_names_the_file(folder: Path, capsys: pytest.Ca
     assert "bad.npy" in error_of(capsys, "view", folder / "bad.npy", "--output", folder / "x.png")
 
 
+def test_what_is_no_point_cloud_is_named(
+    folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    np.save(tmp_path / "complex.npy", np.zeros((4, 3), complex))
+    np.save(tmp_path / "turned.npy", np.zeros((3, 50)))
+    np.save(tmp_path / "objects.npy", np.array([{}]), allow_pickle=True)
+    for name in ("empty.npy", "empty.csv", "empty.ply"):
+        (tmp_path / name).write_bytes(b"")
+    (tmp_path / "header.csv").write_text("x,y,z\n")
+    (tmp_path / "noise.csv").write_bytes(bytes(range(128, 256)) * 20)
+    part = ["--template", folder / "box.stl", "--units", "m"]
+    for path in sorted(tmp_path.iterdir()):
+        assert path.name in error_of(capsys, "localize", "--points", path, *part)
+
+
+@pytest.mark.parametrize("kind", ["stl", "obj", "ply", "off", "dae", "3mf", "glb"])
+def test_noise_is_no_mesh(kind: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / f"noise.{kind}"
+    path.write_bytes(np.random.default_rng(0).bytes(30_000))
+    np.save(tmp_path / "points.npy", np.eye(3))
+    points = ["--points", tmp_path / "points.npy", "--units", "mm"]
+    assert "cannot be read as a triangle mesh" in error_of(capsys, "localize", *points, "--template", path)
+
+
+def test_commands_name_the_file_the_frame_and_the_pattern(
+    folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "empty.toml").write_text("")
+    look = ["view", folder / "frames", "--output", tmp_path / "x.png"]
+    assert "empty.toml: " in error_of(capsys, *look, "--rig", tmp_path / "empty.toml")
+    assert error_of(capsys, *look, "--rig", "absent.toml").startswith("gelstereo: absent.toml: No such file")
+    for index in (3, -1):
+        words = ["simulate", folder / "scene.toml", "--output", tmp_path, "--frames", index]
+        assert f"no frame {index}; the scene has 3" in error_of(capsys, *words)
+    board = ["--right", "b*.png", "--board", "9x6", "--square-mm", 2]
+    for pattern in ("", "/", "absent*.png"):
+        assert f"no file matches '{pattern}'" in error_of(capsys, "calibrate", "--left", pattern, *board)
+
+
+@pytest.mark.parametrize("package", ["scipy", "matplotlib"])
+def test_a_missing_extra_is_named(
+    package: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in [name for name in sys.modules if name.startswith("gelstereo.frontier")]:
+        monkeypatch.delitem(sys.modules, name)
+    for name in [package, *(name for name in sys.modules if name.startswith(f"{package}."))]:
+        monkeypatch.setitem(sys.modules, name, None)
+    said = error_of(capsys, "frontier", "--quick")
+    assert f"{package}, which is not installed: pip install 'gelstereo[bench]'" in said
+
+
 def test_a_lone_image_is_named(folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     for view in ("left", "right"):
         (tmp_path / view).mkdir()

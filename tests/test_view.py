@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from gelstereo import SimulatedFrame
+from gelstereo import Error, SimulatedFrame
 from gelstereo.geometry import se3_exp, shape_mesh, so3_exp, so3_log
 from gelstereo.view import Moment, draw
 from gelstereo.view.canvas import HELD, LOST, SALIENT, SEEN, Canvas
@@ -84,14 +85,14 @@ def header() -> Any:
     return message("std_msgs/msg/Header", stamp=stamp, frame_id="odd")  # an odd length makes alignment matter
 
 
-def image_message(image: np.ndarray) -> Any:
+def image_message(image: np.ndarray, encoding: str) -> Any:
     height, width = image.shape
     return message(
         "sensor_msgs/msg/Image",
         header=header(),
         height=height,
         width=width,
-        encoding="mono8",
+        encoding=encoding,
         is_bigendian=0,
         step=width,
         data=np.array(image).reshape(-1),
@@ -145,7 +146,9 @@ def pose_message(pose: np.ndarray) -> Any:
     return message("geometry_msgs/msg/PoseWithCovarianceStamped", header=header(), pose=covariance)
 
 
-def write_recording(path: Path, frames: list[SimulatedFrame], pose: np.ndarray | None) -> None:
+def write_recording(
+    path: Path, frames: list[SimulatedFrame], pose: np.ndarray | None, encoding: str = "mono8"
+) -> None:
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start()
@@ -161,7 +164,7 @@ def write_recording(path: Path, frames: list[SimulatedFrame], pose: np.ndarray |
             writer.add_message(channels[topic], time, data, time)
 
         for time, frame in enumerate(frames):
-            put("/gelstereo/left/image", time, image_message(frame.left))
+            put("/gelstereo/left/image", time, image_message(frame.left, encoding))
             put("/gelstereo/points", time, cloud_message(frame))
             put("/gelstereo/frame", time, message("std_msgs/msg/String", data=json.dumps({"index": time})))
             if pose is not None and time == 3:
@@ -210,6 +213,38 @@ def test_a_recording_that_was_cut_off_is_read_up_to_the_cut(
                 moment_of_recording(tmp_path / "cut.mcap")
         else:
             assert moment_of_recording(tmp_path / "cut.mcap").rows == 25
+
+
+def test_a_damaged_recording_gives_a_moment_or_an_error(
+    tmp_path: Path, noisy_press: list[SimulatedFrame]
+) -> None:
+    write_recording(tmp_path / "run.mcap", noisy_press[:2], None)
+    whole, rng = (tmp_path / "run.mcap").read_bytes(), np.random.default_rng(0)
+    refused = 0
+    # Bytes at the front, where the lengths and names are, and anywhere.
+    for at in [*range(8, 400, 9), *rng.integers(8, len(whole), 30)]:
+        damaged = bytearray(whole)
+        damaged[at] ^= 0xFF
+        (tmp_path / "damaged.mcap").write_bytes(damaged)
+        try:
+            moment_of_recording(tmp_path / "damaged.mcap")
+        except Error as error:
+            refused += 1
+            assert not str(error).endswith((": ", ":"))
+    assert refused > 5
+
+
+def test_an_image_in_colour_is_refused_by_name(tmp_path: Path, noisy_press: list[SimulatedFrame]) -> None:
+    write_recording(tmp_path / "run.mcap", noisy_press, None, encoding="rgb8")
+    with pytest.raises(RecordingError, match="encoded as 'rgb8'; valid is 'mono8'"):
+        moment_of_recording(tmp_path / "run.mcap")
+
+
+@pytest.mark.parametrize("package", ["mcap.reader", "lz4"])
+def test_a_missing_extra_is_named(package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(RecordingError, match=r"needs (mcap|lz4).*pip install 'gelstereo\[recording\]'"):
+        moment_of_recording(tmp_path / "run.mcap")
 
 
 def test_so3_log_takes_ros_quaternions() -> None:

@@ -97,5 +97,11 @@ def _read(path: Path) -> trimesh.Trimesh:
         raise FileNotFoundError(2, "No such mesh file", str(path))
     try:
         return trimesh.load(path, force="mesh", process=False)
+    except ImportError as error:
+        # trimesh asks for other packages when it meets a format that it cannot read alone, or text that is none.
+        raise MeshError(
+            f"{path} cannot be read as a triangle mesh without another package ({error}); valid is "
+            "a whole STL, OBJ or PLY file"
+        ) from error
     except (ValueError, KeyError, IndexError, AttributeError, TypeError, NotImplementedError) as error:
         raise MeshError(f"{path} cannot be read as a triangle mesh: {error}") from error

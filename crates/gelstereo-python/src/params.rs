@@ -88,7 +88,8 @@ impl Params {
     /// Settings from a TOML file; see `from_toml`.
     #[classmethod]
     fn load(cls: &Bound<'_, PyType>, path: PathBuf) -> PyResult<Self> {
-        Self::from_toml(cls, &tree::read(cls.py(), path)?)
+        let text = tree::read(cls.py(), path.clone())?;
+        Self::from_toml(cls, &text).map_err(|error| tree::in_file(cls.py(), &error, &path))
     }
 
     /// Write all settings to a TOML file.

@@ -60,7 +60,8 @@ impl Scene {
     #[classmethod]
     fn load(cls: &Bound<'_, PyType>, path: PathBuf) -> PyResult<Self> {
         let folder = path.parent().map(PathBuf::from).unwrap_or_default();
-        let scene = Self::from_toml(cls, &tree::read(cls.py(), path)?)?;
+        let text = tree::read(cls.py(), path.clone())?;
+        let scene = Self::from_toml(cls, &text).map_err(|error| tree::in_file(cls.py(), &error, &path))?;
         Ok(Self { folder, ..scene })
     }
 

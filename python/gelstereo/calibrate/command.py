@@ -74,9 +74,12 @@ def expand(patterns: list[str]) -> list[Path]:
             paths.append(Path(pattern))
             continue
         folder, name = Path(pattern).parent, Path(pattern).name
-        matches = sorted(folder.glob(name))
+        # What ends in no name, as "" and "/" do, matches nothing.
+        matches = sorted(folder.glob(name)) if name else []
         if not matches:
-            raise CalibrationError(f"no file matches {pattern}")
+            raise CalibrationError(
+                f"no file matches {pattern!r}; valid is an image, or a pattern such as 'left*.png'"
+            )
         paths += matches
     return paths
 

@@ -25,6 +25,7 @@ __all__ = ["CornerFinder", "Corners", "Method", "neighbouring_boards"]
 Method = Literal["classic", "sectors"]
 
 _START_LIMIT_S = 60.0
+_LONGEST_LIMIT_S = 86400.0
 
 
 @dataclass(frozen=True)
@@ -46,8 +47,10 @@ class CornerFinder:
     """
 
     def __init__(self, time_limit_s: float = 10.0) -> None:
-        if not time_limit_s > 0.0:
-            raise CalibrationError(f"time_limit_s is {time_limit_s}; valid is above 0 s")
+        if not 0.0 < time_limit_s <= _LONGEST_LIMIT_S:
+            raise CalibrationError(
+                f"time_limit_s is {time_limit_s}; valid is above 0, at most {_LONGEST_LIMIT_S:.0f} s"
+            )
         self.time_limit_s = time_limit_s
         self._worker: _Worker | None = None
         self._sizes: dict[Path, tuple[int, int]] = {}

@@ -80,13 +80,18 @@ def read_points(path: Path) -> Floats:
 
 
 def _read_npy(path: Path) -> Floats:
-    return np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
+    values = np.load(path, allow_pickle=False)
+    if values.dtype.kind not in "fiu":
+        raise ValueError(f"it holds {values.dtype}; valid is real numbers")
+    return np.asarray(values, dtype=np.float64)
 
 
 def _read_csv(path: Path) -> Floats:
     lines = path.read_text().splitlines()
     separator = "," if "," in "".join(lines[:2]) else None
     header = 0 if not lines or _is_number(lines[0].split(separator)[0]) else 1
+    if not any(line.strip() for line in lines[header:]):
+        raise ValueError("it has no lines of numbers")
     return np.loadtxt(lines[header:], delimiter=separator, ndmin=2)
 
 

@@ -21,6 +21,9 @@ COMMANDS = {
     "frontier": ("gelstereo.frontier.command", "measure every method and write docs/accuracy-vs-time.md"),
 }
 
+#: The extra of the package that brings a module.
+EXTRAS = {"scipy": "bench", "matplotlib": "bench", "mcap": "recording", "lz4": "recording"}
+
 EXAMPLES = """examples:
   gelstereo demo                                  the whole pipeline on a simulated sensor, in a few seconds
   gelstereo view run.mcap --output located.png    a picture of a recording by gelstereo-host
@@ -54,8 +57,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.close()
         return 0
     except (Error, OSError) as error:
-        print(f"gelstereo: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"gelstereo: {' '.join(_in_words(error).split())}", file=sys.stderr)
         return 2
+
+
+def _in_words(error: Error | OSError) -> str:
+    """The message, without the number that an operating system gives its errors."""
+    if isinstance(error, OSError) and error.strerror and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    return str(error)
 
 
 def _parser(words: Sequence[str]) -> tuple[argparse.ArgumentParser, dict[str, ModuleType]]:
@@ -88,4 +98,7 @@ def _module(name: str, module_name: str) -> ModuleType:
     try:
         return importlib.import_module(module_name)
     except ModuleNotFoundError as error:
-        raise Error(f"`gelstereo {name}` needs {error.name}, which is not installed") from error
+        missing = (error.name or "a package").partition(".")[0]
+        extra = EXTRAS.get(missing)
+        remedy = f": pip install 'gelstereo[{extra}]'" if extra else ""
+        raise Error(f"`gelstereo {name}` needs {missing}, which is not installed{remedy}") from error

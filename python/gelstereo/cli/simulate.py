@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gelstereo import SimulatedFrame, Simulator, simulate
+from gelstereo import Error, SimulatedFrame, Simulator, simulate
 from gelstereo.cli.files import write_image
 from gelstereo.cli.progress import progress
 
@@ -35,13 +36,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Render the scene; the exit code."""
     simulator = simulate(arguments.scene)
-    wanted = range(len(simulator)) if arguments.frames is None else arguments.frames
+    wanted = _wanted(arguments.frames, len(simulator))
     frames = [_render(simulator, index, arguments.output) for index in progress(wanted, "rendering")]
     _write_truth(arguments.output / "truth.npz", frames)
     simulator.scene.rig.save(arguments.output / "rig.toml")
     simulator.scene.save(arguments.output / "scene.toml")
     print(f"wrote {len(frames)} stereo frames and their truth to {arguments.output}")
     return 0
+
+
+def _wanted(frames: Sequence[int] | None, count: int) -> Sequence[int]:
+    """The frames to render; each must be one of the scene's."""
+    for index in frames or ():
+        if not 0 <= index < count:
+            raise Error(f"there is no frame {index}; the scene has {count}, counted from 0")
+    return range(count) if frames is None else frames
 
 
 def _render(simulator: Simulator, index: int, folder: Path) -> SimulatedFrame:

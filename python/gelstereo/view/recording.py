@@ -101,10 +101,13 @@ def moment_of_recording(path: str | Path) -> Moment:
 
 def _read(path: Path) -> _Recorded:
     try:
-        from mcap.exceptions import McapError
+        import lz4  # noqa: F401 (mcap imports it when it meets the first chunk)
         from mcap.reader import NonSeekingReader
     except ImportError as error:
-        raise RecordingError("reading recordings needs mcap: pip install 'gelstereo[recording]'") from error
+        missing = (error.name or "mcap").partition(".")[0]
+        raise RecordingError(
+            f"reading recordings needs {missing}, which is not installed: pip install 'gelstereo[recording]'"
+        ) from error
     recorded = _Recorded()
     with path.open("rb") as stream:
         if stream.read(len(_MAGIC)) != _MAGIC:
@@ -115,17 +118,19 @@ def _read(path: Path) -> _Recorded:
         try:
             for _, channel, message in NonSeekingReader(stream).iter_messages(log_time_order=False):
                 _take(recorded, channel.topic, message.data)
-        except (McapError, struct.error) as error:
-            # Of a file that was cut off, what came before the cut is good.
+        except Error:
+            raise
+        except Exception as error:  # the errors of the reader and of what unpacks its chunks share no base
+            # Of a file that was cut off or damaged, what came before is good.
             if recorded.cloud is None:
-                raise RecordingError(f"{path} cannot be read as MCAP: {error}") from error
+                reason = str(error) or "it ends before the first frame"
+                raise RecordingError(f"{path} cannot be read as MCAP: {reason}") from error
     with path.open("rb") as stream:
         _read_header(stream, recorded)
     return recorded
 
 
 def _read_header(stream: Any, recorded: _Recorded) -> None:
-    from mcap.exceptions import McapError
     from mcap.records import Attachment, Metadata
     from mcap.stream_reader import StreamReader
 
@@ -135,8 +140,8 @@ def _read_header(stream: Any, recorded: _Recorded) -> None:
                 recorded.config = parse_toml(record.metadata["config_toml"])
             elif isinstance(record, Attachment):
                 recorded.attachments[record.name] = record.data
-    except (McapError, struct.error):
-        return  # cut off; the header comes first
+    except Exception:  # as above
+        return  # cut off or damaged; the header comes first
 
 
 def _take(recorded: _Recorded, topic: str, data: bytes) -> None:
