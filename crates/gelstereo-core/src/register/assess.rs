@@ -4,13 +4,14 @@ use super::error::LEAST_PATCH;
 use super::facet::{Facet, facet};
 use super::filterreg::width_floor_mm;
 use super::observe::{PatchFrame, Sighting, System};
+use super::one_sided::OneSided;
 use super::soft::soft_match;
 use super::{FreeDirections, Outcome, Problem, RegisterError, Registration, Scratch, check_reach};
 use crate::math::{centroid, sqrt};
 use crate::params::RegisterMethod;
 
 /// The result of a stage that ended at `outcome`. All rungs are judged alike, on the soft matches of the points
-/// within `max_distance_mm`.
+/// within `max_distance_mm`; plane rungs count every point as their last step did.
 pub(super) fn registration(
     problem: &Problem<'_>,
     scratch: &mut Scratch,
@@ -27,16 +28,19 @@ pub(super) fn registration(
     let frame = PatchFrame::new(&scratch.sources, template.spacing_mm());
     let mut system = System::new(frame.radius_mm, params.point_sigma_mm);
     let by_plane = matches!(params.method, RegisterMethod::FilterregPlane | RegisterMethod::IcpPlane);
-    let mut sum_squared = 0.0;
+    let one_sided = OneSided::new(params.point_sigma_mm, params.max_distance_mm);
+    let (mut sum_squared, mut total) = (0.0, 0.0);
     for (soft, &point) in scratch.soft.iter().zip(&scratch.sources) {
         let lever = point - frame.centre_mm;
         let seen = soft.sighting(template, lever, 1.0, params.point_sigma_mm);
-        let residual_mm = if by_plane { seen.residual } else { soft.distance_mm };
-        sum_squared += residual_mm * residual_mm;
+        let (residual_mm, weight) =
+            if by_plane { (seen.residual, one_sided.weight(seen.residual)) } else { (soft.distance_mm, 1.0) };
+        sum_squared += weight * residual_mm * residual_mm;
+        total += weight;
         // The facet's normal, not the soft mean: that of two faces would claim to see sideways motion at every edge
         // of a flat contact.
         let Facet { normal, normal_variance } = facet(template, point, width_mm, params.point_sigma_mm);
-        system.add(&Sighting { normal, normal_variance, ..seen });
+        system.add(&Sighting { normal, normal_variance, weight, ..seen });
     }
     let in_object = system.observe(frame.centre_mm);
     let observability = in_object.turned(pose, centroid(&scratch.targets));
@@ -48,7 +52,7 @@ pub(super) fn registration(
         iterations: outcome.iterations,
         inliers: scratch.sources.len(),
         points: points_mm.len(),
-        rmse_mm: sqrt(sum_squared / scratch.sources.len() as f64),
+        rmse_mm: sqrt(sum_squared / total.max(f64::MIN_POSITIVE)),
         // Normals are read at samples, and so at most half a spacing off.
         free: FreeDirections::new(&in_object, params.point_sigma_mm.max(0.5 * template.spacing_mm())),
     })

@@ -2,10 +2,15 @@
 //!
 //! The patch is the model, the template the observation: every point of the patch is drawn to the Gaussian mean of
 //! the template around it (E step), the patch moves rigidly (M step), and the Gaussian shrinks to fit.
+//!
+//! Point to point, as published: outliers are uniform and the width follows from the residuals. A shoulder of gel around
+//! the contact (`one_sided`) is neither: it is one-sided, dense beside the contact, and it widens the Gaussian that
+//! would have to tell it apart. There the answer stays drawn outwards. Point to plane knows of it.
 
 use super::error::LEAST_PATCH;
 use super::icp;
-use super::observe::{PatchFrame, System};
+use super::observe::{PatchFrame, Sighting, System};
+use super::one_sided::{self, OneSided};
 use super::soft::soft_match;
 use super::{Outcome, Problem, RegisterError, Scratch, check_reach, compose};
 use crate::math::{Pose, exp, ln, sqrt};
@@ -29,14 +34,20 @@ pub(super) fn run(
     let (params, spacing_mm) = (problem.params, problem.template.spacing_mm());
     let floor_mm = width_floor_mm(problem);
     let tolerance_mm = params.step_tolerance * spacing_mm;
-    let mut sigma_mm = params.sigma_start_mm.max(floor_mm);
+    let mut sigma_mm = match metric {
+        Metric::Point => params.sigma_start_mm.max(floor_mm),
+        Metric::Plane => one_sided::first(params),
+    };
     let mut outcome = Outcome { t_sensor_object: *guess, converged: false, iterations: 0 };
     scratch.place(problem.points_mm, guess);
     check_reach(problem, &scratch.placed, params.search_radius_mm)?;
     while outcome.iterations < params.max_iterations && !outcome.converged {
         let motion = step(problem, scratch, metric, sigma_mm);
         let moved_mm = scratch.largest_move_mm(&motion);
-        let next_sigma_mm = width_mm(scratch, &motion).clamp(floor_mm, params.sigma_start_mm.max(floor_mm));
+        let next_sigma_mm = match metric {
+            Metric::Point => width_mm(scratch, &motion).clamp(floor_mm, params.sigma_start_mm.max(floor_mm)),
+            Metric::Plane => one_sided::next(params, sigma_mm),
+        };
         outcome.converged = moved_mm <= tolerance_mm && (next_sigma_mm - sigma_mm).abs() <= tolerance_mm;
         sigma_mm = next_sigma_mm;
         outcome.t_sensor_object = compose(&outcome.t_sensor_object, &motion);
@@ -54,10 +65,10 @@ pub(super) fn width_floor_mm(problem: &Problem<'_>) -> f64 {
 
 /// One E step and one M step; the motion of the patch in the object's frame. Leaves the pairs in `scratch`.
 fn step(problem: &Problem<'_>, scratch: &mut Scratch, metric: Metric, sigma_mm: f64) -> Pose {
-    expect(problem, scratch, sigma_mm);
+    expect(problem, scratch, sigma_mm.max(width_floor_mm(problem)));
     match metric {
         Metric::Point => icp::fit(scratch),
-        Metric::Plane => plane_step(problem, scratch),
+        Metric::Plane => plane_step(problem, scratch, sigma_mm),
     }
 }
 
@@ -79,13 +90,15 @@ fn expect(problem: &Problem<'_>, scratch: &mut Scratch, sigma_mm: f64) {
     }
 }
 
-/// One Gauss-Newton step on the distances along the normals.
-fn plane_step(problem: &Problem<'_>, scratch: &Scratch) -> Pose {
+/// One Gauss-Newton step on the distances along the normals, of which contacts have the standard deviation `sigma_mm`.
+fn plane_step(problem: &Problem<'_>, scratch: &Scratch, sigma_mm: f64) -> Pose {
     let frame = PatchFrame::new(&scratch.sources, problem.template.spacing_mm());
-    let sigma_mm = problem.params.point_sigma_mm;
-    let mut system = System::new(frame.radius_mm, sigma_mm);
+    let one_sided = OneSided::new(sigma_mm, problem.params.max_distance_mm);
+    let point_sigma_mm = problem.params.point_sigma_mm;
+    let mut system = System::new(frame.radius_mm, point_sigma_mm);
     for ((soft, &point), &weight) in scratch.soft.iter().zip(&scratch.sources).zip(&scratch.weights) {
-        system.add(&soft.sighting(problem.template, point - frame.centre_mm, weight, sigma_mm));
+        let seen = soft.sighting(problem.template, point - frame.centre_mm, weight, point_sigma_mm);
+        system.add(&Sighting { weight: weight * one_sided.weight(seen.residual), ..seen });
     }
     frame.motion(system.solve(problem.params.max_distance_mm))
 }

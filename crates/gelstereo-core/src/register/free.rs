@@ -84,8 +84,8 @@ fn write_axis(f: &mut core::fmt::Formatter<'_>, axis: DVec3) -> core::fmt::Resul
     write!(f, "({:.2}, {:.2}, {:.2})", rounded.x, rounded.y, rounded.z)
 }
 
-/// Up to six free directions, without allocation; it reads as a slice.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Up to six free directions, without allocation; it reads, and prints, as a slice.
+#[derive(Clone, Copy, PartialEq)]
 pub struct FreeDirections {
     directions: [FreeDirection; 6],
     count: usize,
@@ -132,6 +132,12 @@ impl core::ops::Deref for FreeDirections {
 
     fn deref(&self) -> &[FreeDirection] {
         &self.directions[..self.count]
+    }
+}
+
+impl core::fmt::Debug for FreeDirections {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.debug_list().entries(self.iter()).finish()
     }
 }
 
@@ -227,4 +233,18 @@ fn along_axes(vectors: &[[f64; 3]; 3], count: usize) -> Axes {
         }
     }
     axes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn debug_shows_the_directions_there_are() {
+        let mut directions = FreeDirections::NONE;
+        assert_eq!(alloc::format!("{directions:?}"), "[]");
+        directions.push(FreeDirection { v: DVec3::X, ..FreeDirection::NONE });
+        let shown = alloc::format!("{directions:?}");
+        assert_eq!(shown.matches("FreeDirection {").count(), 1, "{shown}");
+    }
 }

@@ -1,6 +1,7 @@
 //! Iterated closest points: to the points (Besl and McKay 1992) and to their planes (Chen and Medioni 1992).
 
 use super::observe::{PatchFrame, Sighting, System};
+use super::one_sided::{self, OneSided};
 use super::rigid::rigid_fit;
 use super::{Outcome, Problem, RegisterError, Scratch, check_reach, compose};
 use crate::math::{DVec3, Pose};
@@ -11,7 +12,7 @@ pub(super) fn point_to_point(
     scratch: &mut Scratch,
     start: &Pose,
 ) -> Result<Outcome, RegisterError> {
-    iterate(problem, scratch, start, |problem, scratch| {
+    iterate(problem, scratch, start, problem.params.point_sigma_mm, |problem, scratch, _| {
         pair(problem, scratch, |_| {});
         fit(scratch)
     })
@@ -23,40 +24,52 @@ pub(super) fn point_to_plane(
     scratch: &mut Scratch,
     start: &Pose,
 ) -> Result<Outcome, RegisterError> {
-    iterate(problem, scratch, start, |problem, scratch| {
-        let frame = PatchFrame::new(&scratch.placed, problem.template.spacing_mm());
-        let sigma_mm = problem.params.point_sigma_mm;
-        let mut system = System::new(frame.radius_mm, sigma_mm);
-        pair(problem, scratch, |(nearest, source)| {
-            let (target, normal) =
-                (problem.template.points_mm()[nearest], problem.template.normals()[nearest]);
-            let offset = target - source;
-            system.add(&Sighting {
-                lever: source - frame.centre_mm,
-                normal,
-                residual: normal.dot(offset),
-                weight: 1.0,
-                normal_variance: problem.template.step_variance(nearest, offset, sigma_mm),
+    iterate(
+        problem,
+        scratch,
+        start,
+        one_sided::first(problem.params),
+        |problem, scratch, contact_sigma_mm| {
+            let one_sided = OneSided::new(contact_sigma_mm, problem.params.max_distance_mm);
+            let frame = PatchFrame::new(&scratch.placed, problem.template.spacing_mm());
+            let sigma_mm = problem.params.point_sigma_mm;
+            let mut system = System::new(frame.radius_mm, sigma_mm);
+            pair(problem, scratch, |(nearest, source)| {
+                let (target, normal) =
+                    (problem.template.points_mm()[nearest], problem.template.normals()[nearest]);
+                let offset = target - source;
+                let residual = normal.dot(offset);
+                system.add(&Sighting {
+                    lever: source - frame.centre_mm,
+                    normal,
+                    residual,
+                    weight: one_sided.weight(residual),
+                    normal_variance: problem.template.step_variance(nearest, offset, sigma_mm),
+                });
             });
-        });
-        frame.motion(system.solve(problem.params.max_distance_mm))
-    })
+            frame.motion(system.solve(problem.params.max_distance_mm))
+        },
+    )
 }
 
-/// Steps until they are short enough or the iterations run out.
+/// Steps until they are short enough and their σ is the last, or the iterations run out. `step` is told σ.
 fn iterate(
     problem: &Problem<'_>,
     scratch: &mut Scratch,
     start: &Pose,
-    step: impl Fn(&Problem<'_>, &mut Scratch) -> Pose,
+    first_sigma_mm: f64,
+    step: impl Fn(&Problem<'_>, &mut Scratch, f64) -> Pose,
 ) -> Result<Outcome, RegisterError> {
     let tolerance_mm = problem.params.step_tolerance * problem.template.spacing_mm();
+    let mut sigma_mm = first_sigma_mm;
     let mut outcome = Outcome { t_sensor_object: *start, converged: false, iterations: 0 };
     scratch.place(problem.points_mm, start);
     check_reach(problem, &scratch.placed, problem.params.max_distance_mm)?;
     while outcome.iterations < problem.params.max_iterations && !outcome.converged {
-        let motion = step(problem, scratch);
-        outcome.converged = scratch.largest_move_mm(&motion) <= tolerance_mm;
+        let motion = step(problem, scratch, sigma_mm);
+        let next_sigma_mm = one_sided::next(problem.params, sigma_mm);
+        outcome.converged = scratch.largest_move_mm(&motion) <= tolerance_mm && next_sigma_mm == sigma_mm;
+        sigma_mm = next_sigma_mm;
         outcome.t_sensor_object = compose(&outcome.t_sensor_object, &motion);
         outcome.iterations += 1;
         scratch.place(problem.points_mm, &outcome.t_sensor_object);

@@ -10,6 +10,7 @@ mod filterreg;
 mod free;
 mod icp;
 mod observe;
+mod one_sided;
 mod ransac;
 mod rigid;
 mod sample;
@@ -51,7 +52,8 @@ pub struct Registration {
     pub inliers: usize,
     /// Points given.
     pub points: usize,
-    /// Root mean square distance of the inliers (along the normal for point-to-plane rungs).
+    /// Root mean square distance of the inliers; for point-to-plane rungs along the normal, each by its probability of
+    /// being in contact.
     pub rmse_mm: f64,
     /// Directions that the contact leaves free; empty when all six are determined.
     pub free: FreeDirections,
