@@ -45,7 +45,10 @@ class Patch:
 
     @classmethod
     def simulate(cls, part: Part) -> Patch:
-        """Press the part and take the salient points of the balanced pipeline."""
+        """Press the part and take the salient points of the balanced pipeline.
+
+        All of them, with the shoulder: a share of the deepest would lose the shallower of several contacts.
+        """
         press = part_press(part)
         pipeline = Pipeline(Scene().rig, Params.preset("balanced"))
         for frame in press:
@@ -53,7 +56,7 @@ class Patch:
         truth = press[-1].t_sensor_object
         if truth is None:
             raise Error(f"the scene of {part.name} has no part")
-        return cls(part, part.template(), result.patch_points_mm.copy(), np.array(truth))
+        return cls(part, part.template(), result.points_mm[result.salient], np.array(truth))
 
     def start(self, seed: int) -> Array:
         """Draw a guess: turned about the patch's centroid by 5 degrees and moved by 1 mm, in random directions."""
