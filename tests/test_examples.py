@@ -1,0 +1,89 @@
+"""What the help of a command shows as an example runs as it stands, in a folder with the files that it names."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from chessboards import TrueRig, write_pairs
+from gelstereo import simulate
+from gelstereo.cli import main
+from gelstereo.cli.main import COMMANDS, _module
+
+SCENES = Path(__file__).parents[1] / "scenes"
+PRESS = """
+[indenter]
+kind = "sphere"
+radius_mm = 4.0
+[[trajectory]]
+time_s = 0.0
+position_mm = [4.0, 0.0, 33.0]
+[[trajectory]]
+time_s = 0.4
+position_mm = [4.0, 0.0, 31.0]
+"""
+LYING = [0.0, np.pi / 2, 0.0]
+PEG = {
+    "indenter": {"kind": "cylinder", "radius_mm": 4.0, "length_mm": 40.0},
+    "trajectory": [{"time_s": 0.0, "position_mm": [4.0, 0.0, 30.7], "rotation_rad": LYING}],
+}
+
+
+def examples(command: str) -> list[list[str]]:
+    """Words after `gelstereo`, of every example; what follows two spaces explains it."""
+    lines = [line.strip() for line in _module(command, COMMANDS[command][0]).EXAMPLES.splitlines()]
+    found = [re.split(r"\s{2,}", line)[0] for line in lines if line.startswith("gelstereo ")]
+    assert found
+    return [shlex.split(line)[1:] for line in found]
+
+
+@pytest.fixture(scope="module")
+def press(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A ball pressed in over 13 stereo images, a peg's patch, and meshes of both."""
+    folder = tmp_path_factory.mktemp("press")
+    (folder / "press.toml").write_text(PRESS)
+    assert main(["simulate", str(folder / "press.toml"), "--output", str(folder / "out" / "press")]) == 0
+    shutil.copy(folder / "out" / "press" / "rig.toml", folder)
+    trimesh.creation.icosphere(5, 0.004).export(folder / "plug.stl")
+    trimesh.creation.cylinder(4.0, 40.0, sections=256).export(folder / "peg.stl")
+    truth = simulate(PEG)[0]
+    np.save(folder / "patch.npy", truth.points_mm[truth.in_contact])
+    return folder
+
+
+@pytest.mark.parametrize("words", [w for name in ("localize", "view") for w in examples(name)], ids=" ".join)
+def test_examples_on_presses_run(words: list[str], press: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(press)
+    if "run.mcap" in words:
+        host = os.environ.get("GELSTEREO_HOST")
+        if not host:
+            pytest.skip("$GELSTEREO_HOST is not set: no gelstereo-host to record with")
+        subprocess.run([SCENES.parent / host, "run", "--record", "run.mcap"], check=True, capture_output=True)
+    assert main(words) == 0
+
+
+@pytest.mark.parametrize("words", examples("simulate"), ids=" ".join)
+def test_examples_of_scenes_run(words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shutil.copytree(SCENES, tmp_path / "scenes")
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 0
+
+
+def test_examples_of_calibration_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_pairs(tmp_path, TrueRig.typical(), 5)
+    monkeypatch.chdir(tmp_path)
+    for words in examples("calibrate"):
+        assert main(words) == 0
+
+
+def test_examples_of_the_demo_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for words in examples("demo"):
+        assert main(words) == 0
