@@ -113,8 +113,14 @@ class _Worker:
 
     def __init__(self) -> None:
         command = [sys.executable, "-m", "gelstereo.calibrate.corner_worker"]
+        # In a session of its own: Ctrl-C is for whoever asked, who then ends the worker without a word from it.
         self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, encoding="utf-8"
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            encoding="utf-8",
+            start_new_session=True,
         )
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         assert self._process.stdin is not None and self._process.stdout is not None
