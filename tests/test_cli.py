@@ -238,9 +238,10 @@ def test_the_installed_program_runs_the_demo(tmp_path: Path) -> None:
     assert done.stderr == ""
     lines = dict(line.split(maxsplit=1) for line in done.stdout.splitlines())
     assert lines["free"].startswith("slide along z; spin about z")
-    # Simulated, with noise: the peg's axis to a fifth of a degree and 0.03 mm, a third of what 0.1 mm needs.
+    # Simulated, with noise. The pose's own covariance has standard deviations of 0.064 deg and 0.012 mm; within three
+    # and two and a half of them.
     degrees, millimetres = float(lines["error"].split()[0]), float(lines["error"].split()[2])
-    assert degrees < 0.2
+    assert degrees < 0.19
     assert millimetres < 0.03
     assert cv2.imread(str(picture)) is not None
 

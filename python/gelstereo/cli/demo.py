@@ -33,7 +33,8 @@ EXAMPLES = """examples:
 
 Floats = npt.NDArray[np.float64]
 
-#: A peg of 8 mm diameter, pressed 2 mm deep and then dragged along by its weight.
+#: A peg of 8 mm diameter, pressed 2 mm deep and then dragged along by its weight. It is longer than the lattice is
+#: wide: neither end presses, so that the slide along its axis is free.
 _SIDEWAYS = [0.0, 1.5707963267948966, 0.0]
 SCENE: dict[str, Any] = {
     "indenter": {"kind": "cylinder", "radius_mm": 4.0, "length_mm": 40.0},
