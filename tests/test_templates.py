@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,8 +14,8 @@ import trimesh
 from gelstereo import MeshError, Params, RegisterError, ShapeError, Template, TemplateError, localize
 from gelstereo.geometry import nearest, se3_exp, se3_log, shape_mesh
 from gelstereo.templates import load_mesh
+from real_data import DATA
 
-DATA = Path(os.environ.get("GELSTEREO_DATA", Path(__file__).parents[2] / "shared" / "data"))
 MESHES = [*sorted(DATA.glob("factory_meshes/*.obj")), *sorted(DATA.glob("meshes_realsense/*.stl"))]
 PLANE = Params.preset("balanced")
 
@@ -156,6 +159,36 @@ def test_localize_names_what_a_cylinder_leaves_free() -> None:
     on_axis = spin.centre_mm + np.cross(spin.omega, spin.v)
     # Known no better than the noise of the points lets it be: three times register.point_sigma_mm.
     assert np.abs(on_axis[:2]).max() < 3 * PLANE.to_dict()["register"]["point_sigma_mm"]
+
+
+REGISTER = """
+import numpy as np
+from gelstereo import Params, Template, geometry, localize
+template = Template.from_triangles(*geometry.shape_mesh({"kind": "sphere", "radius_mm": 4.0}), spacing_mm=0.5)
+points = template.points_mm[template.points_mm[:, 2] < -2.0]
+guess = geometry.se3_exp([0.01, -0.02, 0.03, 0.3, -0.2, 0.1])
+methods = [Params().replace({"register.method": name})
+           for name in ("filterreg_point", "filterreg_plane", "ransac_icp", "icp_plane")]
+def digests(points=points):
+    return [localize(points, template, t_sensor_object=guess, params=params).digest for params in methods]
+"""
+
+
+def test_row_34_registration_in_threads_processes_and_any_layout() -> None:
+    scope: dict[str, Any] = {}
+    exec(REGISTER, scope)
+    expected = scope["digests"]()
+    assert len(set(expected)) == 4
+    with ThreadPoolExecutor(2) as pool:
+        for found in pool.map(lambda _: scope["digests"](), range(2)):
+            assert found == expected
+    spaced = np.repeat(scope["points"], 2, axis=0)[::2]
+    assert not spaced.flags.c_contiguous
+    for layout in (spaced, np.asfortranarray(scope["points"]), scope["points"].tolist()):
+        assert scope["digests"](layout) == expected
+    command = [sys.executable, "-c", REGISTER + "print(*digests())"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert [int(word) for word in done.stdout.split()] == expected
 
 
 def test_row_06_patches_that_cannot_be_registered(box: trimesh.Trimesh) -> None:
