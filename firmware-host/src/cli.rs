@@ -9,6 +9,7 @@ use gelstereo_host::simulate::SimulateError;
 use gelstereo_host::{check, replay, run, simulate};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -86,6 +87,7 @@ enum CliError {
     Simulate(SimulateError),
     Signal(ctrlc::Error),
     Json(serde_json::Error),
+    Output(std::io::Error),
 }
 
 impl fmt::Display for CliError {
@@ -94,6 +96,7 @@ impl fmt::Display for CliError {
             Self::Host(error) => error.fmt(f),
             Self::Simulate(error) => error.fmt(f),
             Self::Signal(error) => write!(f, "cannot listen for Ctrl-C: {error}"),
+            Self::Output(error) => write!(f, "standard output cannot be written: {error}"),
             Self::Json(error) => write!(f, "the summary cannot be written as JSON: {error}"),
         }
     }
@@ -118,7 +121,8 @@ pub fn main() -> ExitCode {
         Ok(true) => ExitCode::SUCCESS,
         Ok(false) => ExitCode::from(1),
         Err(error) => {
-            eprintln!("gelstereo-host: {error}");
+            // When stderr is gone too, the exit code is all that is left to say.
+            let _ = writeln!(std::io::stderr(), "gelstereo-host: {error}");
             ExitCode::from(2)
         }
     }
@@ -128,7 +132,12 @@ fn load(path: Option<&Path>) -> Result<Config, ConfigError> {
     path.map_or_else(|| Ok(Config::default()), Config::load)
 }
 
-/// A flag that Ctrl-C raises.
+/// Writes a line of the result; a pipe that was closed is an error, not a panic.
+fn say(line: impl fmt::Display) -> Result<(), CliError> {
+    writeln!(std::io::stdout(), "{line}").map_err(CliError::Output)
+}
+
+/// A flag that Ctrl-C raises, as do SIGTERM and SIGHUP.
 fn stop_flag() -> Result<Arc<AtomicBool>, CliError> {
     let stop = Arc::new(AtomicBool::new(false));
     let raised = Arc::clone(&stop);
@@ -149,18 +158,23 @@ fn run_job(
     let bar = ProgressBar::new_spinner();
     bar.enable_steady_tick(Duration::from_millis(100));
     bar.set_message("Ctrl-C stops the job and closes the recording");
+    // The robot moves: that nobody reads the lines is told at the end, and does not break the job off.
+    let mut said = Ok(());
     let mut progress = |report: &StageReport| {
-        bar.suspend(|| {
-            if json { eprintln!("{}", stage_line(report)) } else { println!("{}", stage_line(report)) }
-        });
+        let line = stage_line(report);
+        let write = || {
+            if json { writeln!(std::io::stderr(), "{line}") } else { writeln!(std::io::stdout(), "{line}") }
+        };
+        said = std::mem::replace(&mut said, Ok(())).and(bar.suspend(write));
     };
     let report = run::run(&config, &config.recording.path, &stop, &mut progress);
     bar.finish_and_clear();
     let report = report?;
+    said.map_err(CliError::Output)?;
     if json {
-        println!("{}", serde_json::to_string_pretty(&report).map_err(CliError::Json)?);
+        say(serde_json::to_string_pretty(&report).map_err(CliError::Json)?)?;
     } else {
-        print_summary(&report);
+        print_summary(&report)?;
     }
     Ok(matches!(report.outcome, Outcome::Inserted { .. }))
 }
@@ -173,22 +187,23 @@ fn stage_line(report: &StageReport) -> String {
         report.frames,
         report.source_s
     );
+    if report.bad_frames > 0 {
+        line += &format!("  {} of them bad", report.bad_frames);
+    }
     for figure in &report.figures {
         line += &format!("  {} {:.3}", figure.name, figure.value);
     }
     line
 }
 
-fn print_summary(report: &JobReport) {
-    println!("{:<9} {}", "done", report.outcome);
+fn print_summary(report: &JobReport) -> Result<(), CliError> {
+    say(format_args!("{:<9} {}", "done", report.outcome))?;
     if let Some(localized) = &report.localized {
-        println!(
-            "  free: {}",
-            if localized.free.is_empty() { "nothing".to_owned() } else { localized.free.join("; ") }
-        );
+        let free = if localized.free.is_empty() { "nothing".to_owned() } else { localized.free.join("; ") };
+        say(format_args!("  free: {free}"))?;
     }
     if let Some(truth) = &report.truth {
-        println!(
+        say(format_args!(
             "  simulated truth: tip off by {:.3} mm and {:.2} mrad across, {:.3} mm along; inserted {:.2} mm; \
              the outcome above is {}",
             truth.tip_error_mm,
@@ -196,11 +211,12 @@ fn print_summary(report: &JobReport) {
             truth.axial_error_mm,
             truth.inserted_mm.max(0.0),
             if truth.outcome_is_true { "true" } else { "not true" }
-        );
+        ))?;
     }
     if let Some(recording) = &report.recording {
-        println!("  recording: {}", recording.display());
+        say(format_args!("  recording: {}", recording.display()))?;
     }
+    Ok(())
 }
 
 fn replay_recording(recording: &Path, params: Option<&Path>, json: bool) -> Result<bool, CliError> {
@@ -210,9 +226,9 @@ fn replay_recording(recording: &Path, params: Option<&Path>, json: bool) -> Resu
     bar.finish_and_clear();
     let report = report?;
     if json {
-        println!("{}", serde_json::to_string_pretty(&report).map_err(CliError::Json)?);
+        say(serde_json::to_string_pretty(&report).map_err(CliError::Json)?)?;
     } else {
-        println!("{report}");
+        say(&report)?;
     }
     // With other settings other results are what was asked for.
     Ok(report.frames > 0 && (report.differing == 0 || report.changed_params))
@@ -232,12 +248,12 @@ fn simulate_scene(scene: &Path, folder: &Path) -> Result<bool, CliError> {
     });
     bar.finish_and_clear();
     let frames = frames.map_err(CliError::Simulate)?;
-    println!("{frames} pairs with truth in {}", folder.display());
+    say(format_args!("{frames} pairs with truth in {}", folder.display()))?;
     Ok(!stop.load(Ordering::Relaxed))
 }
 
 fn print_default() -> Result<bool, CliError> {
-    print!("{}", Config::default().to_toml()?);
+    say(Config::default().to_toml()?.trim_end())?;
     Ok(true)
 }
 
@@ -248,7 +264,7 @@ fn check_config(path: Option<&Path>) -> Result<bool, CliError> {
             Ok(text) => ("ok", text),
             Err(text) => ("WRONG", text),
         };
-        println!("{mark:<6} {:<14} {text}", finding.subject);
+        say(format_args!("{mark:<6} {:<14} {text}", finding.subject))?;
     }
     Ok(findings.iter().all(|finding| finding.result.is_ok()))
 }

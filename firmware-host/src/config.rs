@@ -79,6 +79,10 @@ pub enum SourceConfig {
     },
 }
 
+/// Farther than this no arm reaches: such a number is in another unit.
+const FAR_MM: f64 = 1e4;
+const FULL_TURN_RAD: f64 = 2.0 * core::f64::consts::PI;
+
 /// A pose in a file: position and rotation vector.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -100,8 +104,19 @@ impl PoseConfig {
         }
     }
 
-    fn is_finite(&self) -> bool {
-        self.position_mm.iter().chain(&self.rotation_rad).all(|v| v.is_finite())
+    fn validate(&self, name: &'static str) -> Result<(), ConfigError> {
+        for found in self.position_mm {
+            check(found.abs() <= FAR_MM, name, found, "positions up to 10000 mm")?;
+        }
+        for found in self.rotation_rad {
+            check(
+                found.abs() <= FULL_TURN_RAD,
+                name,
+                found,
+                "rotation vectors up to a full turn, 6.2832 rad",
+            )?;
+        }
+        Ok(())
     }
 }
 
@@ -144,6 +159,11 @@ pub struct TaskConfig {
     pub insertion_speed_mm_s: f64,
     /// How long to wait for a stereo pair. Default: `2` s.
     pub frame_timeout_s: f64,
+    /// The job breaks off when one stage takes longer, on the frame source's clock. Default: `120` s.
+    pub stage_timeout_s: f64,
+    /// So many stereo pairs in a row may show no markers (black, covered, blurred) before the job breaks off. While they
+    /// last nothing is felt: at 30 Hz and 10 mm/s the part moves 0.33 mm with each. Default: `2`.
+    pub max_bad_frames: u32,
 }
 
 impl Default for TaskConfig {
@@ -171,6 +191,8 @@ impl Default for TaskConfig {
             move_speed_mm_s: 400.0,
             insertion_speed_mm_s: 10.0,
             frame_timeout_s: 2.0,
+            stage_timeout_s: 120.0,
+            max_bad_frames: 2,
         }
     }
 }
@@ -390,13 +412,13 @@ impl Config {
         self.params.validate().map_err(ConfigError::Params)?;
         self.rig()?.validate().map_err(ConfigError::Rig)?;
         if let SourceConfig::Folder { frame_rate_hz, .. } = self.source {
-            above_0("source.frame_rate_hz", frame_rate_hz)?;
+            RATE_HZ.check("source.frame_rate_hz", frame_rate_hz)?;
         }
-        above_0("part.spacing_mm", self.part.spacing_mm)?;
+        LENGTH_MM.check("part.spacing_mm", self.part.spacing_mm)?;
         self.validate_task()?;
         let s = &self.simulated;
-        above_0("simulated.frame_rate_hz", s.frame_rate_hz)?;
-        above_0("simulated.hole_diameter_mm", s.hole_diameter_mm)?;
+        RATE_HZ.check("simulated.frame_rate_hz", s.frame_rate_hz)?;
+        LENGTH_MM.check("simulated.hole_diameter_mm", s.hole_diameter_mm)?;
         check(s.offset_mm >= 0.0 && s.offset_mm <= 10.0, "simulated.offset_mm", s.offset_mm, "0 to 10 mm")?;
         check(s.tilt_rad >= 0.0 && s.tilt_rad <= 0.5, "simulated.tilt_rad", s.tilt_rad, "0 to 0.5 rad")
     }
@@ -409,23 +431,24 @@ impl Config {
             ("task.goal_pose", t.goal_pose),
         ];
         for (name, pose) in poses {
-            check(pose.is_finite(), name, f64::NAN, "finite numbers")?;
+            pose.validate(name)?;
         }
-        let positive = [
-            ("task.part_sigma_mm", t.part_sigma_mm),
-            ("task.part_sigma_rad", t.part_sigma_rad),
-            ("task.insertion_depth_mm", t.insertion_depth_mm),
-            ("task.approach_mm", t.approach_mm),
-            ("task.overtravel_mm", t.overtravel_mm),
-            ("task.lift_mm", t.lift_mm),
-            ("task.opening_speed_mm_s", t.opening_speed_mm_s),
-            ("task.closing_speed_mm_s", t.closing_speed_mm_s),
-            ("task.move_speed_mm_s", t.move_speed_mm_s),
-            ("task.insertion_speed_mm_s", t.insertion_speed_mm_s),
-            ("task.frame_timeout_s", t.frame_timeout_s),
+        let within = [
+            ("task.part_sigma_mm", t.part_sigma_mm, LENGTH_MM),
+            ("task.part_sigma_rad", t.part_sigma_rad, ANGLE_RAD),
+            ("task.insertion_depth_mm", t.insertion_depth_mm, LENGTH_MM),
+            ("task.approach_mm", t.approach_mm, LENGTH_MM),
+            ("task.overtravel_mm", t.overtravel_mm, LENGTH_MM),
+            ("task.lift_mm", t.lift_mm, LENGTH_MM),
+            ("task.opening_speed_mm_s", t.opening_speed_mm_s, SPEED_MM_S),
+            ("task.closing_speed_mm_s", t.closing_speed_mm_s, SPEED_MM_S),
+            ("task.move_speed_mm_s", t.move_speed_mm_s, SPEED_MM_S),
+            ("task.insertion_speed_mm_s", t.insertion_speed_mm_s, SPEED_MM_S),
+            ("task.frame_timeout_s", t.frame_timeout_s, TIME_S),
+            ("task.stage_timeout_s", t.stage_timeout_s, TIME_S),
         ];
-        for (name, found) in positive {
-            above_0(name, found)?;
+        for (name, found, range) in within {
+            range.check(name, found)?;
         }
         check((0.0..=1.0).contains(&t.closing_force), "task.closing_force", t.closing_force, "0 to 1")?;
         let length = DVec3::from_array(t.insertion_axis).length();
@@ -440,9 +463,25 @@ fn check(ok: bool, name: &'static str, found: f64, valid: &'static str) -> Resul
     if ok { Ok(()) } else { Err(ConfigError::Value { name, found, valid }) }
 }
 
-fn above_0(name: &'static str, found: f64) -> Result<(), ConfigError> {
-    check(found > 0.0 && found.is_finite(), name, found, "a finite number above 0")
+/// What a kind of setting may be; a number outside is in another unit, or would keep the job waiting for ever.
+#[derive(Clone, Copy)]
+struct Range {
+    low: f64,
+    high: f64,
+    words: &'static str,
 }
+
+impl Range {
+    fn check(self, name: &'static str, found: f64) -> Result<(), ConfigError> {
+        check(found >= self.low && found <= self.high, name, found, self.words)
+    }
+}
+
+const LENGTH_MM: Range = Range { low: 1e-6, high: FAR_MM, words: "0.000001 to 10000 mm" };
+const ANGLE_RAD: Range = Range { low: 1e-6, high: FULL_TURN_RAD, words: "0.000001 to 6.2832 rad" };
+const SPEED_MM_S: Range = Range { low: 0.01, high: 1e4, words: "0.01 to 10000 mm/s" };
+const TIME_S: Range = Range { low: 1e-3, high: 3600.0, words: "0.001 to 3600 s" };
+const RATE_HZ: Range = Range { low: 0.1, high: 1e4, words: "0.1 to 10000 Hz" };
 
 /// Lays `over` over `base`, table by table.
 fn overlay(base: &mut toml::Table, over: toml::Table) {

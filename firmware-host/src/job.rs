@@ -27,12 +27,21 @@ pub enum JobError {
     Robot(RobotError),
     /// The gripper stands where the mount says that it cannot.
     Width(WidthError),
-    /// A frame could not be sensed.
+    /// Frames could not be sensed, or a request of the pipeline was refused.
     Sensing {
         /// During this stage.
         stage: Stage,
-        /// Why.
+        /// Frames that failed in a row; 0 for a request.
+        bad_frames: u32,
+        /// Why, at last.
         error: SensingError,
+    },
+    /// A stage did not end.
+    StageTimeout {
+        /// Which.
+        stage: Stage,
+        /// `task.stage_timeout_s`.
+        limit_s: f64,
     },
     /// The recording.
     Recording(RecordingError),
@@ -45,7 +54,15 @@ impl std::fmt::Display for JobError {
             Self::Gripper(error) => error.fmt(f),
             Self::Robot(error) => error.fmt(f),
             Self::Width(error) => error.fmt(f),
-            Self::Sensing { stage, error } => write!(f, "{}: {error}", stage.name()),
+            Self::Sensing { stage, bad_frames: 0, error } => write!(f, "{}: {error}", stage.name()),
+            Self::Sensing { stage, bad_frames, error } => {
+                write!(f, "{}: {bad_frames} bad frames in a row, at last: {error}", stage.name())
+            }
+            Self::StageTimeout { stage, limit_s } => write!(
+                f,
+                "{} did not end within {limit_s} s (task.stage_timeout_s); do gripper and robot move?",
+                stage.name()
+            ),
             Self::Recording(error) => error.fmt(f),
         }
     }
@@ -92,8 +109,10 @@ pub struct Job<'a> {
     pair: StereoPair,
     stage: Stage,
     begun: Instant,
-    begun_ns: u64,
+    /// The source's time at the beginning; unknown before the job's first pair.
+    begun_ns: Option<u64>,
     frames: u64,
+    bad_frames: u64,
     stages: Vec<StageReport>,
     localized: Option<Localized>,
     digest: Digest,
@@ -119,8 +138,9 @@ impl<'a> Job<'a> {
             pair: StereoPair::default(),
             stage: Stage::Open,
             begun: Instant::now(),
-            begun_ns: 0,
+            begun_ns: None,
             frames: 0,
+            bad_frames: 0,
             stages: Vec::new(),
             localized: None,
             digest: Digest::new(),
@@ -357,14 +377,40 @@ impl<'a> Job<'a> {
         }
         let timeout = Duration::from_secs_f64(self.config.task.frame_timeout_s);
         match self.devices.source.next_pair(timeout, &mut self.pair)? {
-            Next::Pair => Ok(()),
-            Next::End => Err(Halt::Outcome(Outcome::SourceEnded { stage: self.stage })),
+            Next::Pair => self.begun_ns.get_or_insert(self.pair.time_ns),
+            Next::End => return Err(Halt::Outcome(Outcome::SourceEnded { stage: self.stage })),
+        };
+        let limit_s = self.config.task.stage_timeout_s;
+        if self.source_s() > limit_s {
+            return Err(Halt::Error(JobError::StageTimeout { stage: self.stage, limit_s }));
+        }
+        Ok(())
+    }
+
+    /// How long the stage has taken on the frame source's clock.
+    fn source_s(&self) -> f64 {
+        self.begun_ns.map_or(0.0, |begun_ns| self.pair.time_ns.saturating_sub(begun_ns) as f64 * 1e-9)
+    }
+
+    /// Goes on to the next frame that can be sensed; returns its mean marker motion in pixels.
+    fn frame(&mut self) -> Result<f64, Halt> {
+        let mut bad_frames = 0;
+        loop {
+            self.take_pair()?;
+            self.frames += 1;
+            let Err(error) = self.sense()? else {
+                return Ok(self.sensing.frame().motion_px);
+            };
+            bad_frames += 1;
+            self.bad_frames += 1;
+            if bad_frames > self.config.task.max_bad_frames {
+                return Err(Halt::Error(JobError::Sensing { stage: self.stage, bad_frames, error }));
+            }
         }
     }
 
-    /// Takes, senses and records one stereo pair; returns the mean marker motion in pixels.
-    fn frame(&mut self) -> Result<f64, Halt> {
-        self.take_pair()?;
+    /// Senses the pair and records it with what came of it, or why nothing did.
+    fn sense(&mut self) -> Result<Result<(), SensingError>, Halt> {
         let time_ns = self.pair.time_ns;
         let images = [
             (Topic::LeftImage, messages::SENSOR_FRAME, &self.pair.left),
@@ -383,18 +429,13 @@ impl<'a> Job<'a> {
         let note = frame_note(&sensed, &self.sensing).to_string();
         self.digest = self.digest.bytes(note.as_bytes());
         self.record(Topic::Frame, time_ns, || messages::string(&note))?;
-        if let Err(error) = sensed {
-            self.flush()?;
-            return Err(Halt::Error(JobError::Sensing { stage: self.stage, error }));
-        }
         let cols = self.config.params.lattice.cols;
-        if let Some(recorder) = &mut self.recorder {
+        if let (Some(recorder), Ok(())) = (&mut self.recorder, &sensed) {
             let points = messages::points(time_ns, self.sensing.frame(), cols);
             recorder.write(Topic::Points, time_ns, &points)?;
         }
         self.flush()?;
-        self.frames += 1;
-        Ok(self.sensing.frame().motion_px)
+        Ok(sensed)
     }
 
     /// Asks something of the pipeline, and records that it was asked and what came of it.
@@ -403,12 +444,14 @@ impl<'a> Job<'a> {
         let note = action_note(self.stage, action, &result);
         self.digest = self.digest.bytes(note.to_string().as_bytes());
         self.note(&note)?;
-        result.map_err(|error| Halt::Error(JobError::Sensing { stage: self.stage, error }))
+        result.map_err(|error| Halt::Error(JobError::Sensing { stage: self.stage, bad_frames: 0, error }))
     }
 
     fn begin(&mut self, stage: Stage) -> Result<(), Halt> {
-        (self.stage, self.frames) = (stage, 0);
-        (self.begun, self.begun_ns) = (Instant::now(), self.pair.time_ns);
+        (self.stage, self.frames, self.bad_frames) = (stage, 0, 0);
+        self.begun = Instant::now();
+        // Before the first pair the source's clock is unknown: it may count from its start or from the epoch.
+        self.begun_ns = self.begun_ns.map(|_| self.pair.time_ns);
         self.note(&serde_json::json!({ "stage": stage }))?;
         Ok(())
     }
@@ -417,8 +460,9 @@ impl<'a> Job<'a> {
         let report = StageReport {
             stage: self.stage,
             wall_s: self.begun.elapsed().as_secs_f64(),
-            source_s: self.pair.time_ns.saturating_sub(self.begun_ns) as f64 * 1e-9,
+            source_s: self.source_s(),
             frames: self.frames,
+            bad_frames: self.bad_frames,
             figures,
         };
         (self.progress)(&report);

@@ -1,5 +1,4 @@
 //! `gelstereo-host`: see `gelstereo-host --help`.
-#![allow(clippy::print_stdout)]
 
 mod cli;
 

@@ -57,8 +57,10 @@ pub struct StageReport {
     pub wall_s: f64,
     /// Time on the frame source's clock.
     pub source_s: f64,
-    /// Stereo pairs sensed.
+    /// Stereo pairs recorded.
     pub frames: u64,
+    /// How many of them could not be sensed; the recording says why.
+    pub bad_frames: u64,
     /// What it gave.
     pub figures: Vec<Figure>,
 }

@@ -41,7 +41,19 @@ fn errors_name_what_was_found_and_what_is_valid() {
     );
     assert_eq!(
         error("[task]\ninsertion_speed_mm_s = 0"),
-        "task.insertion_speed_mm_s is 0; valid is a finite number above 0"
+        "task.insertion_speed_mm_s is 0; valid is 0.01 to 10000 mm/s"
+    );
+    assert_eq!(
+        error("[task]\nframe_timeout_s = 1e5"),
+        "task.frame_timeout_s is 100000; valid is 0.001 to 3600 s"
+    );
+    assert_eq!(
+        error("[simulated]\nframe_rate_hz = 1e-300").split_once("; ").unwrap().1,
+        "valid is 0.1 to 10000 Hz"
+    );
+    assert_eq!(
+        error("[task]\npart_pose = { position_mm = [0, nan, 0] }"),
+        "task.part_pose is NaN; valid is positions up to 10000 mm"
     );
     assert_eq!(
         error("[task]\nopen_width_mm = 120"),

@@ -2,12 +2,17 @@
 #![allow(clippy::unwrap_used)]
 
 use gelstereo_host::config::Config;
-use gelstereo_host::recording::{Item, Reader, Recorder, SharedBuffer, Topic};
+use gelstereo_host::job::JobError;
+use gelstereo_host::recording::{Item, Reader, Recorder, RecordingError, SharedBuffer, Topic};
+use gelstereo_host::replay::replay;
 use gelstereo_host::report::{JobReport, Outcome, Stage};
-use gelstereo_host::run::{Setup, recorded_config, run_with};
+use gelstereo_host::run::{HostError, Setup, recorded_config, run_with};
+use gelstereo_host::source::{FrameSource, Next, SourceError, StereoPair};
 use gelstereo_sim::Shape;
-use std::io::Cursor;
+use std::io::{Cursor, Seek, SeekFrom, Write};
+use std::ops::Range;
 use std::sync::atomic::AtomicBool;
+use std::time::Duration;
 
 fn job(config: &Config) -> JobReport {
     let stop = AtomicBool::new(false);
@@ -149,6 +154,110 @@ fn a_simulated_run_is_the_same_to_the_last_byte_of_its_recording() {
     assert!(first_bytes.len() > 1_000_000 && first_bytes == second_bytes);
     let (other, _) = recorded(&quick(4), &stop);
     assert_ne!(first.digest, other.digest, "the digest sees another seed");
+}
+
+/// The simulated camera, with black pictures at some places.
+struct Flawed {
+    source: Box<dyn FrameSource>,
+    taken: usize,
+    black: Range<usize>,
+}
+
+impl FrameSource for Flawed {
+    fn next_pair(&mut self, timeout: Duration, pair: &mut StereoPair) -> Result<Next, SourceError> {
+        let next = self.source.next_pair(timeout, pair)?;
+        if self.black.contains(&self.taken) {
+            pair.right.pixels.fill(0);
+        }
+        self.taken += 1;
+        Ok(next)
+    }
+}
+
+/// A job whose pairs from 20 on, while the fingers close, are black in one view, and its recording.
+fn with_black_pairs(count: usize) -> (Result<JobReport, HostError>, Vec<u8>) {
+    let config = quick(1);
+    let buffer = SharedBuffer::default();
+    let recorder = Recorder::new(Box::new(buffer.clone()), &recorded_config(&config).unwrap(), &[]).unwrap();
+    let mut setup = Setup::new(&config).unwrap();
+    let source = setup.devices.source;
+    setup.devices.source = Box::new(Flawed { source, taken: 0, black: 20..20 + count });
+    let report = run_with(&config, setup, Some(recorder), &AtomicBool::new(false), &mut |_| {});
+    (report, buffer.bytes())
+}
+
+#[test]
+fn a_few_bad_frames_are_passed_over_and_more_stop_the_job() {
+    let (report, bytes) = with_black_pairs(2);
+    let report = report.unwrap();
+    assert!(judged(&quick(1), &report), "{}", report.outcome);
+    let bad: Vec<(Stage, u64)> = report.stages.iter().map(|s| (s.stage, s.bad_frames)).collect();
+    assert!(bad.iter().all(|&(stage, bad)| bad == if stage == Stage::Close { 2 } else { 0 }), "{bad:?}");
+
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    std::fs::write(&path, bytes).unwrap();
+    let again = replay(&path, None, &mut |_| {}).unwrap();
+    assert_eq!(
+        again.frames,
+        report.stages.iter().map(|s| s.frames).sum::<u64>(),
+        "bad frames are recorded too"
+    );
+    assert_eq!(again.differing, 0, "{again}");
+
+    let (report, bytes) = with_black_pairs(3);
+    let message = report.unwrap_err().to_string();
+    assert!(message.starts_with("close: 3 bad frames in a row, at last: right view: "), "{message}");
+    std::fs::write(&path, bytes).unwrap();
+    let again = replay(&path, None, &mut |_| {}).unwrap();
+    assert!(!again.truncated && again.differing == 0, "{again}");
+}
+
+#[test]
+fn a_stage_that_does_not_end_is_broken_off() {
+    let mut config = quick(1);
+    config.task.closing_speed_mm_s = 0.01;
+    config.task.stage_timeout_s = 1.0;
+    let stop = AtomicBool::new(false);
+    let error = run_with(&config, Setup::new(&config).unwrap(), None, &stop, &mut |_| {}).unwrap_err();
+    assert!(error.to_string().starts_with("close did not end within 1 s"), "{error}");
+}
+
+/// A disk that is full after so many bytes.
+struct FullDisk(Cursor<Vec<u8>>, u64);
+
+impl Write for FullDisk {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        if self.0.position() + bytes.len() as u64 > self.1 {
+            return Err(std::io::ErrorKind::StorageFull.into());
+        }
+        self.0.write(bytes)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Seek for FullDisk {
+    fn seek(&mut self, to: SeekFrom) -> std::io::Result<u64> {
+        self.0.seek(to)
+    }
+}
+
+#[test]
+fn a_full_disk_stops_the_job_and_is_named() {
+    let config = quick(1);
+    let text = recorded_config(&config).unwrap();
+    for bytes in [100_000, 1_000_000, 3_000_000] {
+        let disk = Box::new(FullDisk(Cursor::new(Vec::new()), bytes));
+        let recorder = Recorder::new(disk, &text, &[]).unwrap();
+        let setup = Setup::new(&config).unwrap();
+        let stop = AtomicBool::new(false);
+        let error = run_with(&config, setup, Some(recorder), &stop, &mut |_| {}).unwrap_err();
+        assert!(matches!(error, HostError::Job(JobError::Recording(RecordingError::Disk(_)))), "{error}");
+        assert!(error.to_string().contains("no storage space"), "{error}");
+    }
 }
 
 #[test]

@@ -231,6 +231,7 @@ impl ViewStages {
             .map_err(|error| PipelineError::Label { view: self.view, error })?;
         self.pitch_px = rest.pitch_px;
         self.tracker.initialise(&rest, lattice.cols, &mut self.tracks);
+        self.tracker.reserve(self.size_px, self.markers.centres_px.capacity());
         self.take_tracks(LabelSource::Rest);
         Ok(())
     }

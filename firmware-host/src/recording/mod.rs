@@ -107,6 +107,8 @@ pub enum RecordingError {
     },
     /// The file is no MCAP file, or is damaged in the middle.
     Format(mcap::McapError),
+    /// The disk is full or away, or cannot be read.
+    Disk(std::io::Error),
     /// A message is not what its schema says.
     Message {
         /// Its topic.
@@ -129,6 +131,11 @@ impl std::fmt::Display for RecordingError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Io { path, doing, error } => write!(f, "cannot {doing} {}: {error}", path.display()),
+            Self::Disk(error) => write!(f, "the recording cannot be written or read: {error}"),
+            // The library's own words for a chunk that cannot be unpacked are about input and output.
+            Self::Format(mcap::McapError::Io(error)) => {
+                write!(f, "this is no intact MCAP recording: a chunk cannot be unpacked: {error}")
+            }
             Self::Format(error) => write!(f, "this is no intact MCAP recording: {error}"),
             Self::Message { topic, error } => write!(f, "a message on {topic}: {error}"),
             Self::Content { place, error } => write!(f, "{place} of the recording: {error}"),
@@ -142,6 +149,16 @@ impl std::fmt::Display for RecordingError {
 }
 
 impl std::error::Error for RecordingError {}
+
+impl RecordingError {
+    /// An error while writing: of the disk, unless the library refuses the content.
+    fn writing(error: mcap::McapError) -> Self {
+        match error {
+            mcap::McapError::Io(error) => Self::Disk(error),
+            error => Self::Format(error),
+        }
+    }
+}
 
 impl From<mcap::McapError> for RecordingError {
     fn from(error: mcap::McapError) -> Self {

@@ -94,10 +94,7 @@ impl Reader {
                     return Ok(None);
                 }
                 LinearReadEvent::ReadRequest(count) => {
-                    let read = self
-                        .input
-                        .read(self.reader.insert(count))
-                        .map_err(|error| RecordingError::Format(error.into()))?;
+                    let read = self.input.read(self.reader.insert(count)).map_err(RecordingError::Disk)?;
                     self.reader.notify_read(read);
                     ended = read == 0;
                 }

@@ -51,24 +51,33 @@ impl Recorder {
             .compression(Some(mcap::Compression::Lz4))
             .profile("ros2")
             .library(concat!("gelstereo-host ", env!("CARGO_PKG_VERSION")))
-            .create(sink)?;
+            .create(sink)
+            .map_err(RecordingError::writing)?;
         let entries = [(METADATA_CONFIG, config_toml), (METADATA_VERSION, env!("CARGO_PKG_VERSION"))];
         let metadata = entries.map(|(key, value)| (key.to_owned(), value.to_owned())).into();
-        writer.write_metadata(&Metadata { name: METADATA.to_owned(), metadata })?;
+        writer
+            .write_metadata(&Metadata { name: METADATA.to_owned(), metadata })
+            .map_err(RecordingError::writing)?;
         for (name, data) in attachments {
-            writer.attach(&mcap::Attachment {
-                log_time: 0,
-                create_time: 0,
-                name: name.clone(),
-                media_type: "application/octet-stream".to_owned(),
-                data: Cow::Borrowed(data),
-            })?;
+            writer
+                .attach(&mcap::Attachment {
+                    log_time: 0,
+                    create_time: 0,
+                    name: name.clone(),
+                    media_type: "application/octet-stream".to_owned(),
+                    data: Cow::Borrowed(data),
+                })
+                .map_err(RecordingError::writing)?;
         }
         let mut channels = [0; Topic::ALL.len()];
         for (channel, topic) in channels.iter_mut().zip(Topic::ALL) {
             let schema = topic.schema();
-            let schema_id = writer.add_schema(schema.name, "ros2msg", schema.definition.as_bytes())?;
-            *channel = writer.add_channel(schema_id, topic.name(), "cdr", &BTreeMap::new())?;
+            let schema_id = writer
+                .add_schema(schema.name, "ros2msg", schema.definition.as_bytes())
+                .map_err(RecordingError::writing)?;
+            *channel = writer
+                .add_channel(schema_id, topic.name(), "cdr", &BTreeMap::new())
+                .map_err(RecordingError::writing)?;
         }
         Ok(Self { writer, channels, sequences: [0; Topic::ALL.len()] })
     }
@@ -76,7 +85,7 @@ impl Recorder {
     /// Writes one message.
     ///
     /// # Errors
-    /// [`RecordingError::Format`] around the system's answer.
+    /// [`RecordingError::Disk`] with the system's answer.
     pub fn write(&mut self, topic: Topic, time_ns: u64, message: &[u8]) -> Result<(), RecordingError> {
         let index = topic as usize;
         let header = MessageHeader {
@@ -86,24 +95,24 @@ impl Recorder {
             publish_time: time_ns,
         };
         self.sequences[index] = self.sequences[index].wrapping_add(1);
-        Ok(self.writer.write_to_known_channel(&header, message)?)
+        self.writer.write_to_known_channel(&header, message).map_err(RecordingError::writing)
     }
 
     /// Ends the chunk and hands everything to the operating system.
     ///
     /// # Errors
-    /// [`RecordingError::Format`] around the system's answer.
+    /// [`RecordingError::Disk`] with the system's answer.
     pub fn flush(&mut self) -> Result<(), RecordingError> {
-        Ok(self.writer.flush()?)
+        self.writer.flush().map_err(RecordingError::writing)
     }
 
     /// Writes the index and closes the recording.
     ///
     /// # Errors
-    /// [`RecordingError::Format`] around the system's answer.
+    /// [`RecordingError::Disk`] with the system's answer.
     pub fn finish(mut self) -> Result<(), RecordingError> {
-        self.writer.finish()?;
-        self.writer.into_inner().flush().map_err(|error| RecordingError::Format(error.into()))
+        self.writer.finish().map_err(RecordingError::writing)?;
+        self.writer.into_inner().flush().map_err(RecordingError::Disk)
     }
 }
 

@@ -123,7 +123,7 @@ pub fn from_matrix(r: &DMat3) -> Result<DQuat, RotationError> {
     canonical(q)
 }
 
-/// [ω]ₓ, the matrix with [ω]ₓ v = ω × v.
+/// The matrix of the cross product: `hat(ω) v = ω × v`.
 #[must_use]
 pub fn hat(omega: DVec3) -> DMat3 {
     DMat3::from_cols(

@@ -20,6 +20,16 @@ pub(crate) struct Grid {
 }
 
 impl Grid {
+    /// Makes room for so many points, spread over so many pixels, in buckets of at least `side_px`.
+    pub fn reserve(&mut self, points: usize, spread_px: (usize, usize), side_px: f64) {
+        // Points may lie a bucket or two outside.
+        let buckets = |extent: usize| ((extent as f64 / side_px) as usize + 4).min(MOST_BUCKETS + 1);
+        self.starts.clear();
+        self.starts.reserve(buckets(spread_px.0) * buckets(spread_px.1) + 1);
+        self.items.clear();
+        self.items.reserve(points);
+    }
+
     /// Sorts `points` into buckets of at least `side_px`. Points that are not finite are left out.
     pub fn build(&mut self, points: &[DVec2], side_px: f64) {
         let finite = || points.iter().filter(|p| p.is_finite());

@@ -114,6 +114,17 @@ impl Tracker {
         out.own_px.resize(self.rest_px.len(), DVec2::ZERO);
     }
 
+    /// Makes room for any later frame of `size_px` (width, height) with up to `most_detections`: after the first
+    /// [`Self::run`] nothing is allocated, however many frames follow and whatever they show.
+    pub fn reserve(&mut self, size_px: (usize, usize), most_detections: usize) {
+        self.taken.clear();
+        self.taken.reserve(most_detections);
+        self.pairs.clear();
+        self.pairs.reserve(self.rest_px.len());
+        self.tracks_grid.reserve(self.rest_px.len(), size_px, self.gate_px);
+        self.detections_grid.reserve(most_detections, size_px, self.gate_px);
+    }
+
     /// Updates the tracks by the detections of the next frame (Eq. 2): gate, mutual nearest, states.
     ///
     /// `out` holds the tracks of the frame before.
