@@ -32,6 +32,7 @@ fn read(bytes: &[u8]) -> (Vec<Item>, bool) {
     while let Some(item) = reader.next_item().unwrap() {
         items.push(item);
     }
+    assert_eq!(reader.next_item().unwrap(), None, "the end stays the end");
     (items, reader.truncated())
 }
 

@@ -73,11 +73,14 @@ impl Reader {
         self.truncated
     }
 
-    /// The next item; `None` at the end, or where the file was cut off.
+    /// The next item; `None` at the end, or where the file was cut off, and from then on.
     ///
     /// # Errors
     /// [`RecordingError::Format`] when the file is no MCAP file or is damaged before its end.
     pub fn next_item(&mut self) -> Result<Option<Item>, RecordingError> {
+        if self.truncated {
+            return Ok(None);
+        }
         let mut ended = false;
         loop {
             let event = match self.reader.next_event() {
