@@ -3,11 +3,13 @@
 //! libm is used in place of std's functions because std's differ between machines with and without FMA, and the
 //! same input must give the same bits everywhere.
 
+mod exp;
 pub mod linalg;
 pub mod random;
 pub mod se3;
 pub mod so3;
 
+pub(crate) use exp::exp_nonpositive;
 pub use glam::{DMat3, DQuat, DVec2, DVec3};
 pub use libm::{
     acos, asin, atan2, cbrt, ceil, cos, erf, exp, fabs as abs, floor, hypot, log as ln, log1p, pow,

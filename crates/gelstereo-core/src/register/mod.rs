@@ -4,6 +4,7 @@
 //! object's frame to the sensor's, so it is Eq. 7's inverse already.
 
 mod assess;
+mod blocks;
 mod error;
 mod facet;
 mod filterreg;

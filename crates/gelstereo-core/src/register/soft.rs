@@ -1,8 +1,10 @@
 //! The soft nearest neighbour of FilterReg (Gao and Tedrake 2019, Eq. 8): exact Gaussian sums over the template.
 
+use super::blocks::{Block, LANES, Lanes};
 use super::observe::Sighting;
 use super::template::Template;
-use crate::math::{DVec3, exp, ln, sqrt};
+use crate::math::{DVec3, exp_nonpositive, ln, sqrt};
+use core::array;
 
 /// What a point sees of the template through a Gaussian of width σ, with p_k ∝ exp(-|y_k - x|² / 2σ²).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,53 +42,124 @@ impl SoftMatch {
     }
 }
 
+/// Share of a sum that may be left out: its logarithm. e^-28 = 7e-13 of a distance is far below what f64 coordinates of
+/// a measured point mean.
+const LOG_LEFT_OUT: f64 = -28.0;
+
 /// The soft match of `point` (object frame) at width `sigma_mm`.
 ///
-/// The sums are taken relative to the nearest point's term, so that none of them underflows, and to offsets from
-/// `point`, so that none of them cancels. Points whose term is below e^-45 / N of the nearest one's are left out:
-/// all N of them together are less than e^-45 = 3e-20 of the sum, and their lever, (1 + 90 + 2 ln N)^½ σ at the cut
-/// where it matters most, keeps them below half an ulp of the mean.
+/// The sums are taken relative to the nearest point's term, so that none of them underflows. A block of points is left
+/// out only where all its terms are below e^-28 / N of the nearest one's: since that one is part of the sum, the N
+/// points at most that are left out weigh less than e^-28 = 7e-13 of it. On a surface, where the sum over all beyond
+/// the radius R is e^(-R²/2σ²) of the whole, they weigh less than e^-28 / N.
 #[must_use]
 pub fn soft_match(template: &Template, point: DVec3, sigma_mm: f64) -> SoftMatch {
-    let (tree, points, normals) = (template.tree(), template.points_mm(), template.normals());
+    let (tree, blocks) = (template.tree(), template.blocks());
     let (nearest, least) = tree.nearest(point).unwrap_or((0, 0.0));
     let twice_variance = 2.0 * sigma_mm * sigma_mm;
-    let reach = least + twice_variance * (45.0 + ln(points.len() as f64));
-    let mut sum = Sums::default();
-    tree.within(point, reach, &mut |k, distance_squared| {
-        let term = exp((least - distance_squared) / twice_variance);
-        sum.add(term, points[k] - point, normals[k]);
+    let reach = least + twice_variance * (ln(template.points_mm().len() as f64) - LOG_LEFT_OUT);
+    let mut sums = Sums::new(point, template.points_mm()[nearest], least, twice_variance);
+    // Ranges may share a block with the one before.
+    let mut done = 0;
+    tree.ranges(point, reach, &mut |range| {
+        let (from, to) = (done.max(range.start / LANES), range.end.div_ceil(LANES));
+        blocks[from..to.max(from)].iter().for_each(|block| sums.add(block));
+        done = done.max(to);
     });
-    let mean_normal = sum.normal / sum.mass;
-    let length = sqrt(mean_normal.length_squared());
-    SoftMatch {
-        log_mass: ln(sum.mass) - least / twice_variance,
-        offset_mm: sum.mean,
-        spread_mm2: sum.spread / sum.mass,
-        normal: if length > 1e-6 { mean_normal / length } else { normals[nearest] },
-        plane_distance_mm: sum.plane / sum.mass,
-        nearest,
-        distance_mm: sqrt(least),
-    }
+    sums.soft_match(template, nearest)
 }
 
-/// Weighted moments; mean and spread by the update of West (1979), which does not cancel.
-#[derive(Default)]
+/// Weighted moments about the nearest point.
+///
+/// Its weight is the largest, p₀ >= 1/N of the whole, and its offset is 0, so that by Cauchy and Schwarz
+/// |Σ p e|² <= (1 - p₀) Σ p |e|²: what Σ p |e|² - |Σ p e|² loses to cancellation is bounded by 1/p₀, and where the
+/// nearest point is all there is, both are exactly 0.
 struct Sums {
-    mass: f64,
-    mean: DVec3,
-    spread: f64,
-    normal: DVec3,
-    plane: f64,
+    point: DVec3,
+    origin: DVec3,
+    least: f64,
+    /// 1 / 2σ².
+    rate: f64,
+    twice_variance: f64,
+    mass: Lanes,
+    offset: [Lanes; 3],
+    squared: Lanes,
+    normal: [Lanes; 3],
+    plane: Lanes,
 }
 
 impl Sums {
-    fn add(&mut self, weight: f64, offset: DVec3, normal: DVec3) {
-        self.mass += weight;
-        let from_mean = offset - self.mean;
-        self.mean += from_mean * (weight / self.mass);
-        self.spread += weight * from_mean.dot(offset - self.mean);
-        self.normal += normal * weight;
-        self.plane += weight * normal.dot(offset);
+    fn new(point: DVec3, origin: DVec3, least: f64, twice_variance: f64) -> Self {
+        // A width whose square vanishes sees the nearest point alone.
+        let rate = (1.0 / twice_variance).min(f64::MAX);
+        let zero = [0.0; LANES];
+        Self {
+            point,
+            origin,
+            least,
+            rate,
+            twice_variance,
+            mass: zero,
+            offset: [zero; 3],
+            squared: zero,
+            normal: [zero; 3],
+            plane: zero,
+        }
+    }
+
+    #[inline(always)]
+    fn add(&mut self, block: &Block) {
+        let (x, n) = (&block.points_mm, &block.normals);
+        let (point, origin) = (self.point.to_array(), self.origin.to_array());
+        let from: [Lanes; 3] = array::from_fn(|axis| each(|k| x[axis][k] - point[axis]));
+        let offset: [Lanes; 3] = array::from_fn(|axis| each(|k| x[axis][k] - origin[axis]));
+        let distance_squared = dot(&from, &from);
+        let weight = each(|k| exp_nonpositive((self.least - distance_squared[k]) * self.rate));
+        for k in 0..LANES {
+            self.mass[k] += weight[k];
+        }
+        for axis in 0..3 {
+            add(&mut self.offset[axis], &weight, &offset[axis]);
+            add(&mut self.normal[axis], &weight, &n[axis]);
+        }
+        add(&mut self.squared, &weight, &dot(&offset, &offset));
+        add(&mut self.plane, &weight, &dot(n, &from));
+    }
+
+    fn soft_match(&self, template: &Template, nearest: usize) -> SoftMatch {
+        let mass = total(&self.mass);
+        let from_origin = DVec3::from_array(self.offset.map(|lanes| total(&lanes))) / mass;
+        let mean_normal = DVec3::from_array(self.normal.map(|lanes| total(&lanes))) / mass;
+        let length = sqrt(mean_normal.length_squared());
+        SoftMatch {
+            log_mass: ln(mass) - self.least / self.twice_variance,
+            offset_mm: (self.origin - self.point) + from_origin,
+            spread_mm2: (total(&self.squared) / mass - from_origin.length_squared()).max(0.0),
+            normal: if length > 1e-6 { mean_normal / length } else { template.normals()[nearest] },
+            plane_distance_mm: total(&self.plane) / mass,
+            nearest,
+            distance_mm: sqrt(self.least),
+        }
+    }
+}
+
+fn total(lanes: &Lanes) -> f64 {
+    lanes.iter().sum()
+}
+
+#[inline(always)]
+fn each(of: impl FnMut(usize) -> f64) -> Lanes {
+    array::from_fn(of)
+}
+
+#[inline(always)]
+fn dot(a: &[Lanes; 3], b: &[Lanes; 3]) -> Lanes {
+    each(|k| a[0][k] * b[0][k] + a[1][k] * b[1][k] + a[2][k] * b[2][k])
+}
+
+#[inline(always)]
+fn add(sum: &mut Lanes, weight: &Lanes, value: &Lanes) {
+    for k in 0..LANES {
+        sum[k] += weight[k] * value[k];
     }
 }

@@ -1,5 +1,6 @@
 //! The surface of a part as registration sees it.
 
+use super::blocks::{self, Block};
 use super::error::TemplateError;
 use super::sample;
 use super::tree::Tree;
@@ -27,6 +28,7 @@ pub struct Template {
     curvatures_per_mm: Vec<f64>,
     spacing_mm: f64,
     tree: Tree,
+    blocks: Vec<Block>,
 }
 
 impl Template {
@@ -39,7 +41,8 @@ impl Template {
         let normals = unit(normals)?;
         let tree = Tree::new(points_mm);
         let curvatures_per_mm = curvatures(points_mm, &normals, &tree, spacing_mm);
-        Ok(Self { points_mm: points_mm.to_vec(), normals, curvatures_per_mm, spacing_mm, tree })
+        let blocks = blocks::blocks(points_mm, &normals, &tree);
+        Ok(Self { points_mm: points_mm.to_vec(), normals, curvatures_per_mm, spacing_mm, tree, blocks })
     }
 
     /// Samples a mesh evenly: on average one point for every `spacing_mm`² of its area, no two points of faces that
@@ -96,6 +99,11 @@ impl Template {
     #[must_use]
     pub const fn tree(&self) -> &Tree {
         &self.tree
+    }
+
+    /// Points and normals in the order of the tree.
+    pub(super) fn blocks(&self) -> &[Block] {
+        &self.blocks
     }
 
     /// Digest of the points, normals and spacing.

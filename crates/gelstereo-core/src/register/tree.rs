@@ -2,6 +2,7 @@
 
 use crate::math::DVec3;
 use alloc::vec::Vec;
+use core::ops::Range;
 
 /// A range this short is searched point by point.
 const LEAF: usize = 8;
@@ -54,7 +55,18 @@ impl Tree {
         self.collect(query, radius_squared, 0, self.points.len(), visit);
     }
 
-    // Both descents may prune exactly: rounding is monotone, so a point beyond the plane is never closer in f64 than
+    /// Indices of the points, in the order of the tree.
+    pub(super) fn indices(&self) -> &[u32] {
+        &self.indices
+    }
+
+    /// Calls `visit` with short ranges of places in the order of the tree, ascending, that together hold every point
+    /// with squared distance at most `radius_squared`, and others beside them.
+    pub(super) fn ranges(&self, query: DVec3, radius_squared: f64, visit: &mut impl FnMut(Range<usize>)) {
+        self.cover(query, radius_squared, 0..self.points.len(), visit);
+    }
+
+    // All descents may prune exactly: rounding is monotone, so a point beyond the plane is never closer in f64 than
     // the plane itself.
     fn search(&self, query: DVec3, low: usize, high: usize, best: &mut Best) {
         if high - low <= LEAF {
@@ -83,6 +95,32 @@ impl Tree {
             || (distance_squared == best.distance_squared && index < best.index)
         {
             *best = Best { distance_squared, index };
+        }
+    }
+
+    fn cover(
+        &self,
+        query: DVec3,
+        radius_squared: f64,
+        range: Range<usize>,
+        visit: &mut impl FnMut(Range<usize>),
+    ) {
+        if range.len() <= LEAF {
+            visit(range);
+            return;
+        }
+        let middle = range.start.midpoint(range.end);
+        let axis = usize::from(self.axes[middle]);
+        let offset = query[axis] - self.points[middle][axis];
+        let across = offset * offset <= radius_squared;
+        if offset <= 0.0 || across {
+            self.cover(query, radius_squared, range.start..middle, visit);
+        }
+        if across {
+            visit(middle..middle + 1);
+        }
+        if offset >= 0.0 || across {
+            self.cover(query, radius_squared, middle + 1..range.end, visit);
         }
     }
 

@@ -1,0 +1,38 @@
+//! A template's points and normals in the order of its tree, a few at a time, for sums that run over them.
+
+use super::tree::Tree;
+use crate::math::DVec3;
+use alloc::vec::Vec;
+
+/// Points that are handled together.
+pub(super) const LANES: usize = 4;
+
+/// One number of each of the points of a block.
+pub(super) type Lanes = [f64; LANES];
+
+/// Farther than any point, and its square still a number: a lane without a point.
+const NOWHERE_MM: f64 = 1e100;
+
+/// Neighbouring points and their normals, by coordinate.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Block {
+    pub points_mm: [Lanes; 3],
+    pub normals: [Lanes; 3],
+}
+
+/// Of these points, in the order of the tree; lanes of the last block that are left stand nowhere.
+pub(super) fn blocks(points_mm: &[DVec3], normals: &[DVec3], tree: &Tree) -> Vec<Block> {
+    let mut out = Vec::with_capacity(points_mm.len().div_ceil(LANES));
+    for indices in tree.indices().chunks(LANES) {
+        let mut block = Block { points_mm: [[NOWHERE_MM; LANES]; 3], normals: [[0.0; LANES]; 3] };
+        for (lane, &index) in indices.iter().enumerate() {
+            let (point, normal) = (points_mm[index as usize], normals[index as usize]);
+            for axis in 0..3 {
+                block.points_mm[axis][lane] = point[axis];
+                block.normals[axis][lane] = normal[axis];
+            }
+        }
+        out.push(block);
+    }
+    out
+}

@@ -1,0 +1,328 @@
+//! What registration is built of, where it is hardest: rigid fit, Gaussian sums, nearest neighbours, the template.
+//!
+//! Constants come from mpmath with 50 digits, rounded once.
+// A test may stop at what it did not expect.
+#![allow(clippy::unwrap_used)]
+
+mod contact_patch;
+
+use contact_patch::Shape;
+use gelstereo_core::math::random::Stream;
+use gelstereo_core::math::{DMat3, DQuat, DVec3, Pose, so3};
+use gelstereo_core::register::{RigidFitError, Template, TemplateError, Tree, rigid_fit, soft_match};
+use proptest::prelude::*;
+
+const EPS: f64 = f64::EPSILON;
+
+fn vector(limit: f64) -> impl Strategy<Value = DVec3> {
+    prop::array::uniform3(-limit..limit).prop_map(DVec3::from_array)
+}
+
+fn angle_between(a: DQuat, b: DQuat) -> f64 {
+    so3::log(a * b.conjugate()).length()
+}
+
+fn sum_of_squares(pose: &Pose, source: &[DVec3], target: &[DVec3]) -> f64 {
+    source.iter().zip(target).map(|(&a, &b)| pose.transform_point(a).distance_squared(b)).sum()
+}
+
+// Rows 5 and 6: the rigid fit.
+
+proptest! {
+    #[test]
+    fn row_05_a_rigid_motion_is_found_again(
+        points in prop::collection::vec(vector(10.0), 4..30), omega in vector(1.8), v in vector(50.0),
+    ) {
+        let truth = Pose::exp(omega, v);
+        let target: Vec<DVec3> = points.iter().map(|&p| truth.transform_point(p)).collect();
+        let fit = rigid_fit(&points, &target, &[]).unwrap();
+        // Rotation by round-off of the coordinates, up to 100 mm, over the radius of the second principal axis.
+        let radius = second_radius(&points);
+        prop_assume!(radius > 1e-3);
+        let bound = 32.0 * EPS * 100.0 / radius;
+        prop_assert_eq!(fit.free_rotations, 0);
+        prop_assert!(angle_between(fit.t_target_source.rotation, truth.rotation) <= bound);
+        for (&p, &q) in points.iter().zip(&target) {
+            prop_assert!(fit.t_target_source.transform_point(p).distance(q) <= 40.0 * bound);
+        }
+    }
+
+    #[test]
+    fn row_05_mirrored_points_get_the_best_rotation_and_never_a_reflection(
+        points in prop::collection::vec(vector(10.0), 4..20), others in prop::collection::vec(vector(1.5), 64),
+    ) {
+        let target: Vec<DVec3> = points.iter().map(|p| DVec3::new(-p.x, p.y, p.z)).collect();
+        let fit = rigid_fit(&points, &target, &[]).unwrap();
+        let pose = fit.t_target_source;
+        prop_assert!((DMat3::from_quat(pose.rotation).determinant() - 1.0).abs() < 16.0 * EPS);
+        let best = sum_of_squares(&pose, &points, &target);
+        // No other rotation about the centroids does better, near or far.
+        for omega in others {
+            for scale in [1.0, 1e-3] {
+                let rotation = so3::exp(omega * scale) * pose.rotation;
+                let source_mean = gelstereo_core::math::centroid(&points);
+                let target_mean = gelstereo_core::math::centroid(&target);
+                let other = Pose { rotation, translation_mm: target_mean - rotation * source_mean };
+                prop_assert!(sum_of_squares(&other, &points, &target) >= best * (1.0 - 64.0 * EPS));
+            }
+        }
+    }
+
+    #[test]
+    fn row_05_a_pair_with_weight_two_counts_like_two_pairs(points in prop::collection::vec(vector(10.0), 5..10), shifts in prop::collection::vec(vector(1.0), 10)) {
+        let target: Vec<DVec3> = points.iter().zip(&shifts).map(|(&p, &s)| p + s).collect();
+        let mut weights = vec![1.0; points.len()];
+        weights[0] = 2.0;
+        weights[1] = 0.0;
+        let weighted = rigid_fit(&points, &target, &weights).unwrap().t_target_source;
+        let with = |v: &[DVec3]| { let mut v = v.to_vec(); v[1] = v[0]; v };
+        let doubled = rigid_fit(&with(&points), &with(&target), &[]).unwrap().t_target_source;
+        // Condition: the smallest gap of Horn's eigenvalues is at least the square of the second radius.
+        let radius = second_radius(&with(&points));
+        prop_assume!(radius > 1.0);
+        prop_assert!(angle_between(weighted.rotation, doubled.rotation) <= 1e4 * EPS / (radius * radius));
+    }
+}
+
+/// Rms distance of the points from the line that is nearest to them.
+fn second_radius(points: &[DVec3]) -> f64 {
+    let mean = gelstereo_core::math::centroid(points);
+    let mut scatter = [[0.0; 3]; 3];
+    for &p in points {
+        let d = (p - mean).to_array();
+        for i in 0..3 {
+            for j in 0..3 {
+                scatter[i][j] += d[i] * d[j] / points.len() as f64;
+            }
+        }
+    }
+    let values = gelstereo_core::math::linalg::eigen(&scatter).values;
+    (values[0] + values[1]).max(0.0).sqrt()
+}
+
+#[test]
+fn row_05_coplanar_collinear_single_and_identical_points_turn_no_more_than_they_must() {
+    let quarter = Pose::exp(DVec3::Z * std::f64::consts::FRAC_PI_2, DVec3::new(1.0, 2.0, 3.0));
+    let moved = |points: &[DVec3]| points.iter().map(|&p| quarter.transform_point(p)).collect::<Vec<_>>();
+    let plane = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::new(1.0, 1.0, 0.0)];
+    let fit = rigid_fit(&plane, &moved(&plane), &[]).unwrap();
+    assert_eq!(fit.free_rotations, 0);
+    assert!(angle_between(fit.t_target_source.rotation, quarter.rotation) < 8.0 * EPS);
+
+    // The line turns by a quarter about z; the spin about it stays out.
+    let line = [DVec3::ZERO, DVec3::X, DVec3::X * 3.0];
+    let fit = rigid_fit(&line, &moved(&line), &[]).unwrap();
+    assert_eq!(fit.free_rotations, 1);
+    assert!(angle_between(fit.t_target_source.rotation, quarter.rotation) < 8.0 * EPS);
+
+    // A line reversed: half a turn about some axis across it.
+    let reversed: Vec<DVec3> = line.iter().map(|&p| -p).collect();
+    let fit = rigid_fit(&line, &reversed, &[]).unwrap();
+    assert_eq!(fit.free_rotations, 1);
+    assert!(sum_of_squares(&fit.t_target_source, &line, &reversed) < 1e-29);
+
+    for same in [vec![DVec3::new(5.0, 1.0, -2.0)], vec![DVec3::new(0.1, 0.2, 0.3); 7]] {
+        let fit = rigid_fit(&same, &moved(&same), &[]).unwrap();
+        assert_eq!((fit.free_rotations, fit.t_target_source.rotation), (3, DQuat::IDENTITY));
+        assert!(sum_of_squares(&fit.t_target_source, &same, &moved(&same)) < 1e-28);
+    }
+}
+
+#[test]
+fn row_05_a_mirrored_tetrahedron_has_no_unique_rotation_and_gets_a_valid_one() {
+    let source =
+        [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]].map(DVec3::from_array);
+    let fit = rigid_fit(&source, &source.map(|p| -p), &[]).unwrap();
+    assert_eq!(fit.free_rotations, 2);
+    assert!((fit.t_target_source.rotation.length() - 1.0).abs() < 4.0 * EPS);
+}
+
+#[test]
+fn row_06_weights_and_points_that_mean_nothing_are_refused() {
+    let p = [DVec3::ZERO, DVec3::X, DVec3::Y];
+    let weights = |w: [f64; 3]| rigid_fit(&p, &p, &w).map(|_| ());
+    assert_eq!(weights([0.0; 3]), Err(RigidFitError::ZeroWeight));
+    assert_eq!(weights([1.0, -1.0, 1.0]), Err(RigidFitError::Weight { index: 1, found: -1.0 }));
+    assert!(matches!(weights([1.0, 1.0, f64::NAN]), Err(RigidFitError::Weight { index: 2, .. })));
+    assert!(matches!(weights([f64::INFINITY, 1.0, 1.0]), Err(RigidFitError::Weight { index: 0, .. })));
+    assert_eq!(rigid_fit(&[], &[], &[]).map(|_| ()), Err(RigidFitError::Empty));
+    assert_eq!(
+        rigid_fit(&p, &p[..2], &[]).map(|_| ()),
+        Err(RigidFitError::Lengths { source: 3, target: 2, weights: 0 })
+    );
+    let bad = [DVec3::ZERO, DVec3::NAN, DVec3::Y];
+    assert_eq!(rigid_fit(&p, &bad, &[]).map(|_| ()), Err(RigidFitError::NotFinite { index: 1 }));
+}
+
+// Rows 7 and 8: Gaussian sums.
+
+/// Points along x with normals along z.
+fn along_x(x: &[f64]) -> Template {
+    let points: Vec<DVec3> = x.iter().map(|&x| DVec3::new(x, 0.0, 0.0)).collect();
+    Template::new(&points, &vec![DVec3::Z; x.len()], 0.1).unwrap()
+}
+
+#[test]
+fn row_07_weights_that_all_underflow_keep_their_ratios() {
+    // σ 0.02, distances 1, 1.001 and 1.3: every exp(-d²/2σ²) is below 1e-542.
+    let soft = soft_match(&along_x(&[1.0, 1.001, 1.3]), DVec3::ZERO, 0.02);
+    // d²/2σ² = 1250 is rounded by eps/2, and so are both squares: 3 eps of it in the exponent.
+    assert!((soft.log_mass + 1249.9212050336832).abs() <= 3.0 * EPS * 1250.0);
+    assert!((soft.offset_mm.x - 1.0000757705968215).abs() <= 4.0 * EPS * 1250.0 * 1e-3 + EPS);
+    assert!((soft.spread_mm2 / 7.002941347888961e-08 - 1.0).abs() <= 8.0 * EPS * 1250.0);
+}
+
+#[test]
+fn row_08_a_vanishing_width_sees_the_nearest_point_alone() {
+    for sigma in [1e-2, 1e-4, 1e-8, 1e-12] {
+        let soft = soft_match(&along_x(&[1.0, 2.0, 1.5]), DVec3::new(0.7, 0.0, 0.0), sigma);
+        assert_eq!((soft.nearest, soft.spread_mm2), (0, 0.0), "{sigma}");
+        assert!((soft.offset_mm.x - 0.3).abs() <= EPS);
+    }
+}
+
+proptest! {
+    #[test]
+    fn row_08_the_spread_is_never_negative_and_moves_with_the_offset(
+        points in prop::collection::vec(vector(1e-3), 3..40), offset in vector(1e6), power in -4.0..1.0_f64,
+    ) {
+        let sigma = 10.0_f64.powf(power);
+        let normals = vec![DVec3::Z; points.len()];
+        let make = |offset: DVec3| {
+            let moved: Vec<DVec3> = points.iter().map(|&p| p + offset).collect();
+            let moved: Vec<DVec3> = moved.into_iter().collect();
+            Template::new(&moved, &normals, 1e-4)
+        };
+        let (Ok(here), Ok(there)) = (make(DVec3::ZERO), make(offset)) else { return Ok(()) };
+        let (a, b) = (soft_match(&here, DVec3::ZERO, sigma), soft_match(&there, offset, sigma));
+        prop_assert!(a.spread_mm2 >= 0.0 && b.spread_mm2 >= 0.0);
+        // Coordinates moved to 1e6 mm are rounded by eps/2 1e6 = 1.1e-10 each; distances of 1e-3 carry that over, and a
+        // weight changes by d δ / σ² of itself.
+        let rounding = 2.0 * EPS * 1e6;
+        let gain = 1.0 + 4e-6 / (sigma * sigma);
+        prop_assert!((a.offset_mm - b.offset_mm).length() <= 8.0 * rounding * gain);
+        prop_assert!((a.spread_mm2 - b.spread_mm2).abs() <= 8.0 * rounding * 2e-3 * gain);
+    }
+}
+
+#[test]
+fn row_08_the_cut_off_changes_nothing() {
+    let template = Shape::Sphere { radius_mm: 5.0 }.template(0.4);
+    let mut random = Stream::new(1, "cut-off");
+    for sigma in [0.2, 0.7] {
+        let x = DVec3::new(random.normal(), random.normal(), 4.8);
+        let soft = soft_match(&template, x, sigma);
+        let weights: Vec<f64> = template
+            .points_mm()
+            .iter()
+            .map(|y| (-0.5 * y.distance_squared(x) / (sigma * sigma)).exp())
+            .collect();
+        let mass: f64 = weights.iter().sum();
+        let mean: DVec3 = weights.iter().zip(template.points_mm()).map(|(&w, &y)| (y - x) * (w / mass)).sum();
+        // Plain sums of 1963 terms and West's update both err by a few times √N roundings.
+        assert!((soft.log_mass - mass.ln()).abs() < 100.0 * EPS);
+        assert!((soft.offset_mm - mean).length() < 100.0 * EPS);
+    }
+}
+
+// Row 12: the tree.
+
+fn brute_force(points: &[DVec3], query: DVec3) -> (usize, f64) {
+    let mut best = (0, f64::INFINITY);
+    for (index, p) in points.iter().enumerate() {
+        let distance_squared = query.distance_squared(*p);
+        if distance_squared < best.1 {
+            best = (index, distance_squared);
+        }
+    }
+    best
+}
+
+/// Lattices, duplicates, planes, lines and denormal distances.
+fn awkward_points() -> impl Strategy<Value = Vec<DVec3>> {
+    let coordinate = prop_oneof![
+        (-4_i32..4).prop_map(f64::from),
+        -1.0..1.0_f64,
+        Just(0.0),
+        Just(-0.0),
+        Just(5e-324),
+        Just(-1e-310),
+        Just(1e9),
+    ];
+    prop::collection::vec(prop::array::uniform3(coordinate).prop_map(DVec3::from_array), 1..300)
+}
+
+proptest! {
+    #[test]
+    fn row_12_the_tree_agrees_with_brute_force(points in awkward_points(), queries in awkward_points(), radius in 0.0..3.0_f64) {
+        let tree = Tree::new(&points);
+        for &query in queries.iter().take(40) {
+            prop_assert_eq!(tree.nearest(query), Some(brute_force(&points, query)));
+            let mut found = Vec::new();
+            tree.within(query, radius * radius, &mut |k, _| found.push(k));
+            found.sort_unstable();
+            let inside = |k: &usize| query.distance_squared(points[*k]) <= radius * radius;
+            prop_assert_eq!(found, (0..points.len()).filter(inside).collect::<Vec<_>>());
+        }
+    }
+}
+
+#[test]
+fn row_12_thousands_of_duplicates_and_a_flat_face() {
+    let duplicates = vec![DVec3::new(1.0, 2.0, 3.0); 5000];
+    assert_eq!(Tree::new(&duplicates).nearest(DVec3::ZERO), Some((0, 14.0)));
+    let face: Vec<DVec3> =
+        (0..10_000).map(|k| DVec3::new(f64::from(k % 100), f64::from(k / 100), 0.0)).collect();
+    let tree = Tree::new(&face);
+    // Four corners of a cell tie; the lowest index wins.
+    assert_eq!(tree.nearest(DVec3::new(10.5, 20.5, 1.0)), Some((2010, 1.5)));
+    assert_eq!(Tree::new(&[]).nearest(DVec3::ZERO), None);
+}
+
+// The template.
+
+#[test]
+fn templates_without_meaning_are_refused() {
+    let p = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::ONE];
+    let n = [DVec3::Z; 4];
+    let refused =
+        |p: &[DVec3], n: &[DVec3], spacing: f64| Template::new(p, n, spacing).map(|_| ()).unwrap_err();
+    assert_eq!(refused(&p[..2], &n[..2], 0.1), TemplateError::TooFew { found: 2, least: 3 });
+    assert_eq!(refused(&p, &n[..3], 0.1), TemplateError::Lengths { points: 4, normals: 3 });
+    assert_eq!(refused(&[DVec3::NAN; 3], &n[..3], 0.1), TemplateError::NotFinite { index: 0 });
+    assert_eq!(
+        refused(&p, &[DVec3::Z, DVec3::ZERO, DVec3::Z, DVec3::Z], 0.1),
+        TemplateError::ZeroNormal { index: 1 }
+    );
+    for spacing in [0.0, -1.0, f64::NAN, f64::INFINITY, 2.0, 1e-9] {
+        assert!(matches!(refused(&p, &n, spacing), TemplateError::Spacing { .. }), "{spacing}");
+    }
+    let mesh = contact_patch::cuboid(DVec3::ONE);
+    let sampled = |spacing: f64| Template::from_mesh(&mesh, spacing, 1).map(|_| ()).unwrap_err();
+    assert!(matches!(sampled(10.0), TemplateError::TooFew { .. }));
+    assert!(matches!(sampled(1e-3), TemplateError::TooMany { .. }));
+    assert!(matches!(sampled(f64::NAN), TemplateError::Spacing { .. }));
+}
+
+#[test]
+fn meshes_are_sampled_evenly_and_repeatably() {
+    let mesh = contact_patch::cuboid(DVec3::new(3.0, 4.0, 5.0));
+    let template = Template::from_mesh(&mesh, 0.3, 1).unwrap();
+    let area = 8.0 * (3.0 * 4.0 + 4.0 * 5.0 + 5.0 * 3.0);
+    let expected = area / 0.09;
+    // The cover of random discs is known to a per cent; edges, where faces do not see each other, add their share.
+    assert!((template.points_mm().len() as f64 / expected - 1.0).abs() < 0.05);
+    for (k, (p, n)) in template.points_mm().iter().zip(template.normals()).enumerate() {
+        let mut closest = f64::INFINITY;
+        template.tree().within(*p, 0.09, &mut |j, d| {
+            if j != k && template.normals()[j].dot(*n) > 0.5 {
+                closest = closest.min(d);
+            }
+        });
+        assert!(closest.sqrt() >= 0.81 * 0.3 - 1e-12);
+        assert!((p.abs() / DVec3::new(3.0, 4.0, 5.0)).max_element() > 1.0 - 1e-12);
+        assert!((n.length() - 1.0).abs() < 4.0 * EPS);
+    }
+    assert_eq!(template.digest(), Template::from_mesh(&mesh, 0.3, 1).unwrap().digest());
+    assert_ne!(template.digest(), Template::from_mesh(&mesh, 0.3, 2).unwrap().digest());
+}
