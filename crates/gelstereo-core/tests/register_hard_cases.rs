@@ -235,6 +235,25 @@ fn row_10_free_directions_stay_at_the_guess() {
 }
 
 #[test]
+fn row_10_point_to_point_converges_though_it_creeps_along_free_directions() {
+    let plate = Shape::Cuboid { half_mm: DVec3::new(15.0, 15.0, 3.0) };
+    for (shape, turn) in [(Shape::Sphere { radius_mm: 5.0 }, DVec3::X), (plate, DVec3::new(0.05, 0.03, 0.3))]
+    {
+        let template = shape.template(0.3);
+        let mut random = Stream::new(11, "creep");
+        for _ in 0..5 {
+            let contact = Contact::press(&shape, Pose::exp(turn, DVec3::ZERO), 1.1, 0.03, &mut random);
+            let guess = contact.guess(0.08, 1.0, &mut random);
+            let settings = params(RegisterMethod::FilterregPoint);
+            let found = Registrar::new(&settings).run(&contact.points_mm, &template, &guess).unwrap();
+            // A millimetre off at first, and every step closes at least half of what is left: 2^-12 mm is the tolerance.
+            // Sampling lets some steps close less.
+            assert!(found.converged && found.iterations < 30, "{} iterations", found.iterations);
+        }
+    }
+}
+
+#[test]
 fn row_11_a_clearly_elliptic_cylinder_holds_its_spin() {
     // The smooth growth beside the circle is tested where normals are exact, in register/observe.rs. Here the template is
     // sampled: normals that are 0.05 mm off hide an ellipse of a few per cent, and must not hide one of a third.
