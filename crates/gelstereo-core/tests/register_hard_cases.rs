@@ -235,6 +235,44 @@ fn row_10_free_directions_stay_at_the_guess() {
 }
 
 #[test]
+fn row_10_ransac_leaves_free_directions_at_the_guess() {
+    let shape = Shape::Cylinder { a_mm: 4.0, b_mm: 4.0, half_length_mm: 12.0 };
+    let template = shape.template(0.3);
+    let mut random = Stream::new(12, "ransac");
+    for seed in 0..10 {
+        let contact = Contact::press(&shape, Pose::exp(DVec3::Y * 1.5, DVec3::ZERO), 1.0, 0.03, &mut random);
+        let guess = contact.guess(0.05, 0.5, &mut random);
+        let settings = RegisterParams { seed, ..params(RegisterMethod::RansacIcp) };
+        let found = Registrar::new(&settings).run(&contact.points_mm, &template, &guess).unwrap();
+        // Along and about the cylinder's axis, z of the object.
+        let (omega, v_mm) = (found.t_sensor_object.inverse() * guess).log();
+        // The guess is 0.5 mm and 0.05 rad off. Undone by the least motion of the patch, its axis's shift turns it by up to
+        // 0.5 mm over the radius, and its tilt slides it by up to 0.05 of the radius; ICP draws it on by a spacing at most.
+        let bound = (0.5 / 4.0 + 0.05, 0.05 * 4.0 + 0.3);
+        assert!(omega.z.abs() < bound.0 && v_mm.z.abs() < bound.1, "{seed}: {} rad {} mm", omega.z, v_mm.z);
+    }
+}
+
+#[test]
+fn row_10_point_to_point_converges_though_it_creeps_along_free_directions() {
+    let plate = Shape::Cuboid { half_mm: DVec3::new(15.0, 15.0, 3.0) };
+    for (shape, turn) in [(Shape::Sphere { radius_mm: 5.0 }, DVec3::X), (plate, DVec3::new(0.05, 0.03, 0.3))]
+    {
+        let template = shape.template(0.3);
+        let mut random = Stream::new(11, "creep");
+        for _ in 0..5 {
+            let contact = Contact::press(&shape, Pose::exp(turn, DVec3::ZERO), 1.1, 0.03, &mut random);
+            let guess = contact.guess(0.08, 1.0, &mut random);
+            let settings = params(RegisterMethod::FilterregPoint);
+            let found = Registrar::new(&settings).run(&contact.points_mm, &template, &guess).unwrap();
+            // A millimetre off at first, and every step closes at least half of what is left: 2^-12 mm is the tolerance.
+            // Sampling lets some steps close less.
+            assert!(found.converged && found.iterations < 30, "{} iterations", found.iterations);
+        }
+    }
+}
+
+#[test]
 fn row_11_a_clearly_elliptic_cylinder_holds_its_spin() {
     // The smooth growth beside the circle is tested where normals are exact, in register/observe.rs. Here the template is
     // sampled: normals that are 0.05 mm off hide an ellipse of a few per cent, and must not hide one of a third.

@@ -43,12 +43,14 @@ pub(super) fn run(
     check_reach(problem, &scratch.placed, params.search_radius_mm)?;
     while outcome.iterations < params.max_iterations && !outcome.converged {
         let motion = step(problem, scratch, metric, sigma_mm);
-        let moved_mm = scratch.largest_move_mm(&motion);
         let next_sigma_mm = match metric {
             Metric::Point => width_mm(scratch, &motion).clamp(floor_mm, params.sigma_start_mm.max(floor_mm)),
             Metric::Plane => one_sided::next(params, sigma_mm),
         };
-        outcome.converged = moved_mm <= tolerance_mm && (next_sigma_mm - sigma_mm).abs() <= tolerance_mm;
+        let is_short = |motion: &Pose| scratch.largest_move_mm(motion) <= tolerance_mm;
+        outcome.converged = (next_sigma_mm - sigma_mm).abs() <= tolerance_mm
+            && (is_short(&motion)
+                || (metric == Metric::Point && is_short(&determined(problem, scratch, &motion))));
         sigma_mm = next_sigma_mm;
         outcome.t_sensor_object = compose(&outcome.t_sensor_object, &motion);
         outcome.iterations += 1;
@@ -101,6 +103,19 @@ fn plane_step(problem: &Problem<'_>, scratch: &Scratch, sigma_mm: f64) -> Pose {
         system.add(&Sighting { weight: weight * one_sided.weight(seen.residual), ..seen });
     }
     frame.motion(system.solve(problem.params.max_distance_mm))
+}
+
+/// The part of a step of the point metric that counts for convergence. Along directions that the contact leaves free the
+/// patch creeps from sample to sample for as long as one lets it, and gets nowhere. What is free is judged by the soft
+/// normals, as steps do: by the facets' more would be, and box faces would be left where their edges still push.
+fn determined(problem: &Problem<'_>, scratch: &Scratch, motion: &Pose) -> Pose {
+    let frame = PatchFrame::new(&scratch.sources, problem.template.spacing_mm());
+    let sigma_mm = problem.params.point_sigma_mm;
+    let mut system = System::new(frame.radius_mm, sigma_mm);
+    for ((soft, &point), &weight) in scratch.soft.iter().zip(&scratch.sources).zip(&scratch.weights) {
+        system.add(&soft.sighting(problem.template, point - frame.centre_mm, weight, sigma_mm));
+    }
+    frame.motion(system.observe(frame.centre_mm).determined(frame.twist(motion)))
 }
 
 /// Standard deviation per axis of the points around their Gaussian means' samples, at the coordinates after `motion`:

@@ -50,6 +50,11 @@ impl PatchFrame {
         Self { centre_mm, radius_mm }
     }
 
+    /// The turn ω about the centre and the shift v of it that a motion is made of.
+    pub fn twist(&self, motion: &Pose) -> (DVec3, DVec3) {
+        (so3::log(motion.rotation), motion.transform_point(self.centre_mm) - self.centre_mm)
+    }
+
     /// The motion that turns by ω about the centre and shifts by v.
     pub fn motion(&self, (omega, v_mm): (DVec3, DVec3)) -> Pose {
         let rotation = so3::exp(omega);
@@ -196,6 +201,17 @@ impl Observability {
             stack(pose.transform_vector(omega), pose.transform_vector(v))
         });
         Self { centre_mm, directions, ..*self }
+    }
+
+    /// The part of a motion (ω, v) about the centroid that is along determined directions.
+    pub(super) fn determined(&self, (omega, v_mm): (DVec3, DVec3)) -> (DVec3, DVec3) {
+        let z = stack(omega * self.radius_mm, v_mm);
+        let mut kept = [0.0; 6];
+        for (u, _) in self.directions.iter().zip(self.values).filter(|(_, value)| *value > 0.0) {
+            let along = dot(u, &z);
+            kept.iter_mut().zip(u).for_each(|(kept, u)| *kept += along * u);
+        }
+        self.motion(&kept)
     }
 
     /// (ω, v) about the centroid of a direction.

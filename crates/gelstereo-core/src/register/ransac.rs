@@ -1,5 +1,8 @@
 //! Random sample consensus (Fischler and Bolles 1981) over triplets with equal mutual distances.
 
+use super::facet::{Facet, facet};
+use super::filterreg::width_floor_mm;
+use super::observe::{PatchFrame, Sighting, System};
 use super::rigid::rigid_fit;
 use super::{Problem, RegisterError, Scratch, check_reach, compose};
 use crate::math::random::Stream;
@@ -31,7 +34,34 @@ pub(super) fn search(
             best = (motion, cost);
         }
     }
-    Ok(compose(guess, &best.0))
+    let motion = without_free(problem, scratch, &best.0);
+    Ok(compose(guess, &motion))
+}
+
+/// The motion less what it does along the directions that the contact leaves free where it ends: chance chose that, and
+/// the guess knows better. Exact for a spin about an axis or a slide, whose twist is the same all the way.
+fn without_free(problem: &Problem<'_>, scratch: &mut Scratch, motion: &Pose) -> Pose {
+    let Problem { params, template, .. } = *problem;
+    let most = params.max_distance_mm * params.max_distance_mm;
+    scratch.clear_pairs();
+    for &point in &scratch.placed {
+        let moved = motion.transform_point(point);
+        if template.tree().nearest(moved).is_some_and(|(_, distance_squared)| distance_squared <= most) {
+            scratch.sources.push(moved);
+        }
+    }
+    let frame = PatchFrame::new(&scratch.sources, template.spacing_mm());
+    let mut system = System::new(frame.radius_mm, params.point_sigma_mm);
+    for &point in &scratch.sources {
+        let Facet { normal, normal_variance } =
+            facet(template, point, width_floor_mm(problem), params.point_sigma_mm);
+        let lever = point - frame.centre_mm;
+        system.add(&Sighting { lever, normal, residual: 0.0, weight: 1.0, normal_variance });
+    }
+    let about = Pose::from_translation_mm(frame.centre_mm);
+    let twist = (about.inverse() * *motion * about).log();
+    let (omega, v_mm) = system.observe(frame.centre_mm).determined(twist);
+    about * Pose::exp(omega, v_mm) * about.inverse()
 }
 
 /// A motion of the placed patch from one random triplet, where the template has one like it.
