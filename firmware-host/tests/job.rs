@@ -86,19 +86,16 @@ fn ten_pegs_go_in_and_the_outcome_says_so() {
     }
 }
 
-/// With the paper's registration and all salient markers, those of the gel's shoulder among them, the pose is biased and
-/// not every peg goes in: the outcome must be right whatever happens.
+/// RANSAC and ICP, the paper's comparison, loses some pegs: the outcome must be right whatever happens.
 #[test]
 fn failures_of_ten_pegs_are_told_as_what_they_are() {
     let inserted = (11..=20).filter(|&seed| {
         let mut config = quick(seed);
-        config.params.contact.patch_share = 0.0;
-        config.params.register.method = RegisterMethod::FilterregPoint;
+        config.params.register.method = RegisterMethod::RansacIcp;
         judged(&config, &job(&config))
     });
     let inserted = inserted.count();
-    println!("{inserted} of 10 inserted");
-    assert!(inserted < 10, "no peg failed: this test no longer shows anything");
+    assert!((1..10).contains(&inserted), "{inserted} of 10: this test shows both only with some of each");
 }
 
 #[test]
