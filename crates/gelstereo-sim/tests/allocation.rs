@@ -1,28 +1,11 @@
 //! After the first frame nothing is allocated, whatever acts.
 #![allow(clippy::unwrap_used)]
 
+mod counting;
+
+use counting::ALLOCATIONS;
 use gelstereo_sim::{Scene, Simulator, Truth};
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicUsize, Ordering};
-
-struct Counting;
-
-static ALLOCATIONS: AtomicUsize = AtomicUsize::new(0);
-
-// SAFETY: every call goes to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static COUNTING: Counting = Counting;
+use std::sync::atomic::Ordering;
 
 /// Allocations of every frame but the first.
 fn later_allocations(mut simulator: Simulator) -> usize {

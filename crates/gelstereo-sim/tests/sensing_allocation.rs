@@ -1,6 +1,9 @@
 //! Sensing allocates nothing after the rest frame and the first that is tracked, whatever later frames show.
 #![allow(clippy::unwrap_used)]
 
+mod counting;
+
+use counting::ALLOCATIONS;
 use gelstereo_core::image::GrayView;
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::params::{LabelMethod, Params};
@@ -8,27 +11,7 @@ use gelstereo_core::pipeline::{Frame, LabelSource, Pipeline};
 use gelstereo_core::track::MarkerState;
 use gelstereo_sim::effects::{Effects, SensorNoise};
 use gelstereo_sim::{ContactState, Scene, Shape, Simulator, Truth};
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicUsize, Ordering};
-
-struct Counting;
-
-static ALLOCATIONS: AtomicUsize = AtomicUsize::new(0);
-
-// SAFETY: every call goes to the system's allocator unchanged. What is not written here is made of `alloc`.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static COUNTING: Counting = Counting;
+use std::sync::atomic::Ordering;
 
 type Pair = [Vec<u8>; 2];
 
