@@ -22,7 +22,11 @@ pub struct PartConfig {
 
 impl Default for PartConfig {
     fn default() -> Self {
-        Self { spacing_mm: 0.25, seed: 1, shape: Shape::Cylinder { radius_mm: 4.0, length_mm: 40.0 } }
+        Self {
+            spacing_mm: Template::DEFAULT_SPACING_MM,
+            seed: 1,
+            shape: Shape::Cylinder { radius_mm: 4.0, length_mm: 40.0 },
+        }
     }
 }
 

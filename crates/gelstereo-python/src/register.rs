@@ -38,7 +38,7 @@ impl Template {
     /// TemplateError
     ///     If it cannot be sampled at this spacing.
     #[classmethod]
-    #[pyo3(signature = (mesh, *, units, spacing_mm=0.25, seed=Count(1)), text_signature = "($cls, mesh, *, units, spacing_mm=0.25, seed=1)")]
+    #[pyo3(signature = (mesh, *, units, spacing_mm=core::Template::DEFAULT_SPACING_MM, seed=Count(1)), text_signature = "($cls, mesh, *, units, spacing_mm=0.25, seed=1)")]
     fn from_mesh(
         cls: &Bound<'_, PyType>,
         mesh: &Bound<'_, PyAny>,
@@ -68,7 +68,7 @@ impl Template {
     /// MeshError, TemplateError
     ///     If they are no surface, or cannot be sampled at this spacing.
     #[classmethod]
-    #[pyo3(signature = (vertices_mm, triangles, *, spacing_mm=0.25, seed=Count(1)), text_signature = "($cls, vertices_mm, triangles, *, spacing_mm=0.25, seed=1)")]
+    #[pyo3(signature = (vertices_mm, triangles, *, spacing_mm=core::Template::DEFAULT_SPACING_MM, seed=Count(1)), text_signature = "($cls, vertices_mm, triangles, *, spacing_mm=0.25, seed=1)")]
     fn from_triangles(
         cls: &Bound<'_, PyType>,
         vertices_mm: &Bound<'_, PyAny>,
@@ -221,7 +221,8 @@ pub struct Localization {
     inliers: usize,
     /// Points given.
     points: usize,
-    /// Root mean square distance of the inliers.
+    /// Root mean square distance of the inliers; for point-to-plane methods along the normals, each point by its
+    /// probability of being in contact.
     rmse_mm: f64,
     /// The `FreeDirection` s that the contact leaves undetermined; empty when all six are known.
     free: Py<PyTuple>,

@@ -15,6 +15,7 @@ import numpy.typing as npt
 import trimesh
 
 from gelstereo import Localization, Params, Template, localize
+from gelstereo.geometry import nearest
 from gelstereo.recordings import (
     CloudRecording,
     Contact,
@@ -31,7 +32,7 @@ __all__ = ["PARTS", "Part", "Registered", "main", "register_part", "touching"]
 
 Array = npt.NDArray[np.float64]
 
-SALIENCY_MM = 0.35
+SALIENCY_MM = float(Params().to_dict()["contact"]["saliency_mm"])
 #: Fewer markers than this do not determine a radius.
 _MIN_CORE = 8
 
@@ -97,6 +98,9 @@ class Registered:
     depth_mm: float
     radius_mm: float | None
     result: Localization
+    #: Root mean square distance of all points from the template, along its normals. It is worked out here because
+    #: `Localization.rmse_mm` weighs each point by how likely it touches, which hides those that do not.
+    residual_mm: float
 
 
 def touching(recording: CloudRecording) -> list[list[Contact]]:
@@ -126,8 +130,16 @@ def register_part(
         points_mm = recording.points_mm[frame][contact.core]
         result = localize(points_mm, template, t_sensor_object=part.guess(points_mm), params=params)
         radius_mm = part.fitted_radius_mm(points_mm)
-        registered.append(Registered(frame, points_mm, contact.depth_mm, radius_mm, result))
+        residual_mm = _residual_mm(points_mm, template, result.t_sensor_object)
+        registered.append(Registered(frame, points_mm, contact.depth_mm, radius_mm, result, residual_mm))
     return registered
+
+
+def _residual_mm(points_mm: Array, template: Template, t_sensor_object: Array) -> float:
+    in_object = (points_mm - t_sensor_object[:3, 3]) @ t_sensor_object[:3, :3]
+    indices, _ = nearest(template.points_mm, in_object)
+    along = np.sum((in_object - template.points_mm[indices]) * template.normals[indices], axis=1)
+    return float(np.sqrt(np.mean(along**2)))
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -153,8 +165,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _row(part: Part, frames: list[Registered], paper: list[Registered]) -> list[str]:
     radii = np.array([f.radius_mm for f in frames if f.radius_mm is not None])
-    rmse_um = 1e3 * np.array([f.result.rmse_mm for f in frames])
-    paper_um = 1e3 * np.median([f.result.rmse_mm for f in paper])
+    residual_um = 1e3 * np.array([f.residual_mm for f in frames])
+    paper_um = 1e3 * np.median([f.residual_mm for f in paper])
     free = sorted({len(f.result.free) for f in frames})
     return [
         part.name,
@@ -162,8 +174,8 @@ def _row(part: Part, frames: list[Registered], paper: list[Registered]) -> list[
         f"{np.median([len(f.points_mm) for f in frames]):.0f}",
         f"{np.median(radii):.2f}" if len(radii) else "-",
         f"{np.std(radii):.2f} ({radii.min():.2f} to {radii.max():.2f})" if len(radii) else "-",
-        f"{np.median(rmse_um):.1f} (at most {rmse_um.max():.1f})",
-        f"{paper_um:.0f}",
+        f"{np.median(residual_um):.1f} (at most {residual_um.max():.1f})",
+        f"{paper_um:.1f}",
         ", ".join(map(str, free)),
     ]
 
@@ -214,7 +226,7 @@ def _draw(recording: CloudRecording, parts: dict[str, list[Registered]], path: P
         where = [f.frame for f in frames]
         if frames[0].radius_mm is not None:
             axes[1].plot(where, [f.radius_mm for f in frames], ".-", label=name)
-        axes[2].plot(where, [1e3 * f.result.rmse_mm for f in frames], ".-", label=name)
+        axes[2].plot(where, [1e3 * f.residual_mm for f in frames], ".-", label=name)
     axes[1].set(title="radius fitted to each frame", xlabel="frame", ylabel="mm", ylim=(0, 16))
     axes[2].set(title="residual of the registered template", xlabel="frame", ylabel="um rms", ylim=(0, None))
     for axis in axes[1:]:

@@ -45,6 +45,9 @@ impl Template {
         Ok(Self { points_mm: points_mm.to_vec(), normals, curvatures_per_mm, spacing_mm, tree, blocks })
     }
 
+    /// Spacing for a part that a hand holds: a quarter of the lattice's pitch, rounded. Default of all who sample one.
+    pub const DEFAULT_SPACING_MM: f64 = 0.25;
+
     /// Samples a mesh evenly: on average one point for every `spacing_mm`² of its area, no two points of faces that
     /// look the same way (within 60 degrees) closer than 0.81 of the spacing. The same seed gives the same points.
     ///
