@@ -32,7 +32,7 @@ def run(frames: list[SimulatedFrame], preset: str = "balanced") -> list[Frame]:
 @pytest.mark.parametrize("preset", Params.presets())
 def test_points_are_the_truth_within_the_noise(noisy_press: list[SimulatedFrame], preset: str) -> None:
     results = run(noisy_press, preset)
-    sigma_px = Params.preset(preset).to_dict()["triangulate"]["centre_sigma_px"]
+    sigma_px = Params.preset(preset).to_dict()["detect"]["centre_sigma_px"]
     for result, truth in zip(results, noisy_press, strict=True):
         depth_error = result.points_mm[:, 2] - truth.points_mm[:, 2]
         # Two centres of sigma_px each, and 0.184 mm of depth for a pixel; the rms of 625 is known to 3 %.

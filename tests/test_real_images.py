@@ -97,7 +97,7 @@ def test_every_label_sits_on_yellow_paint() -> None:
 @pytest.mark.parametrize("gel", GELS, ids=lambda gel: gel.name)
 def test_presets_made_for_another_print_say_what_they_found(gel: RealGel, preset: str) -> None:
     # A limit of today: the threshold of 35 levels is fixed, and these prints have less contrast.
-    with pytest.raises(gelstereo.Error, match=rf"found \d+ markers.*{gel.rows * gel.cols}"):
+    with pytest.raises(gelstereo.Error, match=r"found \d+ markers|none of the \d+ markers"):
         gel.locate(DATA, preset)
 
 

@@ -429,9 +429,8 @@ impl<'a> Job<'a> {
         let note = frame_note(&sensed, &self.sensing).to_string();
         self.digest = self.digest.bytes(note.as_bytes());
         self.record(Topic::Frame, time_ns, || messages::string(&note))?;
-        let cols = self.config.params.lattice.cols;
         if let (Some(recorder), Ok(())) = (&mut self.recorder, &sensed) {
-            let points = messages::points(time_ns, self.sensing.frame(), cols);
+            let points = messages::points(time_ns, self.sensing.frame());
             recorder.write(Topic::Points, time_ns, &points)?;
         }
         self.flush()?;

@@ -1,6 +1,6 @@
 //! Two cameras: what calibration produces and triangulation consumes.
 
-use crate::camera::{Camera, CameraError};
+use crate::camera::{Camera, CameraError, Layers, LayersError};
 use crate::math::{DMat3, DVec2, DVec3, Pose, so3};
 
 /// A calibrated stereo pair.
@@ -14,6 +14,9 @@ pub struct Rig {
     /// Maps left camera coordinates to right camera coordinates; for a right camera that stands at +x its
     /// translation has a negative x, as OpenCV's `T`.
     pub t_right_left: Pose,
+    /// Flat layers before the markers; none when cameras and markers share one medium.
+    #[cfg_attr(feature = "serde", serde(default, skip_serializing_if = "Option::is_none"))]
+    pub layers: Option<Layers>,
 }
 
 /// Why two cameras are no rig.
@@ -23,6 +26,8 @@ pub enum RigError {
     Left(CameraError),
     /// The right camera is invalid.
     Right(CameraError),
+    /// The layers before the markers are invalid.
+    Layers(LayersError),
     /// The cameras stand at the same place: depth cannot be seen.
     NoBaseline {
         /// Distance found.
@@ -40,6 +45,7 @@ impl core::fmt::Display for RigError {
         match self {
             Self::Left(error) => write!(f, "left camera: {error}"),
             Self::Right(error) => write!(f, "right camera: {error}"),
+            Self::Layers(error) => error.fmt(f),
             Self::NoBaseline { baseline_mm } => write!(
                 f,
                 "the cameras are {baseline_mm:e} mm apart; depth needs a baseline (is t_right_left in millimetres?)"
@@ -80,7 +86,7 @@ impl Rig {
     #[must_use]
     pub fn parallel(camera: Camera, baseline_mm: f64) -> Self {
         let t_right_left = Pose::from_translation_mm(DVec3::new(-baseline_mm, 0.0, 0.0));
-        Self { left: camera.clone(), right: camera, t_right_left }
+        Self { left: camera.clone(), right: camera, t_right_left, layers: None }
     }
 
     /// Distance between the cameras.
@@ -104,7 +110,7 @@ impl Rig {
         if right_camera_mm.x < 0.5 * baseline_mm {
             return Err(RigError::NotSideBySide { right_camera_mm });
         }
-        Ok(())
+        self.layers.as_ref().map_or(Ok(()), Layers::validate).map_err(RigError::Layers)
     }
 
     /// The row-aligned virtual cameras.

@@ -150,10 +150,15 @@ impl Triangulator {
         Ok(StereoPoint { point_mm: self.to_sensor * self.reproject(l, disparity_px), epipolar_px: l.y - r.y })
     }
 
-    /// Covariance of a point of the sensor frame, mm², for independent centre errors of `sigma_px` per axis in both
-    /// views (first order; the row is measured twice and averaged by a least-squares point, once by Eq. 3).
+    /// Covariance of a point of the sensor frame, mm², from those of its two centres, px², which are independent (first
+    /// order; Eq. 3 takes the row of the left view alone; axes of image and rectified image are taken to be parallel).
     #[must_use]
-    pub fn covariance_mm2(&self, point_mm: DVec3, sigma_px: f64) -> Symmetric<3> {
+    pub fn covariance_mm2(
+        &self,
+        point_mm: DVec3,
+        left_px2: &Symmetric<2>,
+        right_px2: &Symmetric<2>,
+    ) -> Symmetric<3> {
         let r = &self.rectification;
         let p = self.to_sensor.conjugate() * point_mm;
         let s = p.z / r.f_px; // mm per pixel at this depth
@@ -161,9 +166,12 @@ impl Triangulator {
         let dz = p.z / r.baseline_mm * s; // mm of depth per pixel of disparity
         let along = p / p.z;
         let columns = [DVec3::X * s - along * dz, DVec3::Y * s, along * dz].map(|c| self.to_sensor * c);
-        let variance = sigma_px * sigma_px;
+        let [u, v, w] = columns;
+        let ([[uu, uv], [_, vv]], ww) = (*left_px2, right_px2[0][0]);
         core::array::from_fn(|i| {
-            core::array::from_fn(|j| variance * columns.iter().map(|c| c[i] * c[j]).sum::<f64>())
+            core::array::from_fn(|j| {
+                uu * u[i] * u[j] + uv * (u[i] * v[j] + v[i] * u[j]) + vv * v[i] * v[j] + ww * w[i] * w[j]
+            })
         })
     }
 

@@ -4,7 +4,6 @@ mod support;
 
 use gelstereo_core::detect::{Detector, Markers};
 use gelstereo_core::label::{foresight_sort, rest_lattice};
-use gelstereo_core::math::DVec2;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::params::{Background, Centre, Params};
 use gelstereo_core::track::{Tracker, Tracks};
@@ -75,14 +74,17 @@ fn tracks_and_sort_allocate_for_the_first_frame_only() {
     let truth = paper_lattice();
     let rest = rest_lattice(&truth, &params.lattice, params.label.tolerance_pitches).unwrap();
     let (mut tracker, mut tracks) = (Tracker::new(&params.track), Tracks::default());
-    tracker.initialise(&rest, params.lattice.cols, &mut tracks);
+    let mut markers = Markers::at(truth.to_vec(), 0.1);
+    tracker.initialise(&rest, &markers, &mut tracks);
     let (mut order, mut copy) = (Vec::new(), tracks.clone());
     let mut frame = |shift: f64| {
-        let moved: [DVec2; 625] = core::array::from_fn(|n| truth[n] + shift);
+        for (centre, &at) in markers.centres_px.iter_mut().zip(&truth) {
+            *centre = at + shift;
+        }
         allocations(|| {
             copy.clone_from(&tracks);
-            tracker.run(&moved, &mut tracks);
-            foresight_sort(&tracks.positions_px, &params.lattice, rest.pitch_px / 3.0, &mut order).unwrap();
+            tracker.run(&markers, &mut tracks);
+            foresight_sort(&tracks.positions_px, 25, 25, rest.pitch_px / 3.0, &mut order).unwrap();
         })
     };
     frame(1.0);

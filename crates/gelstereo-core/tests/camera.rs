@@ -45,6 +45,7 @@ proptest! {
             left: camera([0.0; 5]),
             right: camera([0.0; 5]),
             t_right_left: Pose { rotation, translation_mm: -(rotation * centre) },
+            layers: None,
         };
         let rect = rig.rectification().unwrap();
         let p = DVec3::new(point.0, point.1, point.2);

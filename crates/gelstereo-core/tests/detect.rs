@@ -248,6 +248,7 @@ proptest! {
             min_area_px2,
             max_area_px2: 2000,
             min_fill: 0.0,
+            centre_sigma_px: 0.09,
         };
         if let Ok(markers) = detect(&params, &bytes, width) {
             prop_assert_eq!(markers.centres_px.len(), markers.area_px2.len());

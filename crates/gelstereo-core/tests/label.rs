@@ -13,7 +13,8 @@ const PITCH: f64 = 17.56;
 const TOLERANCE: f64 = 1.0 / 3.0;
 
 fn params(rows: usize, cols: usize, max_missing: usize) -> LatticeParams {
-    LatticeParams { rows, cols, max_missing, ..LatticeParams::default() }
+    let max_missing_share = max_missing as f64 / (rows * cols) as f64;
+    LatticeParams { rows: Some(rows), cols: Some(cols), max_missing_share, ..LatticeParams::default() }
 }
 
 /// A permutation of 0..n from a random stream.
@@ -81,7 +82,7 @@ fn row_15_moderate_rotation_is_labelled_not_refused() {
         let found = detections(&truth, 5, 5, 0.1, 3);
         let rest = rest_lattice(&found, &params(25, 25, 6), TOLERANCE).unwrap();
         assert!(farthest(&rest.positions_px, &truth) < 0.1 * PITCH, "{turn_deg}");
-        assert_eq!(rest.filled.iter().filter(|&&f| f).count(), 5);
+        assert_eq!(rest.detection.iter().filter(|d| d.is_none()).count(), 5);
         assert!((rest.pitch_px - PITCH).abs() < 0.1);
     }
 }
@@ -92,7 +93,7 @@ fn row_15_foresight_sorts_up_to_five_degrees() {
     for turn_deg in [-5.0, -2.0, 0.0, 1.0, 5.0] {
         let truth = as_seen(25, turn_deg, 0.0);
         let found = detections(&truth, 0, 0, 0.1, 4);
-        foresight_sort(&found, &params(25, 25, 0), PITCH * TOLERANCE, &mut order).unwrap();
+        foresight_sort(&found, 25, 25, PITCH * TOLERANCE, &mut order).unwrap();
         let sorted: Vec<DVec2> = order.iter().map(|&n| found[n]).collect();
         assert!(farthest(&sorted, &truth) < 1.0, "{turn_deg}");
     }
@@ -127,7 +128,7 @@ proptest! {
         // As many spurious as missing: the count alone says nothing.
         let found = detections(&truth, swapped, swapped, jitter_px, seed);
         let mut order = Vec::new();
-        if foresight_sort(&found, &params(25, 25, 0), PITCH * TOLERANCE, &mut order).is_ok() {
+        if foresight_sort(&found, 25, 25, PITCH * TOLERANCE, &mut order).is_ok() {
             let sorted: Vec<DVec2> = order.iter().map(|&n| found[n]).collect();
             let quarter: Vec<DVec2> = (0..625).map(|n| truth[(24 - n % 25) * 25 + n / 25]).collect();
             let off = farthest(&sorted, &truth).min(farthest(&sorted, &quarter));
@@ -153,7 +154,7 @@ proptest! {
         let truth: Vec<DVec2> = as_seen(25, turn_deg, 0.0).into_iter().map(drag).collect();
         let mut order = Vec::new();
         let found = detections(&truth, 0, 0, 0.0, seed);
-        if foresight_sort(&found, &params(25, 25, 0), PITCH * TOLERANCE, &mut order).is_ok() {
+        if foresight_sort(&found, 25, 25, PITCH * TOLERANCE, &mut order).is_ok() {
             let sorted: Vec<DVec2> = order.iter().map(|&n| found[n]).collect();
             prop_assert_eq!(&sorted, &truth);
         }
@@ -179,7 +180,7 @@ proptest! {
         prop_assert!(rest.is_ok() || steepest > 0.2, "gentle bends must be labelled: {rest:?}");
         if let Ok(rest) = rest {
             // Whatever was detected; what is filled in where nothing regular is left cannot be known.
-            for n in (0..625).filter(|&n| !rest.filled[n]) {
+            for n in (0..625).filter(|&n| rest.detection[n].is_some()) {
                 let (_, markers) = dots.iter().find(|dot| dot.0 == rest.positions_px[n]).unwrap();
                 prop_assert!(markers.contains(&n), "{n} was given to {markers:?}");
             }
@@ -195,7 +196,7 @@ fn row_16_a_missing_corner_is_filled_in() {
         let found: Vec<DVec2> = (0..625).filter(|&n| n != corner).map(|n| truth[n]).collect();
         let rest = rest_lattice(&found, &params(25, 25, 6), TOLERANCE).unwrap();
         assert!(farthest(&rest.positions_px, &truth) < 1e-9);
-        assert!((0..625).all(|n| rest.filled[n] == (n == corner)));
+        assert!((0..625).all(|n| rest.detection[n].is_none() == (n == corner)));
     }
 }
 
@@ -203,7 +204,7 @@ fn row_16_a_missing_corner_is_filled_in() {
 fn what_is_no_such_lattice_is_refused_by_name() {
     let truth = as_seen(25, 0.0, 0.0);
     let fit = |found: &[DVec2], rows, cols| rest_lattice(found, &params(rows, cols, 6), TOLERANCE);
-    assert!(matches!(fit(&truth[..600], 25, 25), Err(LabelError::Count { found: 600, .. })));
+    assert!(matches!(fit(&truth[..600], 25, 25), Err(LabelError::Shape { rows: 24, labelled: 600, .. })));
     let wider = lattice(25, 26, PITCH, DVec2::new(330.0, 240.0), 0.0, 0.0);
     assert!(matches!(fit(&wider, 25, 25), Err(LabelError::Shape { rows: 25, cols: 26, .. })));
     // One placement fits, but half of the printed lattice lies outside of it.
@@ -237,6 +238,6 @@ proptest! {
         }
         points.resize(rows * cols, DVec2::ONE);
         let mut order = Vec::new();
-        let _ = foresight_sort(&points, &lattice, 0.3 * scale, &mut order);
+        let _ = foresight_sort(&points, rows, cols, 0.3 * scale, &mut order);
     }
 }

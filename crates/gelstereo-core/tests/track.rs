@@ -2,6 +2,7 @@
 
 mod support;
 
+use gelstereo_core::detect::Markers;
 use gelstereo_core::label::RestLattice;
 use gelstereo_core::math::DVec2;
 use gelstereo_core::math::random::Stream;
@@ -15,18 +16,21 @@ const PITCH: f64 = 17.56;
 fn start(filled: &[usize]) -> (Tracker, Tracks, Vec<DVec2>) {
     let truth = paper_lattice();
     let rest = RestLattice {
+        rows: 25,
+        cols: 25,
         positions_px: truth.clone(),
-        filled: (0..truth.len()).map(|n| filled.contains(&n)).collect(),
+        detection: (0..truth.len()).map(|n| (!filled.contains(&n)).then_some(n as u32)).collect(),
         pitch_px: PITCH,
     };
     let (mut tracker, mut tracks) = (Tracker::new(&TrackParams::default()), Tracks::default());
-    tracker.initialise(&rest, 25, &mut tracks);
+    tracker.initialise(&rest, &Markers::at(truth.clone(), 0.1), &mut tracks);
     (tracker, tracks, truth)
 }
 
 /// All but these, moved, last marker first: the order of detections must not matter.
-fn frame(truth: &[DVec2], without: &[usize], moved: impl Fn(DVec2) -> DVec2) -> Vec<DVec2> {
-    (0..truth.len()).rev().filter(|n| !without.contains(n)).map(|n| moved(truth[n])).collect()
+fn frame(truth: &[DVec2], without: &[usize], moved: impl Fn(DVec2) -> DVec2) -> Markers {
+    let kept = (0..truth.len()).rev().filter(|n| !without.contains(n));
+    Markers::at(kept.map(|n| moved(truth[n])).collect(), 0.1)
 }
 
 #[test]
@@ -71,8 +75,8 @@ fn two_markers_never_share_a_detection() {
     let (mut tracker, mut tracks, truth) = start(&[]);
     // Markers 312 and 313 merge into one blob midway.
     let mut detected = frame(&truth, &[312, 313], |p| p);
-    detected.push((truth[312] * 0.51 + truth[313] * 0.49) - DVec2::new(0.0, 0.1));
-    tracker.run(&detected, &mut tracks);
+    detected.centres_px.push((truth[312] * 0.51 + truth[313] * 0.49) - DVec2::new(0.0, 0.1));
+    tracker.run(&Markers::at(detected.centres_px, 0.1), &mut tracks);
     assert_eq!([tracks.state[312], tracks.state[313]], [MarkerState::Seen, MarkerState::Held]);
     // One of the eight neighbours that carry it is off by half a pitch.
     assert!(tracks.positions_px[313].distance(truth[313]) < PITCH / 16.0);
@@ -83,11 +87,11 @@ fn a_detection_beyond_the_gate_is_no_marker() {
     let (mut tracker, mut tracks, truth) = start(&[]);
     let beyond = truth[24] + DVec2::new(0.5 * PITCH + 1e-9, 0.0);
     let mut detected = frame(&truth, &[24], |p| p);
-    detected.extend([beyond, DVec2::NAN, DVec2::INFINITY]);
-    tracker.run(&detected, &mut tracks);
+    detected.centres_px.extend([beyond, DVec2::NAN, DVec2::INFINITY]);
+    tracker.run(&Markers::at(detected.centres_px, 0.1), &mut tracks);
     assert_eq!(tracks.state[24], MarkerState::Held);
     assert_eq!(tracks.positions_px[24], truth[24]);
-    tracker.run(&[], &mut tracks);
+    tracker.run(&Markers::default(), &mut tracks);
     assert!(tracks.state.iter().all(|&s| s == MarkerState::Held));
     assert_eq!(tracks.positions_px, truth);
 }
@@ -95,7 +99,7 @@ fn a_detection_beyond_the_gate_is_no_marker() {
 #[test]
 fn before_it_is_initialised_it_does_nothing() {
     let mut tracks = Tracks::default();
-    Tracker::new(&TrackParams::default()).run(&[DVec2::ZERO], &mut tracks);
+    Tracker::new(&TrackParams::default()).run(&Markers::at(vec![DVec2::ZERO], 0.1), &mut tracks);
     assert_eq!(tracks, Tracks::default());
 }
 
@@ -115,7 +119,7 @@ fn row_35_positions_do_not_drift_while_markers_flicker() {
                 truth[n] + shift + DVec2::new(x, y) * jitter
             })
             .collect();
-        tracker.run(&detected, &mut tracks);
+        tracker.run(&Markers::at(detected, jitter), &mut tracks);
         for n in 0..625 {
             // A mean of few neighbours and the marker's own last error: 6 sigma of each, on both axes.
             let off = tracks.positions_px[n].distance(truth[n] + shift);

@@ -26,6 +26,7 @@ fn turned_rig() -> Rig {
         left: camera(),
         right: Camera { fx_px: 570.0, ..camera() },
         t_right_left: Pose { rotation, translation_mm: DVec3::new(-8.0, 0.1, -0.2) },
+        layers: None,
     }
 }
 
@@ -72,7 +73,10 @@ fn covariance_agrees_with_monte_carlo() {
             }
         }
     }
-    let expected = triangulator.covariance_mm2(point, sigma);
+    let expected = {
+        let centre = [[sigma * sigma, 0.0], [0.0, sigma * sigma]];
+        triangulator.covariance_mm2(point, &centre, &centre)
+    };
     for i in 0..3 {
         for j in 0..3 {
             let scale = (expected[i][i] * expected[j][j]).sqrt();

@@ -4,7 +4,7 @@ use crate::arrays::{self, Array1, Image, Matrix};
 use crate::errors::raise;
 use crate::params::Params;
 use gelstereo_core::detect as core;
-use numpy::PyArray2;
+use numpy::{PyArray2, PyArray3};
 use pyo3::prelude::*;
 use std::sync::{Mutex, PoisonError};
 
@@ -14,6 +14,9 @@ pub struct Markers {
     /// (N, 2) centres, pixels.
     #[pyo3(get)]
     centres_px: Matrix,
+    /// (N, 2, 2) covariances of the centres, px².
+    #[pyo3(get)]
+    covariance_px2: Py<PyArray3<f64>>,
     /// (N,) areas, square pixels.
     #[pyo3(get)]
     area_px2: Array1<u32>,
@@ -78,6 +81,11 @@ impl Detector {
         let found = found.map_err(raise)?;
         Ok(Markers {
             count: found.centres_px.len(),
+            covariance_px2: arrays::shaped(
+                py,
+                found.covariance_px2.iter().flatten().flatten().copied().collect(),
+                (found.centres_px.len(), 2, 2),
+            )?,
             centres_px: arrays::rows::<_, 2>(py, found.centres_px)?,
             area_px2: arrays::list(py, found.area_px2),
         })

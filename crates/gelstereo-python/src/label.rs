@@ -5,7 +5,6 @@ use crate::errors::{LabelError, raise};
 use crate::params::Params;
 use gelstereo_core::label as core;
 use gelstereo_core::math::DVec2;
-use gelstereo_core::params::LatticeParams;
 use pyo3::prelude::*;
 
 /// Rows or columns, as in `LatticeParams`.
@@ -14,6 +13,12 @@ const MOST_MARKERS: usize = 1000;
 /// The lattice of an undisturbed frame, complete.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct RestLattice {
+    /// Markers from top to bottom, as found.
+    #[pyo3(get)]
+    rows: usize,
+    /// Markers from left to right, as found.
+    #[pyo3(get)]
+    cols: usize,
     /// (rows * cols, 2) positions, pixels.
     #[pyo3(get)]
     positions_px: Matrix,
@@ -60,18 +65,17 @@ pub fn foresight_sort(
              and a finite tolerance above 0"
         )));
     }
-    let lattice = LatticeParams { rows, cols, ..LatticeParams::default() };
     let mut order = Vec::new();
-    py.detach(|| core::foresight_sort(positions, &lattice, tolerance_px, &mut order)).map_err(raise)?;
+    py.detach(|| core::foresight_sort(positions, rows, cols, tolerance_px, &mut order)).map_err(raise)?;
     Ok(arrays::list(py, order.into_iter().map(|i| i as i64).collect()))
 }
 
-/// Label an undisturbed frame and fill in the markers that were not detected.
+/// Count rows and columns of an undisturbed frame, label it, and fill in up to ``lattice.max_missing_share`` of its
+/// markers where none was detected.
 ///
 /// Parameters
 /// ----------
 /// detected_px : (N, 2) array_like
-///     Up to ``lattice.max_missing`` fewer than the lattice has.
 /// params : Params, optional
 ///
 /// Returns
@@ -97,7 +101,9 @@ pub fn rest_lattice(
         .map_err(raise)?;
     Ok(RestLattice {
         positions_px: arrays::rows::<_, 2>(py, lattice.positions_px)?,
-        filled: arrays::list(py, lattice.filled),
+        rows: lattice.rows,
+        cols: lattice.cols,
+        filled: arrays::list(py, lattice.detection.iter().map(Option::is_none).collect()),
         pitch_px: lattice.pitch_px,
     })
 }

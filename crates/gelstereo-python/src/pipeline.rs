@@ -7,6 +7,7 @@ use crate::params::Params;
 use crate::rig::Rig;
 use gelstereo_core::pipeline as core;
 use gelstereo_core::track::MarkerState;
+use numpy::PyArray3;
 use pyo3::prelude::*;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -56,12 +57,18 @@ impl ViewEvidence {
 pub struct Frame {
     /// Frames since the last reset, from 0 (the rest frame).
     index: u64,
+    /// Markers from top to bottom, as found in the rest frame.
+    rows: usize,
+    /// Markers from left to right, as found in the rest frame.
+    cols: usize,
     /// (N, 2) positions in the left image.
     left_px: Matrix,
     /// (N, 2) positions in the right image.
     right_px: Matrix,
     /// (N, 3) positions in the sensor frame; of a marker that is not seen, its last good one.
     points_mm: Matrix,
+    /// (N, 3, 3) covariances of the points, mm²; of a marker that is not seen, from when it last was.
+    covariance_mm2: Py<PyArray3<f64>>,
     /// (N,) height above the rest surface, towards the camera.
     indentation_mm: Array1<f64>,
     /// (N,) uint8 of `MarkerState`.
@@ -91,8 +98,15 @@ impl Frame {
         frame.patch_points_mm(&mut patch_points);
         Ok(Self {
             index: frame.index,
+            rows: frame.rows,
+            cols: frame.cols,
             left_px: arrays::rows::<_, 2>(py, frame.left_px)?,
             right_px: arrays::rows::<_, 2>(py, frame.right_px)?,
+            covariance_mm2: arrays::shaped(
+                py,
+                frame.covariance_mm2.iter().flatten().flatten().copied().collect(),
+                (frame.points_mm.len(), 3, 3),
+            )?,
             points_mm: arrays::rows::<_, 3>(py, frame.points_mm)?,
             indentation_mm: arrays::list(py, frame.indentation_mm),
             state: arrays::list(py, frame.state.into_iter().map(|s| s as u8).collect()),

@@ -124,6 +124,7 @@ impl Rig {
                 &Numbers::new(right_distortion, "right_distortion")?,
             )?,
             t_right_left: Pose { rotation, translation_mm: translation },
+            layers: None,
         })
     }
 

@@ -65,7 +65,7 @@ pub fn triangulate(
 /// points_mm : (N, 3) array_like
 ///     Sensor frame.
 /// sigma_px : float, optional
-///     Standard deviation of a centre per axis, in both views; ``triangulate.centre_sigma_px`` if left out.
+///     Standard deviation of a centre per axis, in both views; ``detect.centre_sigma_px`` if left out.
 /// params : Params, optional
 ///
 /// Returns
@@ -84,7 +84,7 @@ pub fn triangulate_covariance(
     let stage = triangulator(rig, params)?;
     let points = Numbers::new(points_mm, "points_mm")?;
     let points = points.rows::<DVec3, 3>()?;
-    let sigma_px = sigma_px.unwrap_or(Params::or_default(params).triangulate.centre_sigma_px);
+    let sigma_px = sigma_px.unwrap_or(Params::or_default(params).detect.centre_sigma_px);
     if !(sigma_px > 0.0 && sigma_px.is_finite()) {
         return Err(TriangulateError::new_err(format!(
             "sigma_px is {sigma_px}; valid is a finite number above 0"
@@ -96,7 +96,10 @@ pub fn triangulate_covariance(
             points[index]
         )));
     }
-    let values: Vec<f64> = points.iter().flat_map(|&p| stage.covariance_mm2(p, sigma_px)).flatten().collect();
+    let variance = sigma_px * sigma_px;
+    let centre = [[variance, 0.0], [0.0, variance]];
+    let covariances = points.iter().flat_map(|&p| stage.covariance_mm2(p, &centre, &centre));
+    let values: Vec<f64> = covariances.flatten().collect();
     if !values.iter().all(|value| value.is_finite()) {
         return Err(TriangulateError::new_err(format!(
             "sigma_px is {sigma_px} and the points are as far as they are: the covariance has no finite value; valid \

@@ -71,7 +71,7 @@ pub fn read_image(bytes: &[u8], image: &mut Gray) -> Result<u64, CdrError> {
 /// `sensor_msgs/msg/PointCloud2` of all markers, `row * cols + col`: x y z in metres, indentation_mm in millimetres,
 /// state (0 seen, 1 held, 2 lost) and salient (0, 1).
 #[must_use]
-pub fn points(time_ns: u64, frame: &Frame, cols: usize) -> Vec<u8> {
+pub fn points(time_ns: u64, frame: &Frame) -> Vec<u8> {
     const STEP: usize = 20; // four floats, two bytes, padding to a multiple of 4
     let fields = [("x", 0, FLOAT32), ("y", 4, FLOAT32), ("z", 8, FLOAT32), ("indentation_mm", 12, FLOAT32)];
     let flags = [("state", 16, UINT8), ("salient", 17, UINT8)];
@@ -83,7 +83,7 @@ pub fn points(time_ns: u64, frame: &Frame, cols: usize) -> Vec<u8> {
         }
         data.extend_from_slice(&[frame.state[i] as u8, u8::from(frame.salient[i]), 0, 0]);
     }
-    let width = cols.max(1);
+    let width = frame.cols.max(1);
     let height = frame.points_mm.len() / width;
     let encoder = header(time_ns, SENSOR_FRAME).u32(height as u32).u32(width as u32);
     let encoder = encoder.u32((fields.len() + flags.len()) as u32);

@@ -26,5 +26,5 @@ fn panic(_info: &core::panic::PanicInfo<'_>) -> ! {
 #[unsafe(no_mangle)]
 pub extern "C" fn default_markers() -> usize {
     let scene_markers = gelstereo_sim::Scene::default().gel.missing.len();
-    gelstereo_core::params::Params::default().lattice.len() + scene_markers
+    gelstereo_core::params::Params::default().lattice.max_missing(1000) + scene_markers
 }

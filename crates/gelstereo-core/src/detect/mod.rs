@@ -8,7 +8,9 @@ pub mod morphology;
 
 use crate::image::GrayView;
 use crate::math::DVec2;
+use crate::math::linalg::Symmetric;
 use crate::params::{Background, Centre, DetectParams, Polarity};
+use alloc::vec;
 use alloc::vec::Vec;
 use blur::{BoxMean, FRACTION_BITS, GaussianBlur};
 use centre::GreyCentre;
@@ -20,8 +22,21 @@ use morphology::Closing;
 pub struct Markers {
     /// Centres, pixels.
     pub centres_px: Vec<DVec2>,
+    /// Covariances of the centres, px².
+    pub covariance_px2: Vec<Symmetric<2>>,
     /// Areas, square pixels.
     pub area_px2: Vec<u32>,
+}
+
+impl Markers {
+    /// Markers at known places, with one standard deviation per axis for all.
+    #[must_use]
+    pub fn at(centres_px: Vec<DVec2>, sigma_px: f64) -> Self {
+        let variance = sigma_px * sigma_px;
+        let (covariance_px2, area_px2) =
+            (vec![[[variance, 0.0], [0.0, variance]]; centres_px.len()], vec![1; centres_px.len()]);
+        Self { centres_px, covariance_px2, area_px2 }
+    }
 }
 
 /// Why an image has no markers to offer.
@@ -124,6 +139,7 @@ impl Detector {
     /// [`DetectError`]; `out` is then empty.
     pub fn run(&mut self, image: GrayView<'_>, out: &mut Markers) -> Result<(), DetectError> {
         out.centres_px.clear();
+        out.covariance_px2.clear();
         out.area_px2.clear();
         self.check(image)?;
         self.threshold(image);
@@ -132,14 +148,17 @@ impl Detector {
         // No two markers share pixels, so that this many are the most there can be.
         let most = image.width() * image.height() / params.min_area_px2.max(4) as usize;
         out.centres_px.reserve(most);
+        out.covariance_px2.reserve(most);
         out.area_px2.reserve(most);
         components.run(mask, image.width());
+        let variance = params.centre_sigma_px * params.centre_sigma_px;
         for blob in components.blobs() {
             if is_marker(blob, params, image) {
                 out.centres_px.push(match params.centre {
                     Centre::Binary => centre::binary(blob),
                     Centre::Grey => grey_centre.run(image, blob, components.runs(blob), params.polarity),
                 });
+                out.covariance_px2.push([[variance, 0.0], [0.0, variance]]);
                 out.area_px2.push(blob.area_px2);
             }
         }

@@ -8,6 +8,7 @@ pub(super) struct Partial {
     pub rows: usize,
     pub cols: usize,
     pub at: Vec<Option<DVec2>>,
+    pub detection: Vec<Option<u32>>,
 }
 
 impl Partial {

@@ -2,7 +2,6 @@
 
 use super::{LabelError, check_regular};
 use crate::math::DVec2;
-use crate::params::LatticeParams;
 use alloc::vec::Vec;
 use core::cmp::Ordering;
 
@@ -30,14 +29,15 @@ use core::cmp::Ordering;
 /// [`LabelError`] when the count is off, a position is not finite, a row does not fill, or the result is no lattice.
 pub fn foresight_sort(
     positions_px: &[DVec2],
-    lattice: &LatticeParams,
+    rows: usize,
+    cols: usize,
     tolerance_px: f64,
     order: &mut Vec<usize>,
 ) -> Result<(), LabelError> {
-    let (rows, cols) = (lattice.rows, lattice.cols);
     order.clear();
-    if positions_px.len() != lattice.len() {
-        return Err(LabelError::Count { found: positions_px.len(), expected: lattice.len(), max_missing: 0 });
+    let expected = rows.saturating_mul(cols);
+    if positions_px.len() != expected {
+        return Err(LabelError::Count { found: positions_px.len(), expected, max_missing: 0 });
     }
     if let Some(index) = positions_px.iter().position(|p| !p.is_finite()) {
         return Err(LabelError::NotFinite { index });

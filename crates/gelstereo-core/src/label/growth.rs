@@ -11,10 +11,14 @@ use alloc::vec::Vec;
 /// A square lattice turned by 45 degrees looks the same turned either way: beyond this angle it is refused.
 const MOST_ROTATION_DEG: f64 = 40.0;
 
+/// Most rows and columns, as in the settings.
+const MOST_MARKERS: usize = 1000;
+
 /// Right, down, left, up as (row, column).
 const STEPS: [(isize, isize); 4] = [(0, 1), (1, 0), (0, -1), (-1, 0)];
 
-/// Labels an undisturbed frame and fills in up to `lattice.max_missing` markers that were not detected.
+/// Counts rows and columns of an undisturbed frame, labels it, and fills in up to `lattice.max_missing_share` of its
+/// markers where none was detected.
 ///
 /// From the marker whose four neighbours are the most regular, the lattice grows along rows and columns. Each step is
 /// predicted from the steps already known around it, so that curved rows are followed, and taken when a detection lies within
@@ -25,17 +29,14 @@ const STEPS: [(isize, isize); 4] = [(0, 1), (1, 0), (0, -1), (-1, 0)];
 /// place of a missing one cannot be told from it.
 ///
 /// # Errors
-/// [`LabelError`] naming what was found. A lattice is refused unless exactly one placement of rows x cols covers it,
-/// and unless it has at least 3 x 3 markers.
+/// [`LabelError`] naming what was found: a lattice with other rows or columns than the settings say, if they do, with too
+/// many gaps, or with fewer than 3 x 3 markers.
 pub fn rest_lattice(
     detected_px: &[DVec2],
     lattice: &LatticeParams,
     tolerance_pitches: f64,
 ) -> Result<RestLattice, LabelError> {
-    let (found, expected, max_missing) = (detected_px.len(), lattice.len(), lattice.max_missing);
-    if found + max_missing < expected || found > 4 * expected {
-        return Err(LabelError::Count { found, expected, max_missing });
-    }
+    let found = detected_px.len();
     if let Some(index) = detected_px.iter().position(|p| !p.is_finite()) {
         return Err(LabelError::NotFinite { index });
     }
@@ -43,17 +44,16 @@ pub fn rest_lattice(
     let near_px = neighbour_distance(detected_px, &mut grid).ok_or(LabelError::NoLattice { found })?;
     let seed = find_seed(detected_px, &grid, near_px).ok_or(LabelError::NoLattice { found })?;
     check_rotation(detected_px, &seed)?;
-    let mut growth = Growth::new(detected_px, &grid, lattice, tolerance_pitches);
+    let mut growth = Growth::new(detected_px, &grid, near_px, tolerance_pitches);
     growth.grow(&seed);
     let partial = growth.place(lattice)?;
     let pitch_px = pitch(&partial);
-    check_regular(lattice.rows, lattice.cols, tolerance_pitches * pitch_px, |r, c| {
-        partial.get(r as isize, c as isize)
-    })?;
-    let filled: Vec<bool> = partial.at.iter().map(Option::is_none).collect();
-    let positions_px = partial.filled().ok_or(LabelError::Count { found, expected, max_missing })?;
-    growth.check_gaps(&positions_px, &filled, pitch_px, lattice.cols)?;
-    Ok(RestLattice { positions_px, filled, pitch_px })
+    let (rows, cols) = (partial.rows, partial.cols);
+    check_regular(rows, cols, tolerance_pitches * pitch_px, |r, c| partial.get(r as isize, c as isize))?;
+    let detection = partial.detection.clone();
+    let positions_px = partial.filled().ok_or(LabelError::NoLattice { found })?;
+    growth.check_gaps(&positions_px, &detection, pitch_px, cols)?;
+    Ok(RestLattice { rows, cols, positions_px, detection, pitch_px })
 }
 
 /// A detection and its right, lower, left and upper neighbour.
@@ -140,8 +140,11 @@ struct Growth<'a> {
 }
 
 impl<'a> Growth<'a> {
-    fn new(points: &'a [DVec2], grid: &'a Grid, lattice: &LatticeParams, tolerance_pitches: f64) -> Self {
-        let (rows, cols) = (2 * lattice.rows + 1, 2 * lattice.cols + 1);
+    fn new(points: &'a [DVec2], grid: &'a Grid, near_px: f64, tolerance_pitches: f64) -> Self {
+        let (low, high) = points.iter().fold((points[0], points[0]), |(l, h), &p| (l.min(p), h.max(p)));
+        // A labelled place every half pitch at most, in both directions from the seed.
+        let side = |extent: f64| 2 * ((2.0 * extent / near_px) as usize).clamp(2, MOST_MARKERS) + 1;
+        let (rows, cols) = (side(high.y - low.y), side(high.x - low.x));
         Self {
             points,
             grid,
@@ -234,29 +237,51 @@ impl<'a> Growth<'a> {
         self.grid.nearest(self.points, predicted, radius_px, |_| true).filter(|&m| !self.taken[m])
     }
 
-    /// The one placement of rows x cols on the canvas that misses no more markers than it may.
+    /// The rectangle that is labelled, without outer rows and columns of which less than a quarter is.
     fn place(&self, lattice: &LatticeParams) -> Result<Partial, LabelError> {
-        let (rows, cols) = (lattice.rows, lattice.cols);
-        let least = lattice.len().saturating_sub(lattice.max_missing);
-        let (sums, width) = self.summed_counts();
-        let count = |r: usize, c: usize| {
-            sums[(r + rows) * width + c + cols] + sums[r * width + c]
-                - sums[r * width + c + cols]
-                - sums[(r + rows) * width + c]
+        let (mut top, mut bottom, mut left, mut right) = (0, self.rows, 0, self.cols);
+        let row = |r: isize, left: isize, right: isize| {
+            (left..right).filter(|&c| self.position(r, c).is_some()).count() * 4 < (right - left) as usize
         };
-        let mut fitting = (0..=self.rows as usize - rows)
-            .flat_map(|r| (0..=self.cols as usize - cols).map(move |c| (r, c)))
-            .filter(|&(r, c)| count(r, c) as usize >= least);
-        // A chance detection one step outside is no row; a quarter of a row of them is the print going on.
-        let labelled = self.at.iter().flatten().count();
-        let most_outside = rows.min(cols) / 4;
-        match (fitting.next(), fitting.next()) {
-            (Some((top, left)), None) if labelled - count(top, left) as usize <= most_outside => {
-                let place = |n: usize| self.position((top + n / cols) as isize, (left + n % cols) as isize);
-                Ok(Partial { rows, cols, at: (0..lattice.len()).map(place).collect() })
-            }
-            _ => Err(self.shape_error(lattice)),
+        let col = |c: isize, top: isize, bottom: isize| {
+            (top..bottom).filter(|&r| self.position(r, c).is_some()).count() * 4 < (bottom - top) as usize
+        };
+        let used = || (0..self.at.len() as isize).filter(|&n| self.at[n as usize].is_some());
+        if let (Some(first), Some(last)) = (used().next(), used().next_back()) {
+            (top, bottom) = (first / self.cols, last / self.cols + 1);
+            left = used().map(|n| n % self.cols).min().unwrap_or(0);
+            right = used().map(|n| n % self.cols + 1).max().unwrap_or(0);
         }
+        loop {
+            let before = (top, bottom, left, right);
+            top += isize::from(top < bottom && row(top, left, right));
+            bottom -= isize::from(top < bottom && row(bottom - 1, left, right));
+            left += isize::from(left < right && col(left, top, bottom));
+            right -= isize::from(left < right && col(right - 1, top, bottom));
+            if before == (top, bottom, left, right) {
+                break;
+            }
+        }
+        let (rows, cols) = ((bottom - top) as usize, (right - left) as usize);
+        let cell = |n: usize| self.index(top + (n / cols) as isize, left + (n % cols) as isize);
+        let detection: Vec<Option<u32>> =
+            (0..rows * cols).map(|n| cell(n).and_then(|index| self.at[index])).collect();
+        let labelled = detection.iter().flatten().count();
+        let as_set = lattice.rows.is_none_or(|n| n == rows) && lattice.cols.is_none_or(|n| n == cols);
+        let max_missing = lattice.max_missing(rows * cols);
+        if !as_set || rows.min(cols) < 3 || labelled + max_missing < rows * cols {
+            let (expected_rows, expected_cols) = (lattice.rows, lattice.cols);
+            return Err(LabelError::Shape {
+                rows,
+                cols,
+                labelled,
+                expected_rows,
+                expected_cols,
+                max_missing,
+            });
+        }
+        let at = detection.iter().map(|d| d.map(|m| self.points[m as usize])).collect();
+        Ok(Partial { rows, cols, at, detection })
     }
 
     /// Refuses a marker that was filled in although an unlabelled detection lies within the tolerance of it: the labels
@@ -264,12 +289,12 @@ impl<'a> Growth<'a> {
     fn check_gaps(
         &self,
         positions_px: &[DVec2],
-        filled: &[bool],
+        detection: &[Option<u32>],
         pitch_px: f64,
         cols: usize,
     ) -> Result<(), LabelError> {
         let most_px = self.tolerance_pitches * pitch_px;
-        for n in (0..filled.len()).filter(|&n| filled[n]) {
+        for n in (0..detection.len()).filter(|&n| detection[n].is_none()) {
             let slipped = self.grid.nearest(self.points, positions_px[n], most_px, |m| !self.taken[m]);
             if let Some(m) = slipped {
                 let off_px = positions_px[n].distance(self.points[m]);
@@ -277,38 +302,6 @@ impl<'a> Growth<'a> {
             }
         }
         Ok(())
-    }
-
-    /// Labelled places above and left of each corner of the canvas, and how many corners a row has.
-    fn summed_counts(&self) -> (Vec<u32>, usize) {
-        let (rows, cols) = (self.rows as usize, self.cols as usize);
-        let width = cols + 1;
-        let mut sums = vec![0_u32; (rows + 1) * width];
-        for r in 0..rows {
-            let mut row = 0;
-            for c in 0..cols {
-                row += u32::from(self.at[r * cols + c].is_some());
-                sums[(r + 1) * width + c + 1] = sums[r * width + c + 1] + row;
-            }
-        }
-        (sums, width)
-    }
-
-    fn shape_error(&self, lattice: &LatticeParams) -> LabelError {
-        let cols = self.cols as usize;
-        let used = || self.at.iter().enumerate().filter(|(_, detection)| detection.is_some()).map(|(n, _)| n);
-        let extent = |key: fn(usize, usize) -> usize| {
-            let low = used().map(|n| key(n, cols)).min().unwrap_or(0);
-            used().map(|n| key(n, cols)).max().map_or(0, |high| high - low + 1)
-        };
-        LabelError::Shape {
-            rows: extent(|n, cols| n / cols),
-            cols: extent(|n, cols| n % cols),
-            labelled: used().count(),
-            expected_rows: lattice.rows,
-            expected_cols: lattice.cols,
-            max_missing: lattice.max_missing,
-        }
     }
 }
 

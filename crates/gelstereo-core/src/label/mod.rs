@@ -59,10 +59,10 @@ pub enum LabelError {
         cols: usize,
         /// Markers found on it.
         labelled: usize,
-        /// Rows configured.
-        expected_rows: usize,
-        /// Columns configured.
-        expected_cols: usize,
+        /// Rows configured, if any.
+        expected_rows: Option<usize>,
+        /// Columns configured, if any.
+        expected_cols: Option<usize>,
         /// How many markers may be missing.
         max_missing: usize,
     },
@@ -104,11 +104,15 @@ impl core::fmt::Display for LabelError {
                 "the lattice is turned by {found_deg:.1} degrees against the image; beyond {most_deg} degrees its rows \
                  cannot be told from its columns: turn the camera or the gel"
             ),
-            Self::Shape { rows, cols, labelled, expected_rows, expected_cols, max_missing } => write!(
-                f,
-                "found a lattice of {rows} rows x {cols} columns with {labelled} markers; lattice.rows x lattice.cols \
-                 is {expected_rows} x {expected_cols}, of which {max_missing} may be missing"
-            ),
+            Self::Shape { rows, cols, labelled, expected_rows, expected_cols, max_missing } => {
+                write!(f, "found a lattice of {rows} rows x {cols} columns with {labelled} markers")?;
+                for (name, expected) in [("lattice.rows", expected_rows), ("lattice.cols", expected_cols)] {
+                    if let Some(expected) = expected {
+                        write!(f, "; {name} is {expected}")?;
+                    }
+                }
+                write!(f, "; at least 3 x 3 are needed, and {max_missing} may be missing")
+            }
             Self::Irregular { row, col, off_px, most_px } if off_px.is_finite() => write!(
                 f,
                 "the marker labelled row {row}, column {col} lies {off_px:.1} px from where its neighbours say; at \
@@ -126,10 +130,14 @@ impl core::error::Error for LabelError {}
 /// The rest lattice, complete.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RestLattice {
+    /// Markers from top to bottom.
+    pub rows: usize,
+    /// Markers from left to right.
+    pub cols: usize,
     /// Position of marker `row * cols + col`, pixels.
     pub positions_px: Vec<DVec2>,
-    /// Whether it was filled in from its neighbours (never printed or not detected).
-    pub filled: Vec<bool>,
+    /// Its index among the detections; none where it was filled in from its neighbours (never printed or not detected).
+    pub detection: Vec<Option<u32>>,
     /// Median distance of neighbours, pixels.
     pub pitch_px: f64,
 }

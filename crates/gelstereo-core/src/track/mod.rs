@@ -2,8 +2,10 @@
 
 pub(crate) mod grid;
 
+use crate::detect::Markers;
 use crate::label::RestLattice;
 use crate::math::DVec2;
+use crate::math::linalg::Symmetric;
 use crate::params::TrackParams;
 use alloc::vec::Vec;
 use grid::Grid;
@@ -29,6 +31,8 @@ pub enum MarkerState {
 pub struct Tracks {
     /// Positions, pixels.
     pub positions_px: Vec<DVec2>,
+    /// Covariances of the positions when they were last measured, px².
+    pub covariance_px2: Vec<Symmetric<2>>,
     /// States.
     pub state: Vec<MarkerState>,
     /// Frames since the marker was measured, or `NEVER_SEEN`.
@@ -49,6 +53,7 @@ impl Clone for Tracks {
 
     fn clone_from(&mut self, source: &Self) {
         self.positions_px.clone_from(&source.positions_px);
+        self.covariance_px2.clone_from(&source.covariance_px2);
         self.state.clone_from(&source.state);
         self.unseen_frames.clone_from(&source.unseen_frames);
         self.own_px.clone_from(&source.own_px);
@@ -98,18 +103,24 @@ impl Tracker {
         }
     }
 
-    /// Starts from a labelled rest frame of `cols` columns: seen where detected, held where filled in (a filled-in
+    /// Starts from a labelled rest frame and the detections that it was made of: seen where detected, held where filled in (a filled-in
     /// marker is held for ever, moving with its lattice neighbours, until it is seen).
-    pub fn initialise(&mut self, rest: &RestLattice, cols: usize, out: &mut Tracks) {
+    pub fn initialise(&mut self, rest: &RestLattice, detected: &Markers, out: &mut Tracks) {
         self.gate_px = self.params.gate_pitches * rest.pitch_px;
-        self.cols = cols.max(1);
+        self.cols = rest.cols.max(1);
         self.rest_px.clone_from(&rest.positions_px);
         out.positions_px.clone_from(&rest.positions_px);
-        let held = rest.filled.iter();
+        // A filled-in position is as good as the gate at best.
+        let unknown = [[self.gate_px * self.gate_px, 0.0], [0.0, self.gate_px * self.gate_px]];
+        out.covariance_px2.clear();
+        out.covariance_px2.extend(
+            rest.detection.iter().map(|d| d.map_or(unknown, |m| detected.covariance_px2[m as usize])),
+        );
+        let held = rest.detection.iter().map(Option::is_none);
         out.state.clear();
-        out.state.extend(held.clone().map(|&held| if held { MarkerState::Held } else { MarkerState::Seen }));
+        out.state.extend(held.clone().map(|held| if held { MarkerState::Held } else { MarkerState::Seen }));
         out.unseen_frames.clear();
-        out.unseen_frames.extend(held.map(|&held| if held { NEVER_SEEN } else { 0 }));
+        out.unseen_frames.extend(held.map(|held| if held { NEVER_SEEN } else { 0 }));
         out.own_px.clear();
         out.own_px.resize(self.rest_px.len(), DVec2::ZERO);
     }
@@ -128,7 +139,8 @@ impl Tracker {
     /// Updates the tracks by the detections of the next frame (Eq. 2): gate, mutual nearest, states.
     ///
     /// `out` holds the tracks of the frame before.
-    pub fn run(&mut self, detected_px: &[DVec2], out: &mut Tracks) {
+    pub fn run(&mut self, detected: &Markers, out: &mut Tracks) {
+        let detected_px = detected.centres_px.as_slice();
         if out.positions_px.len() != self.rest_px.len() {
             return;
         }
@@ -142,6 +154,11 @@ impl Tracker {
         // round but the last finds a marker, so that there is an end.
         while self.pair(detected_px, out) {
             self.carry(out);
+        }
+        for (covariance, detection) in out.covariance_px2.iter_mut().zip(&self.detection_of) {
+            if let Some(m) = detection {
+                *covariance = detected.covariance_px2[*m as usize];
+            }
         }
         self.update_states(out);
     }

@@ -1,5 +1,9 @@
 //! One camera: pinhole, lens distortion and its inverse.
 
+mod layers;
+
+pub use layers::{Layer, Layers, LayersError};
+
 use crate::math::{DVec2, DVec3, sqrt};
 
 /// A pinhole camera with the Brown-Conrady distortion of OpenCV (k1, k2, p1, p2, k3).

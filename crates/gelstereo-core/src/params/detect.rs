@@ -1,0 +1,115 @@
+//! Finding markers in one image.
+
+use super::{ParamsError, check, positive};
+
+/// Whether markers are darker or brighter than the gel around them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
+pub enum Polarity {
+    /// Dark dots on a bright gel (the paper).
+    #[default]
+    Dark,
+    /// Bright dots on a dark gel.
+    Bright,
+}
+
+/// How the surround's brightness is estimated.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
+pub enum Background {
+    /// Gaussian of `background_kernel_px` (the paper): the slowest stage of all.
+    #[default]
+    Gaussian,
+    /// Mean over a square of `background_kernel_px`: constant cost per pixel.
+    Box,
+}
+
+/// How a component becomes a centre.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
+pub enum Centre {
+    /// Mean position of the component's pixels (the paper): about 0.13 px rms.
+    #[default]
+    Binary,
+    /// Mean position weighted by contrast over the component and its border: about 0.05 px rms.
+    Grey,
+}
+
+/// Finding markers in one image.
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(default, deny_unknown_fields)
+)]
+pub struct DetectParams {
+    /// Default: `dark`.
+    pub polarity: Polarity,
+    /// Default: `gaussian`.
+    pub background: Background,
+    /// Default: `binary`.
+    pub centre: Centre,
+    /// Side of the Gaussian kernel that removes pixel noise, odd. Default: `3` px.
+    pub smooth_kernel_px: usize,
+    /// Side of the kernel that estimates the surround, odd. Default: `51` px.
+    pub background_kernel_px: usize,
+    /// A pixel belongs to a marker when it differs from its surround by at least this. The paper's threshold is 220
+    /// on the inverted, saturating difference, that is 255 - 220. Default: `35` grey levels.
+    pub threshold_levels: u8,
+    /// Side of the elliptic kernel of dilation and erosion, odd; 1 changes nothing. Default: `1` px.
+    pub morphology_kernel_px: usize,
+    /// Smallest marker. Default: `6` px².
+    pub min_area_px2: u32,
+    /// Largest marker. Default: `2000` px².
+    pub max_area_px2: u32,
+    /// Least area over that of the bounding box's inscribed ellipse; scratches and merged pairs have less.
+    /// Default: `0.5`.
+    pub min_fill: f64,
+    /// Standard deviation of a centre per axis, for rungs that do not measure their own. Default: `0.09` px, the paper's
+    /// binary centroid.
+    pub centre_sigma_px: f64,
+}
+
+impl Default for DetectParams {
+    fn default() -> Self {
+        Self {
+            polarity: Polarity::Dark,
+            background: Background::Gaussian,
+            centre: Centre::Binary,
+            smooth_kernel_px: 3,
+            background_kernel_px: 51,
+            threshold_levels: 35,
+            morphology_kernel_px: 1,
+            min_area_px2: 6,
+            max_area_px2: 2000,
+            min_fill: 0.5,
+            centre_sigma_px: 0.09,
+        }
+    }
+}
+
+impl DetectParams {
+    /// Checks every setting against its meaning.
+    ///
+    /// # Errors
+    /// The first [`ParamsError`] found.
+    pub fn validate(&self) -> Result<(), ParamsError> {
+        let odd = |name, x: usize, most: usize| {
+            check(
+                x % 2 == 1 && x <= most,
+                name,
+                x as f64,
+                if most == 255 { "odd, 1 to 255" } else { "odd, 1 to 31" },
+            )
+        };
+        odd("detect.smooth_kernel_px", self.smooth_kernel_px, 31)?;
+        odd("detect.background_kernel_px", self.background_kernel_px, 255)?;
+        odd("detect.morphology_kernel_px", self.morphology_kernel_px, 31)?;
+        let threshold = self.threshold_levels;
+        check(threshold > 0, "detect.threshold_levels", f64::from(threshold), "1 to 255")?;
+        let areas_ok = self.min_area_px2 >= 1 && self.max_area_px2 >= self.min_area_px2;
+        check(areas_ok, "detect.min_area_px2", f64::from(self.min_area_px2), "1 to detect.max_area_px2")?;
+        check((0.0..=1.0).contains(&self.min_fill), "detect.min_fill", self.min_fill, "from 0 to 1")?;
+        positive("detect.centre_sigma_px", self.centre_sigma_px)
+    }
+}

@@ -1,0 +1,45 @@
+//! Row and column of every marker.
+
+use super::{ParamsError, check};
+
+/// How rows and columns are kept after the rest frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
+pub enum LabelMethod {
+    /// Foresight sort of every frame (the paper, Algorithm 1): exact to about 5 degrees of lattice rotation.
+    #[default]
+    Foresight,
+    /// A marker keeps the row and column of the rest frame through its track.
+    Temporal,
+}
+
+/// Row and column of every marker.
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(default, deny_unknown_fields)
+)]
+pub struct LabelParams {
+    /// Default: `foresight`.
+    pub method: LabelMethod,
+    /// l of Algorithm 1: markers of one row are at least this far apart in x. Default: `1/3` pitch.
+    pub tolerance_pitches: f64,
+}
+
+impl Default for LabelParams {
+    fn default() -> Self {
+        Self { method: LabelMethod::Foresight, tolerance_pitches: 1.0 / 3.0 }
+    }
+}
+
+impl LabelParams {
+    /// Checks every setting against its meaning.
+    ///
+    /// # Errors
+    /// The first [`ParamsError`] found.
+    pub fn validate(&self) -> Result<(), ParamsError> {
+        let l = self.tolerance_pitches;
+        check(l > 0.0 && l < 1.0, "label.tolerance_pitches", l, "above 0, below 1")
+    }
+}

@@ -1,0 +1,53 @@
+//! The printed lattice.
+
+use super::{ParamsError, check, positive};
+
+/// The printed lattice. Its rows and columns are counted in the rest frame; settings of them are only checked.
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(default, deny_unknown_fields)
+)]
+pub struct LatticeParams {
+    /// Markers from top to bottom; a rest frame with another number is refused. Default: none, they are counted.
+    #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
+    pub rows: Option<usize>,
+    /// Markers from left to right; a rest frame with another number is refused. Default: none, they are counted.
+    #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
+    pub cols: Option<usize>,
+    /// Distance between neighbours. Default: `0.9` mm.
+    pub pitch_mm: f64,
+    /// Share of the printed markers that may be missing in the rest frame; they are filled in from their neighbours, as
+    /// the paper does for the corner that its print lacks (Fig. 4). Default: `0.01`, 6 of 625.
+    pub max_missing_share: f64,
+}
+
+impl Default for LatticeParams {
+    fn default() -> Self {
+        Self { rows: None, cols: None, pitch_mm: 0.9, max_missing_share: 0.01 }
+    }
+}
+
+impl LatticeParams {
+    /// How many of so many markers may be missing, rounded.
+    #[must_use]
+    pub fn max_missing(&self, markers: usize) -> usize {
+        crate::math::round(self.max_missing_share * markers as f64) as usize
+    }
+
+    /// Checks every setting against its meaning.
+    ///
+    /// # Errors
+    /// The first [`ParamsError`] found.
+    pub fn validate(&self) -> Result<(), ParamsError> {
+        for (name, side) in [("lattice.rows", self.rows), ("lattice.cols", self.cols)] {
+            if let Some(n) = side {
+                check((2..=1000).contains(&n), name, n as f64, "2 to 1000 markers")?;
+            }
+        }
+        positive("lattice.pitch_mm", self.pitch_mm)?;
+        let share = self.max_missing_share;
+        check((0.0..=0.5).contains(&share), "lattice.max_missing_share", share, "from 0 to 0.5")
+    }
+}

@@ -1,0 +1,88 @@
+//! The one tree of settings. [`Params::default`] is the paper's, section V-B.
+//!
+//! A ladder's rungs are the variants of one enum here; each says what it costs and what it gives.
+//! `docs/accuracy-vs-time.md` holds the measured figures.
+
+mod contact;
+mod detect;
+mod label;
+mod lattice;
+mod presets;
+mod register;
+mod track;
+mod triangulate;
+
+pub use contact::ContactParams;
+pub use detect::{Background, Centre, DetectParams, Polarity};
+pub use label::{LabelMethod, LabelParams};
+pub use lattice::LatticeParams;
+pub use register::{RegisterMethod, RegisterParams};
+pub use track::TrackParams;
+pub use triangulate::TriangulateParams;
+
+/// All settings of the pipeline and of registration.
+#[derive(Clone, Debug, Default, PartialEq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(default, deny_unknown_fields)
+)]
+pub struct Params {
+    /// The printed lattice.
+    pub lattice: LatticeParams,
+    /// Finding markers in one image.
+    pub detect: DetectParams,
+    /// Keeping their identity over frames.
+    pub track: TrackParams,
+    /// Row and column of every marker.
+    pub label: LabelParams,
+    /// From two views to millimetres.
+    pub triangulate: TriangulateParams,
+    /// Saliency and the stop triggers.
+    pub contact: ContactParams,
+    /// Registration to the template.
+    pub register: RegisterParams,
+}
+
+/// A setting that makes no sense.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ParamsError {
+    /// Where it stands, for example `detect.smooth_kernel_px`.
+    pub name: &'static str,
+    /// What was found.
+    pub found: f64,
+    /// What would be valid.
+    pub valid: &'static str,
+}
+
+impl core::fmt::Display for ParamsError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(f, "{} is {}; valid is {}", self.name, self.found, self.valid)
+    }
+}
+
+impl core::error::Error for ParamsError {}
+
+impl Params {
+    /// Checks every setting against its meaning.
+    ///
+    /// # Errors
+    /// The first [`ParamsError`] found.
+    pub fn validate(&self) -> Result<(), ParamsError> {
+        self.lattice.validate()?;
+        self.detect.validate()?;
+        self.track.validate()?;
+        self.label.validate()?;
+        self.triangulate.validate()?;
+        self.contact.validate()?;
+        self.register.validate()
+    }
+}
+
+fn check(ok: bool, name: &'static str, found: f64, valid: &'static str) -> Result<(), ParamsError> {
+    if ok { Ok(()) } else { Err(ParamsError { name, found, valid }) }
+}
+
+fn positive(name: &'static str, x: f64) -> Result<(), ParamsError> {
+    check(x > 0.0 && x.is_finite(), name, x, "a finite number above 0")
+}

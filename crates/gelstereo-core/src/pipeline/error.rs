@@ -1,0 +1,103 @@
+//! Why a frame gave no result.
+
+use crate::contact::ContactError;
+use crate::detect::DetectError;
+use crate::label::LabelError;
+use crate::params::ParamsError;
+use crate::triangulate::TriangulateError;
+
+/// Which camera.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum View {
+    /// The left one.
+    Left,
+    /// The right one.
+    Right,
+}
+
+impl core::fmt::Display for View {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Left => "left",
+            Self::Right => "right",
+        })
+    }
+}
+
+/// Why a frame gave no result. Tracks and rest surface are then as after the last good frame.
+#[derive(Clone, Debug, PartialEq)]
+pub enum PipelineError {
+    /// A setting makes no sense.
+    Params(ParamsError),
+    /// An image is not of the size that the rig was calibrated for.
+    Size {
+        /// Which view.
+        view: View,
+        /// Width and height found, pixels.
+        found: (usize, usize),
+        /// Width and height of the rig's camera, pixels.
+        expected: (usize, usize),
+    },
+    /// Detection failed in one view.
+    Detect {
+        /// Which view.
+        view: View,
+        /// Why.
+        error: DetectError,
+    },
+    /// The rest frame could not be labelled in one view.
+    Label {
+        /// Which view.
+        view: View,
+        /// Why.
+        error: LabelError,
+    },
+    /// The rest frame's views make no points, or the rig is none.
+    Triangulate(TriangulateError),
+    /// The rest frame's points make no surface.
+    Contact(ContactError),
+    /// The views' rest frames show lattices of different sizes.
+    Lattices {
+        /// Rows and columns found in the left view.
+        left: (usize, usize),
+        /// Rows and columns found in the right view.
+        right: (usize, usize),
+    },
+    /// The rest frame's rows disagree between the views.
+    Epipolar {
+        /// Median distance of the rectified rows of one marker, pixels.
+        median_px: f64,
+        /// Largest valid one, pixels.
+        max_px: f64,
+    },
+}
+
+impl core::fmt::Display for PipelineError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Params(error) => error.fmt(f),
+            Self::Size { view, found, expected } => write!(
+                f,
+                "the {view} image is {} x {} pixels but the rig was calibrated for {} x {}",
+                found.0, found.1, expected.0, expected.1
+            ),
+            Self::Detect { view, error } => write!(f, "{view} view: {error}"),
+            Self::Label { view, error } => write!(f, "{view} view: {error}"),
+            Self::Triangulate(error) => error.fmt(f),
+            Self::Contact(error) => error.fmt(f),
+            Self::Lattices { left, right } => write!(
+                f,
+                "the left view shows {} rows x {} columns of markers but the right one {} x {}: both must see the whole \
+                 lattice",
+                left.0, left.1, right.0, right.1
+            ),
+            Self::Epipolar { median_px, max_px } => write!(
+                f,
+                "the rows of the two views disagree by {median_px:.2} px in the median; valid is at most {max_px} px: \
+                 the rig does not belong to these cameras, or a row was lost in one view"
+            ),
+        }
+    }
+}
+
+impl core::error::Error for PipelineError {}

@@ -1,0 +1,96 @@
+//! What one stereo frame gave.
+
+use crate::digest::Digest;
+use crate::math::linalg::Symmetric;
+use crate::math::{DVec2, DVec3};
+use crate::track::MarkerState;
+use alloc::vec::Vec;
+
+/// Where the rows and columns of a frame come from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum LabelSource {
+    /// The rest frame's lattice.
+    #[default]
+    Rest,
+    /// Foresight sort of this frame.
+    Foresight,
+    /// The tracks since the rest frame.
+    Tracks,
+}
+
+/// What one view contributed to a frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ViewEvidence {
+    /// Markers detected.
+    pub detected: usize,
+    /// Where the labels come from; `Tracks` under `label.method = foresight` means that the sort refused.
+    pub labels: LabelSource,
+    /// Markers whose label by the sort differs from that by their track.
+    pub relabelled: usize,
+}
+
+/// Everything that one stereo frame gave; marker `row * cols + col` stands at that index in every list.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Frame {
+    /// Frames since the last reset, from 0 (the rest frame).
+    pub index: u64,
+    /// Markers from top to bottom, as found in the rest frame.
+    pub rows: usize,
+    /// Markers from left to right, as found in the rest frame.
+    pub cols: usize,
+    /// Positions in the left image, pixels.
+    pub left_px: Vec<DVec2>,
+    /// Positions in the right image, pixels.
+    pub right_px: Vec<DVec2>,
+    /// Seen only when both views saw it and their rows agree.
+    pub state: Vec<MarkerState>,
+    /// Positions in the sensor frame, millimetres; of a marker that is not seen, from its last good positions.
+    pub points_mm: Vec<DVec3>,
+    /// Covariances of the points, mm²; of a marker that is not seen, from when it last was.
+    pub covariance_mm2: Vec<Symmetric<3>>,
+    /// Height above the rest surface, towards the camera, millimetres.
+    pub indentation_mm: Vec<f64>,
+    /// Indented by more than the threshold (Eq. 4).
+    pub salient: Vec<bool>,
+    /// Salient and in the contact patch, which is what registration is given.
+    pub patch: Vec<bool>,
+    /// Mean motion of the seen markers of the left view since the reference, pixels.
+    pub motion_px: f64,
+    /// Markers that both views saw, but that no point of space explains (rows or disparity disagree).
+    pub mismatched: usize,
+    /// The left view's evidence.
+    pub left: ViewEvidence,
+    /// The right view's evidence.
+    pub right: ViewEvidence,
+}
+
+impl Frame {
+    /// Digest of all results, bit for bit.
+    #[must_use]
+    pub fn digest(&self) -> u64 {
+        let view = |digest: Digest, view: &ViewEvidence| {
+            digest.u64(view.detected as u64).u64(view.labels as u64).u64(view.relabelled as u64)
+        };
+        let digest = Digest::new()
+            .u64(self.index)
+            .u64(self.rows as u64)
+            .u64(self.cols as u64)
+            .f64s(self.left_px.iter().chain(&self.right_px).flat_map(|p| p.to_array()))
+            .f64s(self.points_mm.iter().flat_map(|p| p.to_array()))
+            .f64s(self.covariance_mm2.iter().flatten().flatten().copied())
+            .f64s(self.indentation_mm.iter().copied())
+            .f64s([self.motion_px])
+            .u64(self.mismatched as u64);
+        let digest = self.state.iter().fold(digest, |d, &state| d.bytes(&[state as u8]));
+        let flags = self.salient.iter().zip(&self.patch);
+        let digest =
+            flags.fold(digest, |d, (&salient, &patch)| d.bytes(&[u8::from(salient), u8::from(patch)]));
+        view(view(digest, &self.left), &self.right).value()
+    }
+
+    /// The points of the contact patch in the order of the markers (sensor frame, millimetres); `out` is cleared first.
+    pub fn patch_points_mm(&self, out: &mut Vec<DVec3>) {
+        out.clear();
+        out.extend(self.points_mm.iter().zip(&self.patch).filter(|&(_, &p)| p).map(|(&point, _)| point));
+    }
+}

@@ -1,0 +1,221 @@
+//! The sensing stages in order, over scratch that is allocated once.
+
+mod error;
+mod frame;
+mod view;
+
+pub use error::{PipelineError, View};
+pub use frame::{Frame, LabelSource, ViewEvidence};
+
+use crate::contact::{self, RestSurface};
+use crate::image::GrayView;
+use crate::math::linalg::Symmetric;
+use crate::math::{DVec2, DVec3};
+use crate::params::Params;
+use crate::rig::Rig;
+use crate::track::MarkerState;
+use crate::triangulate::{StereoPoint, Triangulator};
+use alloc::vec::Vec;
+use view::ViewStages;
+
+/// Sensing: stereo frames in, tactile point clouds out.
+#[derive(Clone, Debug)]
+pub struct Pipeline {
+    params: Params,
+    triangulator: Triangulator,
+    left: ViewStages,
+    right: ViewStages,
+    rest: Option<RestSurface>,
+    reference_px: Vec<DVec2>,
+    stereo: Vec<StereoPoint>,
+    points_mm: Vec<DVec3>,
+    covariance_mm2: Vec<Symmetric<3>>,
+    frames: u64,
+}
+
+impl Pipeline {
+    /// For this rig, with these settings. The first frame processed is the rest frame: nothing may touch the gel.
+    ///
+    /// # Errors
+    /// [`PipelineError::Params`], or [`PipelineError::Triangulate`] for an invalid rig.
+    pub fn new(rig: &Rig, params: &Params) -> Result<Self, PipelineError> {
+        params.validate().map_err(PipelineError::Params)?;
+        let triangulator = Triangulator::new(rig, &params.triangulate).map_err(PipelineError::Triangulate)?;
+        let size = |camera: &crate::camera::Camera| (camera.width_px, camera.height_px);
+        Ok(Self {
+            params: params.clone(),
+            triangulator,
+            left: ViewStages::new(View::Left, size(&rig.left), params),
+            right: ViewStages::new(View::Right, size(&rig.right), params),
+            rest: None,
+            reference_px: Vec::new(),
+            stereo: Vec::new(),
+            points_mm: Vec::new(),
+            covariance_mm2: Vec::new(),
+            frames: 0,
+        })
+    }
+
+    /// The settings it was made with.
+    #[must_use]
+    pub const fn params(&self) -> &Params {
+        &self.params
+    }
+
+    /// The rig it was made for.
+    #[must_use]
+    pub const fn rig(&self) -> &Rig {
+        self.triangulator.rig()
+    }
+
+    /// The rest surface, once a rest frame was processed.
+    #[must_use]
+    pub const fn rest(&self) -> Option<&RestSurface> {
+        self.rest.as_ref()
+    }
+
+    /// Forgets tracks, rest surface and reference: the next frame is the rest frame.
+    pub fn reset(&mut self) {
+        self.rest = None;
+        self.frames = 0;
+    }
+
+    /// Measures [`Frame::motion_px`] from the last processed frame on: the paper's "moment before grasping" or
+    /// "before insertion". Until it is called, motion is measured from the rest frame.
+    pub fn mark_reference(&mut self) {
+        copy_into(&self.left.labelled.positions_px, &mut self.reference_px);
+    }
+
+    /// Runs all sensing stages on one stereo frame; the lists of `out` are reused.
+    ///
+    /// # Errors
+    /// [`PipelineError`] naming stage and view.
+    pub fn process(
+        &mut self,
+        left: GrayView<'_>,
+        right: GrayView<'_>,
+        out: &mut Frame,
+    ) -> Result<(), PipelineError> {
+        self.process_with(left, right, out, |left, right| {
+            left();
+            right();
+        })
+    }
+
+    /// As [`Self::process`], with the detection of the two views handed to `join`, which may run them on two threads
+    /// and must run both to the end. The result has the same bits whichever way they are run.
+    ///
+    /// # Errors
+    /// [`PipelineError`] naming stage and view.
+    pub fn process_with(
+        &mut self,
+        left: GrayView<'_>,
+        right: GrayView<'_>,
+        out: &mut Frame,
+        join: impl FnOnce(&mut (dyn FnMut() + Send), &mut (dyn FnMut() + Send)),
+    ) -> Result<(), PipelineError> {
+        self.left.check_size(&left)?;
+        self.right.check_size(&right)?;
+        let (left_stages, right_stages) = (&mut self.left, &mut self.right);
+        join(&mut || left_stages.detect(left), &mut || right_stages.detect(right));
+        // Nothing that lasts has changed so far: a frame that fails here leaves the tracks alone.
+        self.left.check_detected()?;
+        self.right.check_detected()?;
+        if self.rest.is_none() {
+            self.start(out)?;
+        } else {
+            self.left.follow(&self.params);
+            self.right.follow(&self.params);
+            self.follow_points(out);
+        }
+        self.finish(out)
+    }
+
+    /// The rest frame: here a pair that makes no point is an error.
+    fn start(&mut self, out: &mut Frame) -> Result<(), PipelineError> {
+        self.left.start(&self.params)?;
+        self.right.start(&self.params)?;
+        let side = |view: &ViewStages| (view.rows, view.cols);
+        if side(&self.left) != side(&self.right) {
+            return Err(PipelineError::Lattices { left: side(&self.left), right: side(&self.right) });
+        }
+        let (left, right) = (&self.left.labelled, &self.right.labelled);
+        self.triangulator
+            .run(&left.positions_px, &right.positions_px, &mut self.stereo)
+            .map_err(PipelineError::Triangulate)?;
+        let max_px = self.params.triangulate.max_epipolar_px;
+        let mut offsets: Vec<f64> = self.stereo.iter().map(|s| s.epipolar_px.abs()).collect();
+        let median_px = crate::math::median(&mut offsets).unwrap_or(0.0);
+        if !(median_px <= max_px) {
+            return Err(PipelineError::Epipolar { median_px, max_px });
+        }
+        self.points_mm.clear();
+        self.points_mm.extend(self.stereo.iter().map(|s| s.point_mm));
+        let sigmas = left.covariance_px2.iter().zip(&right.covariance_px2);
+        let covariances = self.points_mm.iter().zip(sigmas);
+        self.covariance_mm2.clear();
+        self.covariance_mm2.extend(covariances.map(|(&p, (l, r))| self.triangulator.covariance_mm2(p, l, r)));
+        self.rest = Some(RestSurface::new(&self.points_mm).map_err(PipelineError::Contact)?);
+        copy_into(&left.positions_px, &mut self.reference_px);
+        self.frames = 0;
+        out.mismatched = 0;
+        out.state.clear();
+        out.state.extend(left.state.iter().zip(&right.state).map(|(&l, &r)| l.max(r)));
+        for (stereo, state) in self.stereo.iter().zip(&mut out.state) {
+            if stereo.epipolar_px.abs() > max_px && *state == MarkerState::Seen {
+                *state = MarkerState::Held;
+                out.mismatched += 1;
+            }
+        }
+        Ok(())
+    }
+
+    /// Later frames: a pair that makes no point is not this marker, which is then held where it was.
+    fn follow_points(&mut self, out: &mut Frame) {
+        let max_px = self.params.triangulate.max_epipolar_px;
+        out.mismatched = 0;
+        out.state.clear();
+        let (left, right) = (&self.left.labelled, &self.right.labelled);
+        for (i, point_mm) in self.points_mm.iter_mut().enumerate() {
+            let mut state = left.state[i].max(right.state[i]);
+            match self.triangulator.point(i, left.positions_px[i], right.positions_px[i]) {
+                Ok(stereo) if stereo.epipolar_px.abs() <= max_px => {
+                    *point_mm = stereo.point_mm;
+                    let (l, r) = (&left.covariance_px2[i], &right.covariance_px2[i]);
+                    self.covariance_mm2[i] = self.triangulator.covariance_mm2(*point_mm, l, r);
+                }
+                _ if state == MarkerState::Seen => {
+                    state = MarkerState::Held;
+                    out.mismatched += 1;
+                }
+                _ => {}
+            }
+            out.state.push(state);
+        }
+    }
+
+    fn finish(&mut self, out: &mut Frame) -> Result<(), PipelineError> {
+        out.index = self.frames;
+        copy_into(&self.left.labelled.positions_px, &mut out.left_px);
+        copy_into(&self.right.labelled.positions_px, &mut out.right_px);
+        (out.rows, out.cols) = (self.left.rows, self.left.cols);
+        copy_into(&self.points_mm, &mut out.points_mm);
+        copy_into(&self.covariance_mm2, &mut out.covariance_mm2);
+        if let Some(rest) = &self.rest {
+            rest.indentation_mm(&self.points_mm, &mut out.indentation_mm).map_err(PipelineError::Contact)?;
+        }
+        let contact = &self.params.contact;
+        contact::saliency(&out.indentation_mm, &out.state, contact.saliency_mm, &mut out.salient);
+        contact::patch(&out.indentation_mm, &out.salient, contact.patch_share, &mut out.patch);
+        out.motion_px = contact::mean_motion_px(&self.reference_px, &out.left_px, &out.state);
+        out.left = self.left.evidence;
+        out.right = self.right.evidence;
+        self.frames += 1;
+        Ok(())
+    }
+}
+
+fn copy_into<T: Copy>(from: &[T], to: &mut Vec<T>) {
+    to.clear();
+    to.extend_from_slice(from);
+}
