@@ -1,8 +1,11 @@
-//! One camera: pinhole, lens distortion and its inverse.
+//! One camera: pinhole, lens distortion and its inverse, refraction through flat layers.
 
 mod layers;
+mod refraction;
 
 pub use layers::{Layer, Layers, LayersError};
+pub use refraction::Ray;
+pub(crate) use refraction::Refraction;
 
 use crate::math::{DVec2, DVec3, sqrt};
 
@@ -27,7 +30,7 @@ pub struct Camera {
     pub distortion: [f64; 5],
 }
 
-/// Why a camera cannot be used, or a pixel has no ray.
+/// Why a camera cannot be used, a pixel has no ray or a point no pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum CameraError {
     /// A focal length is not above 0, or a number is not finite, or the image is empty.
@@ -44,6 +47,21 @@ pub enum CameraError {
     },
     /// The pixel is NaN or infinite.
     PixelNotFinite,
+    /// The pixel's ray runs along the layers before the markers, or away from them.
+    MissesLayers {
+        /// The pixel, px.
+        pixel_px: DVec2,
+    },
+    /// The point is not in front of the camera, or is NaN or infinite.
+    NotInFront {
+        /// The point in the sensor frame, mm.
+        point_mm: DVec3,
+    },
+    /// Light from the point towards the camera, which touches the first interface, is totally reflected there.
+    TotalReflection {
+        /// The point in the sensor frame, mm.
+        point_mm: DVec3,
+    },
 }
 
 impl core::fmt::Display for CameraError {
@@ -60,6 +78,24 @@ impl core::fmt::Display for CameraError {
                 pixel_px.x, pixel_px.y
             ),
             Self::PixelNotFinite => write!(f, "the pixel has a coordinate that is NaN or infinite"),
+            Self::MissesLayers { pixel_px } => write!(
+                f,
+                "the ray of pixel ({:.2}, {:.2}) never meets the layers before the markers; is layers.normal in the \
+                 sensor frame, and away from the cameras?",
+                pixel_px.x, pixel_px.y
+            ),
+            Self::NotInFront { point_mm: p } => write!(
+                f,
+                "the point ({}, {}, {}) mm is not in front of the camera; valid is a positive distance along its axis, \
+                 all finite",
+                p.x, p.y, p.z
+            ),
+            Self::TotalReflection { point_mm: p } => write!(
+                f,
+                "light from the point ({}, {}, {}) mm is totally reflected before it reaches the camera; valid is a \
+                 point within the critical angle, or a camera that does not touch the layers (layers.gap_mm > 0)",
+                p.x, p.y, p.z
+            ),
         }
     }
 }
@@ -96,6 +132,14 @@ impl Camera {
         }
         let d = self.distort(DVec2::new(point.x / point.z, point.y / point.z));
         Some(DVec2::new(self.fx_px * d.x + self.cx_px, self.fy_px * d.y + self.cy_px))
+    }
+
+    /// Rows of d pixel / d point at a point in front of the camera (this camera's frame).
+    pub(crate) fn projection_jacobian(&self, point: DVec3) -> [DVec3; 2] {
+        let p = DVec2::new(point.x / point.z, point.y / point.z);
+        let (a, b, c, d) = self.distortion_jacobian(p);
+        let row = |f: f64, j: DVec2| (j.extend(-j.dot(p))) * (f / point.z);
+        [row(self.fx_px, DVec2::new(a, b)), row(self.fy_px, DVec2::new(c, d))]
     }
 
     /// Distorted normalised coordinates of undistorted ones.
@@ -163,7 +207,7 @@ impl Camera {
     }
 
     /// Rows of d distort / d p: ((a, b), (c, d)).
-    fn distortion_jacobian(&self, p: DVec2) -> (f64, f64, f64, f64) {
+    pub(crate) fn distortion_jacobian(&self, p: DVec2) -> (f64, f64, f64, f64) {
         let [k1, k2, p1, p2, k3] = self.distortion;
         let r2 = p.length_squared();
         let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));

@@ -1,5 +1,9 @@
 //! Two cameras: what calibration produces and triangulation consumes.
 
+mod view;
+
+pub use view::{Projection, RigView, View};
+
 use crate::camera::{Camera, CameraError, Layers, LayersError};
 use crate::math::{DMat3, DVec2, DVec3, Pose, so3};
 
@@ -28,6 +32,11 @@ pub enum RigError {
     Right(CameraError),
     /// The layers before the markers are invalid.
     Layers(LayersError),
+    /// The right camera stands behind the first interface of the layers.
+    RightCameraInLayers {
+        /// Its distance to the interface along the normal.
+        gap_mm: f64,
+    },
     /// The cameras stand at the same place: depth cannot be seen.
     NoBaseline {
         /// Distance found.
@@ -46,6 +55,11 @@ impl core::fmt::Display for RigError {
             Self::Left(error) => write!(f, "left camera: {error}"),
             Self::Right(error) => write!(f, "right camera: {error}"),
             Self::Layers(error) => error.fmt(f),
+            Self::RightCameraInLayers { gap_mm } => write!(
+                f,
+                "the right camera is {gap_mm} mm before the first interface; valid is 0 or more: check layers.normal and \
+                 layers.gap_mm, which is the left camera's distance"
+            ),
             Self::NoBaseline { baseline_mm } => write!(
                 f,
                 "the cameras are {baseline_mm:e} mm apart; depth needs a baseline (is t_right_left in millimetres?)"
@@ -110,7 +124,13 @@ impl Rig {
         if right_camera_mm.x < 0.5 * baseline_mm {
             return Err(RigError::NotSideBySide { right_camera_mm });
         }
-        self.layers.as_ref().map_or(Ok(()), Layers::validate).map_err(RigError::Layers)
+        let Some(layers) = &self.layers else { return Ok(()) };
+        layers.validate().map_err(RigError::Layers)?;
+        let gap_mm = layers.gap_mm - layers.normal.dot(right_camera_mm);
+        if !(gap_mm >= 0.0) {
+            return Err(RigError::RightCameraInLayers { gap_mm });
+        }
+        Ok(())
     }
 
     /// The row-aligned virtual cameras.
@@ -143,12 +163,22 @@ impl Rig {
         })
     }
 
-    /// Pixels of a point of the sensor frame in both views, or `None` behind a camera.
+    /// One camera with all that lies before it.
     #[must_use]
-    pub fn project(&self, point_mm: DVec3) -> Option<(DVec2, DVec2)> {
-        let left = self.left.project(point_mm)?;
-        let right = self.right.project(self.t_right_left.transform_point(point_mm))?;
-        Some((left, right))
+    pub fn view(&self, view: View) -> RigView<'_> {
+        let (camera, t_camera_sensor) = match view {
+            View::Left => (&self.left, Pose::IDENTITY),
+            View::Right => (&self.right, self.t_right_left),
+        };
+        RigView::new(camera, t_camera_sensor, self.layers.as_ref())
+    }
+
+    /// Pixels of a point of the sensor frame in both views, through the layers if there are any.
+    ///
+    /// # Errors
+    /// As [`RigView::project`].
+    pub fn project(&self, point_mm: DVec3) -> Result<(DVec2, DVec2), CameraError> {
+        Ok((self.view(View::Left).project(point_mm)?, self.view(View::Right).project(point_mm)?))
     }
 }
 
