@@ -56,7 +56,7 @@ fn run(mut u: Unstructured<'_>) -> Result<()> {
     let centre = [[0.01, 0.001], [0.001, 0.01]];
     while !u.is_empty() {
         let point_mm = vector(&mut u, DVec3::new(0.0, 0.0, 30.0), 15.0)?;
-        if let Some((left_px, right_px)) = rig.project(point_mm) {
+        if let Ok((left_px, right_px)) = rig.project(point_mm) {
             assert!(left_px.is_finite() && right_px.is_finite(), "{point_mm}: {left_px} {right_px}");
             check(&triangulator, left_px, right_px, &centre);
         }
