@@ -210,11 +210,14 @@ impl SmearsOfView {
         }
     }
 
-    /// Whether a patch comes near enough to touch the dot: its ellipse, widened by the dot's reach, holds the dot's
-    /// centre.
+    /// Whether a patch comes near enough to touch the dot: the box around the patch, widened by the dot's reach and its border pixels, holds
+    /// the dot's centre. (The widened ellipse would miss dots beside a thin patch.)
     pub(crate) fn reach(&self, outline: &Ellipse, time_s: f64) -> bool {
-        let more = outline.reach_px().max_element();
-        self.present(time_s).any(|ready| ready.distance(outline.centre_px, more) < 1.0)
+        let more = outline.reach_px().max_element() + 1.0;
+        self.present(time_s).any(|ready| {
+            let [a, b] = ready.patch.half_size_px;
+            ready.offset(outline.centre_px).abs().cmplt(DVec2::new(a, b) + more).all()
+        })
     }
 }
 
@@ -226,16 +229,15 @@ impl Ready {
         DVec2::new(along(self.axis.x, self.axis.y), along(self.axis.y, self.axis.x))
     }
 
-    /// Distance from its centre, 1 on its rim when that is `more` px further out.
-    fn distance(&self, at: DVec2, more: f64) -> f64 {
+    /// A pixel's distances from its centre along its length and its width, px.
+    fn offset(&self, at: DVec2) -> DVec2 {
         let from = at - self.centre;
-        let [a, b] = self.patch.half_size_px.map(|half| half + more);
-        DVec2::new(from.dot(self.axis) / a, self.axis.perp_dot(from) / b).length()
+        DVec2::new(from.dot(self.axis), self.axis.perp_dot(from))
     }
 
     /// A cubic step from 1 to 0 over the soft part.
     fn opacity(&self, at: DVec2) -> f64 {
-        let inside = 1.0 - self.distance(at, 0.0);
+        let inside = 1.0 - (self.offset(at) / DVec2::from_array(self.patch.half_size_px)).length();
         let soft = self.patch.soft_share;
         if inside <= 0.0 {
             return 0.0;
