@@ -12,7 +12,7 @@ mod register;
 mod track;
 mod triangulate;
 
-pub use contact::ContactParams;
+pub use contact::{ContactParams, Saliency};
 pub use detect::{Background, Centre, DetectParams, Polarity};
 pub use label::{LabelMethod, LabelParams};
 pub use lattice::LatticeParams;
