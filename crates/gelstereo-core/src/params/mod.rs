@@ -18,7 +18,7 @@ pub use label::{LabelMethod, LabelParams};
 pub use lattice::LatticeParams;
 pub use register::{RegisterMethod, RegisterParams};
 pub use track::TrackParams;
-pub use triangulate::TriangulateParams;
+pub use triangulate::{TriangulateMethod, TriangulateParams};
 
 /// All settings of the pipeline and of registration.
 #[derive(Clone, Debug, Default, PartialEq)]

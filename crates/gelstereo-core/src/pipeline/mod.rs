@@ -13,8 +13,8 @@ use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, DVec3};
 use crate::params::{Params, Saliency};
 use crate::rig::Rig;
-use crate::track::MarkerState;
-use crate::triangulate::{StereoPoint, Triangulator};
+use crate::track::{MarkerState, Tracks};
+use crate::triangulate::{Centres, StereoPoint, Triangulator};
 use alloc::vec::Vec;
 use view::ViewStages;
 
@@ -144,8 +144,9 @@ impl Pipeline {
             return Err(PipelineError::Lattices { left: side(&self.left), right: side(&self.right) });
         }
         let (left, right) = (&self.left.labelled, &self.right.labelled);
+        self.triangulator.clear_map();
         self.triangulator
-            .run(&left.positions_px, &right.positions_px, &mut self.stereo)
+            .run(centres(left), centres(right), &mut self.stereo)
             .map_err(PipelineError::Triangulate)?;
         let max_px = self.params.triangulate.max_epipolar_px;
         let mut offsets: Vec<f64> = self.stereo.iter().map(|s| s.epipolar_px.abs()).collect();
@@ -155,10 +156,9 @@ impl Pipeline {
         }
         self.points_mm.clear();
         self.points_mm.extend(self.stereo.iter().map(|s| s.point_mm));
-        let sigmas = left.covariance_px2.iter().zip(&right.covariance_px2);
-        let covariances = self.points_mm.iter().zip(sigmas);
         self.covariance_mm2.clear();
-        self.covariance_mm2.extend(covariances.map(|(&p, (l, r))| self.triangulator.covariance_mm2(p, l, r)));
+        self.covariance_mm2.extend(self.stereo.iter().map(|s| s.covariance_mm2));
+        self.triangulator.fit_map(&self.points_mm);
         let rest = RestSurface::new(&self.points_mm).map_err(PipelineError::Contact)?;
         if self.params.contact.saliency == Saliency::Pressure {
             let (rows, cols) = side(&self.left);
@@ -191,11 +191,10 @@ impl Pipeline {
         let (left, right) = (&self.left.labelled, &self.right.labelled);
         for (i, point_mm) in self.points_mm.iter_mut().enumerate() {
             let mut state = left.state[i].max(right.state[i]);
-            match self.triangulator.point(i, left.positions_px[i], right.positions_px[i]) {
+            match self.triangulator.point(i, &centres(left).at(i), &centres(right).at(i)) {
                 Ok(stereo) if stereo.epipolar_px.abs() <= max_px => {
                     *point_mm = stereo.point_mm;
-                    let (l, r) = (&left.covariance_px2[i], &right.covariance_px2[i]);
-                    self.covariance_mm2[i] = self.triangulator.covariance_mm2(*point_mm, l, r);
+                    self.covariance_mm2[i] = stereo.covariance_mm2;
                 }
                 _ if state == MarkerState::Seen => {
                     state = MarkerState::Held;
@@ -235,6 +234,10 @@ impl Pipeline {
         self.frames += 1;
         Ok(())
     }
+}
+
+fn centres(tracks: &Tracks) -> Centres<'_> {
+    Centres { positions_px: &tracks.positions_px, covariance_px2: &tracks.covariance_px2 }
 }
 
 fn copy_into<T: Copy>(from: &[T], to: &mut Vec<T>) {
