@@ -137,8 +137,8 @@ impl Pipeline {
 
     /// The rest frame: here a pair that makes no point is an error.
     fn start(&mut self, out: &mut Frame) -> Result<(), PipelineError> {
-        self.left.start(&self.params)?;
-        self.right.start(&self.params)?;
+        let left_rest = self.left.start(&self.params, None)?;
+        self.right.start(&self.params, Some(&left_rest))?;
         let side = |view: &ViewStages| (view.rows, view.cols);
         if side(&self.left) != side(&self.right) {
             return Err(PipelineError::Lattices { left: side(&self.left), right: side(&self.right) });
