@@ -32,6 +32,7 @@ test-python: prerequisites $(BIN)/python
 	$(BIN)/pip install --quiet '.[test]'
 	# It would bring a second OpenCV with it; only its recordings are read.
 	$(BIN)/pip install --quiet --no-deps pytac3d==3.3.0.9
+	@.ci/second-opinion.sh
 	cargo build --release --quiet -p gelstereo-host
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
