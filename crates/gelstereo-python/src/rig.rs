@@ -203,7 +203,7 @@ impl Rig {
         Ok(Rectification { inner: self.inner.rectification().map_err(raise)? })
     }
 
-    /// Pixels of points in both views.
+    /// Pixels of points in both views, through the layers if the rig has any.
     ///
     /// Parameters
     /// ----------
@@ -217,19 +217,16 @@ impl Rig {
     /// Raises
     /// ------
     /// RigError
-    ///     If a point is not in front of both cameras.
+    ///     If a point is not in front of both cameras, or its light is totally reflected in the layers.
     fn project(&self, py: Python<'_>, points_mm: &Bound<'_, PyAny>) -> PyResult<(Matrix, Matrix)> {
         let points = Numbers::new(points_mm, "points_mm")?;
         let points = points.rows::<DVec3, 3>()?;
         let (mut left, mut right) = (Vec::with_capacity(points.len()), Vec::with_capacity(points.len()));
         for (index, &point) in points.iter().enumerate() {
-            let seen = self.inner.project(point).filter(|(l, r)| l.is_finite() && r.is_finite());
-            let (l, r) = seen.ok_or_else(|| {
-                RigError::new_err(format!(
-                    "point {index} is ({}, {}, {}) mm, which is not in front of both cameras; valid is z > 0, all finite",
-                    point.x, point.y, point.z
-                ))
-            })?;
+            let (l, r) = self
+                .inner
+                .project(point)
+                .map_err(|error| RigError::new_err(format!("point {index}: {error}")))?;
             left.push(l);
             right.push(r);
         }

@@ -203,7 +203,7 @@ impl Scene {
         for [row, col] in corners {
             let at = gel.marker_mm(row, col);
             for z in [gel.surface_mm, gel.surface_mm - gel.thickness_mm] {
-                if self.rig.project(DVec3::new(at.x, at.y, z)).is_none() {
+                if self.rig.project(DVec3::new(at.x, at.y, z)).is_err() {
                     return Err(SceneError::BehindCamera { row, col });
                 }
             }
