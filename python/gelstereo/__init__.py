@@ -16,6 +16,7 @@ Every array that gelstereo returns is read-only; ``.copy()`` gives one that can 
 from gelstereo import geometry, templates
 from gelstereo._native import (
     ContactError,
+    DenseSurface,
     DetectError,
     Detector,
     Error,
@@ -52,6 +53,7 @@ from gelstereo._native import (
     adjusted_gripper,
     foresight_sort,
     localize,
+    pressure_saliency,
     rest_lattice,
     triangulate,
     triangulate_covariance,
@@ -61,6 +63,7 @@ from gelstereo.states import MarkerState
 
 __all__ = [
     "ContactError",
+    "DenseSurface",
     "DetectError",
     "Detector",
     "Error",
@@ -99,6 +102,7 @@ __all__ = [
     "foresight_sort",
     "geometry",
     "localize",
+    "pressure_saliency",
     "rest_lattice",
     "simulate",
     "templates",
