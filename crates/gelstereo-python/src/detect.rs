@@ -20,6 +20,9 @@ pub struct Markers {
     /// (N,) areas, square pixels.
     #[pyo3(get)]
     area_px2: Array1<u32>,
+    /// How many of them the model fit did not settle on, and which kept the grey centroid; 0 for other rungs.
+    #[pyo3(get)]
+    unfitted: usize,
     count: usize,
 }
 
@@ -81,6 +84,7 @@ impl Detector {
         let found = found.map_err(raise)?;
         Ok(Markers {
             count: found.centres_px.len(),
+            unfitted: found.unfitted,
             covariance_px2: arrays::shaped(
                 py,
                 found.covariance_px2.iter().flatten().flatten().copied().collect(),

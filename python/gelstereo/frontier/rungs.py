@@ -33,6 +33,7 @@ RUNGS = (
     Rung("detect", "gaussian + grey", {"detect": {"background": "gaussian", "centre": "grey"}}),
     Rung("detect", "box + binary", {"detect": {"background": "box", "centre": "binary"}}),
     Rung("detect", "box + grey", {"detect": {"background": "box", "centre": "grey"}}),
+    Rung("detect", "box + fit", {"detect": {"background": "box", "centre": "fit"}}),
     Rung("label", "foresight (paper)", {"label": {"method": "foresight"}}, "balanced"),
     Rung("label", "temporal", {"label": {"method": "temporal"}}, "balanced"),
     Rung("register", "filterreg_point (paper)", {"register": {"method": "filterreg_point"}}),

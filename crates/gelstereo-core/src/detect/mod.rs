@@ -4,6 +4,7 @@
 pub mod blur;
 pub mod centre;
 pub mod components;
+pub mod fit;
 pub mod morphology;
 
 use crate::image::GrayView;
@@ -15,6 +16,7 @@ use alloc::vec::Vec;
 use blur::{BoxMean, FRACTION_BITS, GaussianBlur};
 use centre::GreyCentre;
 use components::{Blob, Components};
+use fit::DiscFit;
 use morphology::Closing;
 
 /// Markers found in one image, in the raster order of their first pixels.
@@ -26,6 +28,8 @@ pub struct Markers {
     pub covariance_px2: Vec<Symmetric<2>>,
     /// Areas, square pixels.
     pub area_px2: Vec<u32>,
+    /// How many of them the model fit did not settle on, and which kept the grey centroid; 0 for other rungs.
+    pub unfitted: usize,
 }
 
 impl Markers {
@@ -35,7 +39,7 @@ impl Markers {
         let variance = sigma_px * sigma_px;
         let (covariance_px2, area_px2) =
             (vec![[[variance, 0.0], [0.0, variance]]; centres_px.len()], vec![1; centres_px.len()]);
-        Self { centres_px, covariance_px2, area_px2 }
+        Self { centres_px, covariance_px2, area_px2, unfitted: 0 }
     }
 }
 
@@ -98,6 +102,7 @@ pub struct Detector {
     closing: Closing,
     components: Components,
     grey_centre: GreyCentre,
+    disc_fit: DiscFit,
     smooth_row: Vec<u16>,
     surround_row: Vec<u16>,
     mask: Vec<u8>,
@@ -124,6 +129,7 @@ impl Detector {
             closing: Closing::new(params.morphology_kernel_px),
             components: Components::default(),
             grey_centre: GreyCentre::default(),
+            disc_fit: DiscFit::new(params),
             smooth_row: Vec::new(),
             surround_row: Vec::new(),
             mask: Vec::new(),
@@ -141,26 +147,36 @@ impl Detector {
         out.centres_px.clear();
         out.covariance_px2.clear();
         out.area_px2.clear();
+        out.unfitted = 0;
         self.check(image)?;
         self.threshold(image);
         self.closing.run(&mut self.mask, image.width());
-        let Self { params, components, grey_centre, mask, .. } = self;
+        let Self { params, components, grey_centre, disc_fit, mask, .. } = self;
         // No two markers share pixels, so that this many are the most there can be.
         let most = image.width() * image.height() / params.min_area_px2.max(4) as usize;
         out.centres_px.reserve(most);
         out.covariance_px2.reserve(most);
         out.area_px2.reserve(most);
+        disc_fit.clear(if params.centre == Centre::Fit { most } else { 0 });
         components.run(mask, image.width());
         let variance = params.centre_sigma_px * params.centre_sigma_px;
         for blob in components.blobs() {
             if is_marker(blob, params, image) {
                 out.centres_px.push(match params.centre {
                     Centre::Binary => centre::binary(blob),
-                    Centre::Grey => grey_centre.run(image, blob, components.runs(blob), params.polarity),
+                    Centre::Grey | Centre::Fit => {
+                        grey_centre.run(image, blob, components.runs(blob), params.polarity)
+                    }
                 });
                 out.covariance_px2.push([[variance, 0.0], [0.0, variance]]);
                 out.area_px2.push(blob.area_px2);
+                if let (Centre::Fit, Some(&centre)) = (params.centre, out.centres_px.last()) {
+                    disc_fit.add(blob, components.runs(blob), centre);
+                }
             }
+        }
+        if params.centre == Centre::Fit {
+            disc_fit.finish(image, mask, components.blobs(), out);
         }
         Ok(())
     }
