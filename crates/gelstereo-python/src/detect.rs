@@ -95,7 +95,7 @@ impl Detector {
         })
     }
 
-    /// Which pixels of an image differ enough from their surround: what ``detect.threshold_levels`` and
+    /// Which pixels of an image differ enough from their surround: what ``detect.threshold`` and
     /// ``detect.polarity`` keep, before markers are chosen by their size and shape.
     ///
     /// Parameters
@@ -117,7 +117,9 @@ impl Detector {
         let mask = py.detach(|| {
             let mut stage = self.stage.lock().unwrap_or_else(PoisonError::into_inner);
             stage.run(view, &mut core::Markers::default())?;
-            Ok(stage.mask().iter().map(|&pixel| pixel != 0).collect::<Vec<_>>())
+            let mut mask = Vec::new();
+            stage.mask(&mut mask);
+            Ok(mask.into_iter().map(|pixel| pixel != 0).collect::<Vec<_>>())
         });
         arrays::shaped(py, mask.map_err(raise::<core::DetectError>)?, (view.height(), view.width()))
     }
