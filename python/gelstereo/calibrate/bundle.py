@@ -44,7 +44,8 @@ class Linearised:
 
     def _across(self) -> Array:
         """(M, 4, 2) basis of what a marker's own parameters cannot change."""
-        return np.asarray(np.linalg.qr(self.own, mode="complete")[0][:, :, 2:])
+        basis: Array = np.linalg.qr(self.own, mode="complete")[0]
+        return basis[:, :, 2:]
 
     def reduced_jacobian(self) -> Array:
         """Rows by the shared parameters, with every marker's own ones eliminated."""
@@ -78,7 +79,7 @@ class Solution:
         Shared parameters.
     covariance
         Of these; where the problem has no rank it is 0, which the caller must have ruled out.
-        linearised
+    linearised
         The problem there.
     chi2, degrees_of_freedom
         Sum of squares, and what it should be.

@@ -2,8 +2,8 @@
 
 The cameras are calibrated in air first. Then gel and plate are put on, and the sensor looks at its own lattice: at
 rest, where the pitch is known, and seated on flat boards of known protrusion, under which the markers lie in planes
-that are parallel to the rest plane. A bundle adjustment over all pixels gives the layers with their covariance, and says which
-combinations of them the frames do not tell.
+that are parallel to the rest plane. A bundle adjustment over all pixels gives the layers with their covariance, and
+says which combinations of them the frames do not tell.
 
 What the frames tell follows from the information matrix (`LayersCalibration.combinations`). To first order in the
 slope of the light, a plate of thickness t and index n acts as t / n of air, and only the lattice's perspective at large
