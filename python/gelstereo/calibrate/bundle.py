@@ -66,7 +66,8 @@ class Linearised:
     def own_step(self, shared_step: Array) -> Array:
         """(M, 2) best change of the markers' own parameters beside a change of the shared ones."""
         left = self.residual[self.has_own] - self.jacobian[self.has_own] @ shared_step
-        return np.einsum("mij,mj->mi", np.linalg.pinv(self.own), left)
+        step: Array = np.einsum("mij,mj->mi", np.linalg.pinv(self.own), left)
+        return step
 
 
 @dataclass(frozen=True)
