@@ -33,7 +33,7 @@ pub struct Camera {
 /// Why a camera cannot be used, a pixel has no ray or a point no pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum CameraError {
-    /// A focal length is not above 0, or a number is not finite, or the image is empty.
+    /// A size or focal length is not above 0, or a number is not finite or beyond any camera's.
     Invalid {
         /// Which field.
         field: &'static str,
@@ -69,7 +69,7 @@ impl core::fmt::Display for CameraError {
         match self {
             Self::Invalid { field, found } => write!(
                 f,
-                "the camera's {field} is {found}; sizes and focal lengths must be above 0 and all numbers finite"
+                "the camera's {field} is {found}; sizes and focal lengths must be above 0, and no number beyond {MOST_PX:e}"
             ),
             Self::BeyondDistortion { pixel_px } => write!(
                 f,
@@ -102,6 +102,14 @@ impl core::fmt::Display for CameraError {
 
 impl core::error::Error for CameraError {}
 
+/// Largest size, focal length, principal point and coefficient: a thousand times those of real cameras, so that no square
+/// of what follows from them overflows.
+const MOST_PX: f64 = 1e8;
+
+/// Largest length of distorted normalised coordinates that has a ray: half a degree from the image plane, where no lens
+/// of this model was ever calibrated.
+const MOST_SLOPE: f64 = 100.0;
+
 impl Camera {
     /// Checks that the numbers describe a camera.
     ///
@@ -111,27 +119,29 @@ impl Camera {
         let sizes = [("width_px", self.width_px as f64), ("height_px", self.height_px as f64)];
         let focals = [("fx_px", self.fx_px), ("fy_px", self.fy_px)];
         for (field, found) in sizes.into_iter().chain(focals) {
-            if !(found > 0.0 && found.is_finite()) {
+            if !(found > 0.0 && found <= MOST_PX) {
                 return Err(CameraError::Invalid { field, found });
             }
         }
         let rest = [("cx_px", self.cx_px), ("cy_px", self.cy_px)];
         for (field, found) in rest.into_iter().chain(self.distortion.map(|k| ("distortion", k))) {
-            if !found.is_finite() {
+            if !(found.abs() <= MOST_PX) {
                 return Err(CameraError::Invalid { field, found });
             }
         }
         Ok(())
     }
 
-    /// Pixel of a point in this camera's frame (mm or any unit), or `None` behind the camera.
+    /// Pixel of a point in this camera's frame (mm or any unit), or `None` behind the camera and so far aside that the
+    /// distortion has no finite value.
     #[must_use]
     pub fn project(&self, point: DVec3) -> Option<DVec2> {
         if !(point.z > 0.0) {
             return None;
         }
         let d = self.distort(DVec2::new(point.x / point.z, point.y / point.z));
-        Some(DVec2::new(self.fx_px * d.x + self.cx_px, self.fy_px * d.y + self.cy_px))
+        let pixel = DVec2::new(self.fx_px * d.x + self.cx_px, self.fy_px * d.y + self.cy_px);
+        pixel.is_finite().then_some(pixel)
     }
 
     /// Rows of d pixel / d point at a point in front of the camera (this camera's frame).
@@ -167,6 +177,9 @@ impl Camera {
         }
         let target =
             DVec2::new((pixel_px.x - self.cx_px) / self.fx_px, (pixel_px.y - self.cy_px) / self.fy_px);
+        if !(target.length_squared() < MOST_SLOPE * MOST_SLOPE) {
+            return Err(CameraError::BeyondDistortion { pixel_px });
+        }
         if self.distortion == [0.0; 5] {
             return Ok(target);
         }

@@ -12,8 +12,8 @@ mod register;
 mod track;
 mod triangulate;
 
-pub use contact::ContactParams;
-pub use detect::{Background, Centre, DetectParams, Polarity};
+pub use contact::{ContactParams, Saliency};
+pub use detect::{Background, Centre, DetectParams, FitParams, Polarity, Threshold};
 pub use label::{LabelMethod, LabelParams};
 pub use lattice::LatticeParams;
 pub use register::{RegisterMethod, RegisterParams};

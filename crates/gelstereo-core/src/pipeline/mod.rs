@@ -7,11 +7,11 @@ mod view;
 pub use error::{PipelineError, View};
 pub use frame::{Frame, LabelSource, ViewEvidence};
 
-use crate::contact::{self, RestSurface};
+use crate::contact::{self, Pressure, RestSurface};
 use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, DVec3};
-use crate::params::Params;
+use crate::params::{Params, Saliency};
 use crate::rig::Rig;
 use crate::track::{MarkerState, Tracks};
 use crate::triangulate::{Centres, StereoPoint, Triangulator};
@@ -26,6 +26,8 @@ pub struct Pipeline {
     left: ViewStages,
     right: ViewStages,
     rest: Option<RestSurface>,
+    pressure: Pressure,
+    rest_variance_mm2: Vec<f64>,
     reference_px: Vec<DVec2>,
     stereo: Vec<StereoPoint>,
     points_mm: Vec<DVec3>,
@@ -48,6 +50,8 @@ impl Pipeline {
             left: ViewStages::new(View::Left, size(&rig.left), params),
             right: ViewStages::new(View::Right, size(&rig.right), params),
             rest: None,
+            pressure: Pressure::default(),
+            rest_variance_mm2: Vec::new(),
             reference_px: Vec::new(),
             stereo: Vec::new(),
             points_mm: Vec::new(),
@@ -133,8 +137,8 @@ impl Pipeline {
 
     /// The rest frame: here a pair that makes no point is an error.
     fn start(&mut self, out: &mut Frame) -> Result<(), PipelineError> {
-        self.left.start(&self.params)?;
-        self.right.start(&self.params)?;
+        let left_rest = self.left.start(&self.params, None)?;
+        self.right.start(&self.params, Some(&left_rest))?;
         let side = |view: &ViewStages| (view.rows, view.cols);
         if side(&self.left) != side(&self.right) {
             return Err(PipelineError::Lattices { left: side(&self.left), right: side(&self.right) });
@@ -155,7 +159,16 @@ impl Pipeline {
         self.covariance_mm2.clear();
         self.covariance_mm2.extend(self.stereo.iter().map(|s| s.covariance_mm2));
         self.triangulator.fit_map(&self.points_mm);
-        self.rest = Some(RestSurface::new(&self.points_mm).map_err(PipelineError::Contact)?);
+        let rest = RestSurface::new(&self.points_mm).map_err(PipelineError::Contact)?;
+        if self.params.contact.saliency == Saliency::Pressure {
+            let (rows, cols) = side(&self.left);
+            let decay_mm = self.params.contact.decay_mm;
+            self.pressure = Pressure::new(&rest, rows, cols, decay_mm).map_err(PipelineError::Contact)?;
+            let variances = self.covariance_mm2.iter().map(|c| contact::variance_along(c, rest.normal()));
+            self.rest_variance_mm2.clear();
+            self.rest_variance_mm2.extend(variances);
+        }
+        self.rest = Some(rest);
         copy_into(&left.positions_px, &mut self.reference_px);
         self.frames = 0;
         out.mismatched = 0;
@@ -203,9 +216,18 @@ impl Pipeline {
         if let Some(rest) = &self.rest {
             rest.indentation_mm(&self.points_mm, &mut out.indentation_mm).map_err(PipelineError::Contact)?;
         }
-        let contact = &self.params.contact;
-        contact::saliency(&out.indentation_mm, &out.state, contact.saliency_mm, &mut out.salient);
-        contact::patch(&out.indentation_mm, &out.salient, contact.patch_share, &mut out.patch);
+        let settings = &self.params.contact;
+        match (settings.saliency, &self.rest) {
+            (Saliency::Pressure, Some(rest)) => {
+                let now = self.covariance_mm2.iter().map(|c| contact::variance_along(c, rest.normal()));
+                let variances = now.zip(&self.rest_variance_mm2).map(|(now, rest)| now + rest);
+                self.pressure
+                    .run(&out.indentation_mm, variances, &out.state, &mut out.salient)
+                    .map_err(PipelineError::Contact)?;
+            }
+            _ => contact::saliency(&out.indentation_mm, &out.state, settings.saliency_mm, &mut out.salient),
+        }
+        contact::patch(&out.indentation_mm, &out.salient, settings.patch_share, &mut out.patch);
         out.motion_px = contact::mean_motion_px(&self.reference_px, &out.left_px, &out.state);
         out.left = self.left.evidence;
         out.right = self.right.evidence;

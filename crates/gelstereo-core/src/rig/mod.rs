@@ -37,7 +37,7 @@ pub enum RigError {
         /// Its distance to the interface along the normal.
         gap_mm: f64,
     },
-    /// The cameras stand at the same place: depth cannot be seen.
+    /// The cameras stand at the same place, where depth cannot be seen, or a kilometre apart.
     NoBaseline {
         /// Distance found.
         baseline_mm: f64,
@@ -62,7 +62,8 @@ impl core::fmt::Display for RigError {
             ),
             Self::NoBaseline { baseline_mm } => write!(
                 f,
-                "the cameras are {baseline_mm:e} mm apart; depth needs a baseline (is t_right_left in millimetres?)"
+                "the cameras are {baseline_mm:e} mm apart; valid is {MIN_BASELINE_MM:e} to {MAX_BASELINE_MM:e} mm (is \
+                 t_right_left in millimetres?)"
             ),
             Self::NotSideBySide { right_camera_mm: c } => write!(
                 f,
@@ -95,6 +96,9 @@ pub struct Rectification {
 /// Shortest baseline that is taken for one: below a micrometre, calibration found nothing.
 pub const MIN_BASELINE_MM: f64 = 1e-3;
 
+/// Longest baseline.
+pub const MAX_BASELINE_MM: f64 = 1e6;
+
 impl Rig {
     /// Two equal, parallel cameras without distortion, the right one `baseline_mm` towards +x.
     #[must_use]
@@ -117,7 +121,7 @@ impl Rig {
         self.left.validate().map_err(RigError::Left)?;
         self.right.validate().map_err(RigError::Right)?;
         let baseline_mm = self.baseline_mm();
-        if !(baseline_mm >= MIN_BASELINE_MM && baseline_mm.is_finite()) {
+        if !(MIN_BASELINE_MM..=MAX_BASELINE_MM).contains(&baseline_mm) {
             return Err(RigError::NoBaseline { baseline_mm });
         }
         let right_camera_mm = self.t_right_left.inverse().translation_mm;
