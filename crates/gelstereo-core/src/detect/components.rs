@@ -17,6 +17,13 @@ pub struct Run {
     next: u32,
 }
 
+impl Run {
+    /// Of a component that nobody joined.
+    pub(super) const fn alone(y: u32, start: u32, end: u32) -> Self {
+        Self { y, start, end, parent: 0, next: NO_RUN }
+    }
+}
+
 const NO_RUN: u32 = u32::MAX;
 
 /// An 8-connected component, with the sums from which its centroid follows.
@@ -185,7 +192,7 @@ impl Components {
 }
 
 impl Blob {
-    const fn starting_at(run: u32) -> Self {
+    pub(super) const fn starting_at(run: u32) -> Self {
         Self {
             area_px2: 0,
             sum_x: 0,
@@ -199,7 +206,7 @@ impl Blob {
         }
     }
 
-    fn add(&mut self, run: &Run) {
+    pub(super) fn add(&mut self, run: &Run) {
         let (start, end, y, len) =
             (u64::from(run.start), u64::from(run.end), u64::from(run.y), run.end - run.start);
         self.area_px2 += len;
@@ -214,7 +221,7 @@ impl Blob {
 }
 
 /// One bit of each byte of 0 or 255, the first byte's lowest.
-const fn bits(bytes: [u8; 8]) -> u32 {
+pub(super) const fn bits(bytes: [u8; 8]) -> u32 {
     // Byte n keeps its bit n; the product's highest byte is the sum of all.
     let kept = u64::from_le_bytes(bytes) & 0x8040_2010_0804_0201;
     (kept.wrapping_mul(0x0101_0101_0101_0101) >> 56) as u32

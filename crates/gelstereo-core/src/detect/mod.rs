@@ -8,7 +8,9 @@ pub mod components;
 mod difference;
 mod error;
 pub mod morphology;
+pub mod near;
 pub mod noise;
+pub mod pieces;
 pub mod smooth;
 pub mod threshold;
 
@@ -24,6 +26,7 @@ use centre::GreyCentre;
 use components::{Blob, Components};
 use difference::Difference;
 use morphology::Closing;
+use near::Search;
 
 /// Markers found in one image, in the raster order of their first pixels.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -45,6 +48,24 @@ impl Markers {
             (vec![[[variance, 0.0], [0.0, variance]]; centres_px.len()], vec![1; centres_px.len()]);
         Self { centres_px, covariance_px2, area_px2 }
     }
+
+    fn clear(&mut self) {
+        self.centres_px.clear();
+        self.covariance_px2.clear();
+        self.area_px2.clear();
+    }
+
+    fn reserve(&mut self, markers: usize) {
+        self.centres_px.reserve(markers);
+        self.covariance_px2.reserve(markers);
+        self.area_px2.reserve(markers);
+    }
+
+    fn push(&mut self, centre_px: DVec2, covariance_px2: Symmetric<2>, area_px2: u32) {
+        self.centres_px.push(centre_px);
+        self.covariance_px2.push(covariance_px2);
+        self.area_px2.push(area_px2);
+    }
 }
 
 /// The detection stage and its scratch.
@@ -58,6 +79,7 @@ pub struct Detector {
     size_px: (usize, usize),
     mask: Vec<u8>,
     areas_px2: Vec<u32>,
+    near: Search,
 }
 
 impl Detector {
@@ -73,6 +95,7 @@ impl Detector {
             size_px: (0, 0),
             mask: Vec::new(),
             areas_px2: Vec::new(),
+            near: Search::default(),
         }
     }
 
@@ -84,17 +107,13 @@ impl Detector {
     /// # Errors
     /// [`DetectError`]; `out` is then empty.
     pub fn run(&mut self, image: GrayView<'_>, out: &mut Markers) -> Result<(), DetectError> {
-        out.centres_px.clear();
-        out.covariance_px2.clear();
-        out.area_px2.clear();
+        out.clear();
         self.check(image)?;
         self.find_components(image);
         let Self { params, components, grey_centre, areas_px2, .. } = self;
         // No two markers share pixels, so that this many are the most there can be.
         let most = image.width() * image.height() / params.min_area_px2.max(4) as usize;
-        out.centres_px.reserve(most);
-        out.covariance_px2.reserve(most);
-        out.area_px2.reserve(most);
+        out.reserve(most);
         areas_px2.clear();
         areas_px2.reserve(most);
         let markers = components.blobs().iter().filter(|blob| is_marker(blob, params, image));
@@ -107,12 +126,11 @@ impl Detector {
         };
         let variance = params.centre_sigma_px * params.centre_sigma_px;
         for blob in markers.filter(|blob| (least_px2..=most_px2).contains(&blob.area_px2)) {
-            out.centres_px.push(match params.centre {
+            let centre_px = match params.centre {
                 Centre::Binary => centre::binary(blob),
                 Centre::Grey => grey_centre.run(image, blob, components.runs(blob), params.polarity),
-            });
-            out.covariance_px2.push([[variance, 0.0], [0.0, variance]]);
-            out.area_px2.push(blob.area_px2);
+            };
+            out.push(centre_px, [[variance, 0.0], [0.0, variance]], blob.area_px2);
         }
         Ok(())
     }
@@ -148,25 +166,33 @@ impl Detector {
     /// What differs from its surround, in pieces. Only closing needs the mask as an image.
     fn find_components(&mut self, image: GrayView<'_>) {
         let (width, height) = (image.width(), image.height());
-        let closes = self.params.morphology_kernel_px > 1;
         self.size_px = (width, height);
         self.difference.survey(image);
-        self.mask.clear();
-        self.mask.resize(width * if closes { height } else { 1 }, 0);
+        if self.closes() {
+            self.fill_mask(image);
+            self.components.run(&self.mask, width);
+            return;
+        }
+        self.mask.resize(width, 0);
         self.components.start(width, height);
         for y in 0..height {
-            let row = &mut self.mask[if closes { y * width } else { 0 }..][..width];
+            self.difference.row(image, y, &mut self.mask);
+            self.components.push(&self.mask);
+        }
+        self.components.finish();
+    }
+
+    const fn closes(&self) -> bool {
+        self.params.morphology_kernel_px > 1
+    }
+
+    fn fill_mask(&mut self, image: GrayView<'_>) {
+        let width = image.width();
+        self.mask.resize(width * image.height(), 0);
+        for (y, row) in self.mask.chunks_exact_mut(width).enumerate() {
             self.difference.row(image, y, row);
-            if !closes {
-                self.components.push(row);
-            }
         }
-        if closes {
-            self.closing.run(&mut self.mask, width);
-            self.components.run(&self.mask, width);
-        } else {
-            self.components.finish();
-        }
+        self.closing.run(&mut self.mask, width);
     }
 }
 
@@ -193,9 +219,12 @@ fn is_marker(blob: &Blob, params: &DetectParams, image: GrayView<'_>) -> bool {
         && blob.top > 0
         && (blob.right as usize) < image.width() - 1
         && (blob.bottom as usize) < image.height() - 1;
+    whole && (params.min_area_px2..=params.max_area_px2).contains(&blob.area_px2) && in_shape(blob, params)
+}
+
+/// Whether a component is round enough.
+fn in_shape(blob: &Blob, params: &DetectParams) -> bool {
     let box_area = f64::from(blob.right - blob.left + 1) * f64::from(blob.bottom - blob.top + 1);
     let ellipse_area = core::f64::consts::FRAC_PI_4 * box_area;
-    whole
-        && (params.min_area_px2..=params.max_area_px2).contains(&blob.area_px2)
-        && f64::from(blob.area_px2) >= params.min_fill * ellipse_area
+    f64::from(blob.area_px2) >= params.min_fill * ellipse_area
 }
