@@ -22,12 +22,22 @@ pub struct Markers {
     /// (N,) areas, square pixels.
     #[pyo3(get)]
     area_px2: Array1<u32>,
+    /// (K, 2) centres of the visible parts of markers that the image's border cuts, pixels; no other list has them.
+    #[pyo3(get)]
+    cut_centres_px: Matrix,
+    /// (K, 2, 2) covariances of those about the whole markers' centres, px².
+    #[pyo3(get)]
+    cut_covariance_px2: Py<PyArray3<f64>>,
     count: usize,
 }
 
 impl Markers {
     fn new(py: Python<'_>, found: core::Markers) -> PyResult<Self> {
+        let cut = &found.cut;
+        let cut_covariances = cut.iter().flat_map(|c| c.covariance_px2).flatten().collect();
         Ok(Self {
+            cut_centres_px: arrays::rows::<_, 2>(py, cut.iter().map(|c| c.centre_px).collect())?,
+            cut_covariance_px2: arrays::shaped(py, cut_covariances, (cut.len(), 2, 2))?,
             count: found.centres_px.len(),
             covariance_px2: arrays::shaped(
                 py,

@@ -206,6 +206,15 @@ impl Blob {
         }
     }
 
+    /// Whether it reaches the outermost pixels of an image of this size, across (x, y).
+    #[must_use]
+    pub const fn sides_reached(&self, size_px: (usize, usize)) -> (bool, bool) {
+        (
+            self.left == 0 || self.right as usize + 1 == size_px.0,
+            self.top == 0 || self.bottom as usize + 1 == size_px.1,
+        )
+    }
+
     pub(super) fn add(&mut self, run: &Run) {
         let (start, end, y, len) =
             (u64::from(run.start), u64::from(run.end), u64::from(run.y), run.end - run.start);

@@ -1,10 +1,10 @@
 //! Markers near expected positions: what a tracker asks for.
 
 use super::pieces::Pieces;
-use super::{DetectError, Detector, Markers, area_range_px2, centre, in_shape};
+use super::{DetectError, Detector, Markers, area_range_px2, centre, in_shape, usual_area_px2};
 use crate::image::GrayView;
 use crate::math::DVec2;
-use crate::params::{Centre, Threshold};
+use crate::params::Centre;
 use alloc::vec::Vec;
 
 /// What the window around one expected position shows.
@@ -166,14 +166,9 @@ impl Detector {
     /// Gives each position its only candidate, and each candidate to the nearest position only.
     fn decide(&mut self, expected_px: &[DVec2], out: &mut Found) {
         let Search { candidates, areas_px2, .. } = &mut self.near;
-        let (least_px2, most_px2) = match self.params.threshold {
-            Threshold::Fixed => (0, u32::MAX),
-            Threshold::Auto => {
-                areas_px2.clear();
-                areas_px2.extend(candidates.iter().map(|c| c.area_px2));
-                area_range_px2(areas_px2)
-            }
-        };
+        areas_px2.clear();
+        areas_px2.extend(candidates.iter().map(|c| c.area_px2));
+        let (least_px2, most_px2) = area_range_px2(self.params.threshold, usual_area_px2(areas_px2));
         for candidate in candidates.iter().filter(|c| c.area_px2 > most_px2) {
             out.sights[candidate.position as usize] = Sight::Unclear;
         }
