@@ -2,6 +2,7 @@
 
 mod support;
 
+use gelstereo_core::detect::near::Found;
 use gelstereo_core::detect::{Detector, Markers};
 use gelstereo_core::label::{foresight_sort, rest_lattice};
 use gelstereo_core::math::random::Stream;
@@ -66,6 +67,25 @@ fn detection_allocates_for_the_first_image_only() {
                 }
             });
             assert_eq!(later, 0, "{background:?} {threshold:?} {centre:?} {kernel_px}");
+        }
+    }
+}
+
+#[test]
+fn the_search_near_positions_allocates_for_the_first_image_only() {
+    let truth = paper_lattice();
+    let few = Dots::new(640, 480, truth[..100].to_vec()).render();
+    let mut stream = Stream::new(1, "noise");
+    let noise: Vec<u8> = (0..640 * 480).map(|_| stream.next_u64() as u8).collect();
+    for background in [Background::Gaussian, Background::Box, Background::Blocks] {
+        for threshold in [Threshold::Fixed, Threshold::Auto] {
+            let mut params = Params::preset("balanced").unwrap().detect;
+            (params.background, params.threshold, params.min_area_px2) = (background, threshold, 1);
+            let (mut detector, mut found) = (Detector::new(&params), Found::default());
+            let mut search =
+                |image: &[u8]| detector.run_near(view(image, 640), &truth, 8.8, &mut found).unwrap();
+            assert!(allocations(|| search(&few)) > 0);
+            assert_eq!(allocations(|| [&noise, &few, &noise].into_iter().for_each(|i| search(i))), 0);
         }
     }
 }
