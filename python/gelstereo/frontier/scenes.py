@@ -35,8 +35,8 @@ Array = npt.NDArray[np.float64]
 
 #: What the page says about all figures.
 CONDITIONS = (
-    "simulated; unless a table says otherwise 640x480 and 25x25 markers, image noise 2 grey levels, defocus 0.8 px, paint "
-    "grain, uneven light, gel shoulder and spread; fixed seeds"
+    "simulated; unless a table says otherwise 640x480 and 25x25 markers, image noise 2 grey levels, defocus 0.8 px, "
+    "paint grain, uneven light, gel shoulder and spread; fixed seeds"
 )
 
 #: Protrusions of the paper's boards (section V-A).
@@ -123,9 +123,7 @@ def press(
     return [simulator[index] for index in range(len(simulator))]
 
 
-def sphere_press(
-    lattice_rad: float = 0.0, seed: int = 1, scene: Scene | None = None
-) -> list[SimulatedFrame]:
+def sphere_press(lattice_rad: float = 0.0, seed: int = 1, scene: Scene | None = None) -> list[SimulatedFrame]:
     """Press a ball of 5 mm radius 1.2 mm deep."""
     radius_mm, depth_mm = 5.0, 1.2
     touch_mm = SURFACE_MM + radius_mm
