@@ -110,7 +110,7 @@ def _tables(
     boards, more = measure_boards(1 if quick else 5, report)
     targets += more
     tables = [centres, covariance, tracking, speed_table(speeds), stage_table(speeds), growth_table(speeds)]
-    return [*tables, measure_threads(rounds // 2, report), saliency, boards], targets, speeds
+    return [*tables, measure_threads(rounds // 2, report), saliency, *boards], targets, speeds
 
 
 def _report(what: str) -> None:

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from gelstereo import Error, MarkerState, Params, Pipeline, SimulatedFrame
 from gelstereo.frontier.centres import FRAMES_PER_SEED, Matches
-from gelstereo.frontier.rungs import rungs_of
+from gelstereo.frontier.rungs import EXACT, rungs_of
 from gelstereo.frontier.scenes import VGA, sphere_press
 from gelstereo.frontier.table import Report, Table, Target
 
@@ -76,7 +76,7 @@ def measure_covariance(
     targets = [
         target
         for name, cells in found.items()
-        if name == "preset exact"
+        if name == EXACT
         for condition, calibration in cells.items()
         for target in _targets(f"covariance, {name}, {condition}", calibration)
     ]

@@ -32,6 +32,7 @@ SECTIONS = (
     "threads",
     "saliency",
     "boards",
+    "refraction",
     "register",
 )
 

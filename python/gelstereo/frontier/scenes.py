@@ -27,6 +27,7 @@ __all__ = [
     "board_press",
     "board_shape",
     "effects",
+    "layered_scene",
     "part_press",
     "sphere_press",
 ]
@@ -99,6 +100,11 @@ class Format:
         }
         table = parse_toml(self.rig().to_toml())
         return Scene().replace({"rig": table, "gel": lattice | dict(gel or {}), "effects": effects()})
+
+
+def layered_scene() -> Scene:
+    """Look through 20 mm of air, 3 mm of acrylic and 5 mm of gel (640x480, f 600 px, baseline 10 mm)."""
+    return Scene.preset("640x480-25-refraction").replace({"effects": effects()})
 
 
 VGA = Format((640, 480), 560.0, 8.0, 22.5)

@@ -15,7 +15,7 @@ from scipy.optimize import nnls
 
 from gelstereo import Error, Params, Pipeline, SimulatedFrame
 from gelstereo.frontier.baseline_fast import FastBaseline
-from gelstereo.frontier.rungs import rungs_of
+from gelstereo.frontier.rungs import EXACT, FAST, rungs_of
 from gelstereo.frontier.runners import geometry_of, write_input
 from gelstereo.frontier.scenes import FORMATS, LATTICES, Format, sphere_press
 from gelstereo.frontier.table import Report, Table, Target, figure
@@ -250,9 +250,9 @@ def measure_threads(rounds: int, report: Report) -> Table:
 def speed_targets(found: Sequence[Speed]) -> list[Target]:
     """The issue's bounds."""
     limits = {
-        ("640x480", 25): (("preset fast", 0.6, 1.5), ("preset exact", None, 8.0)),
-        ("1280x720", 25): (("preset fast", 1.0, 3.5),),
-        ("1280x720", 71): (("preset fast", 8.0, None),),
+        ("640x480", 25): ((FAST, 0.6, 1.5), (EXACT, None, 8.0)),
+        ("1280x720", 25): ((FAST, 1.0, 3.5),),
+        ("1280x720", 71): ((FAST, 8.0, None),),
     }
     targets = []
     for speed in found:

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from gelstereo import Error, MarkerState, Params, Pipeline
 from gelstereo.frontier.baseline import Baseline, nearest_within_gate
 from gelstereo.frontier.baseline_fast import FastBaseline
-from gelstereo.frontier.rungs import rungs_of
+from gelstereo.frontier.rungs import EXACT, FAST, rungs_of
 from gelstereo.frontier.runners import geometry_of
 from gelstereo.frontier.scenes import VGA
 from gelstereo.frontier.sequences import SEQUENCES, Run, Shot, Task
@@ -208,7 +208,7 @@ def measure_tracking(report: Report, tasks: Sequence[Task] = SEQUENCES) -> tuple
             totals[name].reacquired += found.reacquired
     rows = [[task, *row] for task, row in cells.items()]
     targets = []
-    for name in ("preset fast", "preset balanced", "preset exact"):
+    for name in (FAST, EXACT):
         if name in totals:
             total = totals[name]
             targets.append(Target(f"tracking, {name}, wrong identities", 0, total.switched, "markers"))
