@@ -68,7 +68,10 @@ fn run(mut u: Unstructured<'_>) -> Result<()> {
 
 fn check(triangulator: &Triangulator, left_px: DVec2, right_px: DVec2, centre: &[[f64; 2]; 2]) {
     if let Ok(found) = triangulator.point(0, left_px, right_px) {
-        assert!(found.point_mm.is_finite() && found.epipolar_px.is_finite(), "{left_px} {right_px}: {found:?}");
+        assert!(
+            found.point_mm.is_finite() && found.epipolar_px.is_finite(),
+            "{left_px} {right_px}: {found:?}"
+        );
         let covariance = triangulator.covariance_mm2(found.point_mm, centre, centre);
         assert!((0..3).all(|i| covariance[i][i] >= 0.0), "{covariance:?}");
     }

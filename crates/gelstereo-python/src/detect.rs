@@ -22,6 +22,9 @@ pub struct Markers {
     /// (N,) areas, square pixels.
     #[pyo3(get)]
     area_px2: Array1<u32>,
+    /// How many of them the model fit did not settle on, and which kept the grey centroid; 0 for other rungs.
+    #[pyo3(get)]
+    unfitted: usize,
     /// (K, 2) centres of the visible parts of markers that the image's border cuts, pixels; no other list has them.
     #[pyo3(get)]
     cut_centres_px: Matrix,
@@ -39,6 +42,7 @@ impl Markers {
             cut_centres_px: arrays::rows::<_, 2>(py, cut.iter().map(|c| c.centre_px).collect())?,
             cut_covariance_px2: arrays::shaped(py, cut_covariances, (cut.len(), 2, 2))?,
             count: found.centres_px.len(),
+            unfitted: found.unfitted,
             covariance_px2: arrays::shaped(
                 py,
                 found.covariance_px2.iter().flatten().flatten().copied().collect(),

@@ -142,7 +142,7 @@ fn row_34_one_thread_or_two_and_any_repeat_give_the_same_bits() {
 /// x86-64 and aarch64, must give the same.
 #[test]
 fn row_34_the_bits_of_a_fixed_scene_are_known() {
-    let known = [("paper", 0xd9c1_21b2_6f45_c9d5), ("balanced", 0x66cb_6c34_af81_0b5f)];
+    let known = [("paper", 0xd9c1_21b2_6f45_c9d5), ("balanced", 0xe7a5_d5e8_c028_e68b)];
     assert_eq!(known.map(|(preset, _)| preset), Params::PRESETS, "every preset has its digest");
     let found = known.map(|(preset, _)| {
         let (digests, ..) = run(&scene(vec![[0, 0]]), &Params::preset(preset).unwrap(), false);

@@ -33,6 +33,7 @@ RUNGS = (
     Rung("detect", "gaussian + grey", {"detect": {"background": "gaussian", "centre": "grey"}}),
     Rung("detect", "box + binary", {"detect": {"background": "box", "centre": "binary"}}),
     Rung("detect", "box + grey", {"detect": {"background": "box", "centre": "grey"}}),
+    Rung("detect", "box + fit", {"detect": {"background": "box", "centre": "fit"}}),
     Rung(
         "detect",
         "blocks + binary",

@@ -106,7 +106,7 @@ impl core::error::Error for CameraError {}
 /// of what follows from them overflows.
 const MOST_PX: f64 = 1e8;
 
-/// Largest length of distorted normalised coordinates that is inverted: half a degree from the image plane, where no lens
+/// Largest length of distorted normalised coordinates that has a ray: half a degree from the image plane, where no lens
 /// of this model was ever calibrated.
 const MOST_SLOPE: f64 = 100.0;
 
@@ -177,6 +177,9 @@ impl Camera {
         }
         let target =
             DVec2::new((pixel_px.x - self.cx_px) / self.fx_px, (pixel_px.y - self.cy_px) / self.fy_px);
+        if !(target.length_squared() < MOST_SLOPE * MOST_SLOPE) {
+            return Err(CameraError::BeyondDistortion { pixel_px });
+        }
         if self.distortion == [0.0; 5] {
             return Ok(target);
         }
@@ -186,11 +189,7 @@ impl Camera {
     /// Follows the solution from the centre outwards (homotopy in the target's length), so that the answer is on the
     /// branch that contains the principal point.
     fn invert_distortion(&self, target: DVec2) -> Option<DVec2> {
-        let distance = sqrt(target.length_squared());
-        if !(distance < MOST_SLOPE) {
-            return None;
-        }
-        let steps = 1 + (distance * 4.0) as usize;
+        let steps = 1 + (sqrt(target.length_squared()) * 4.0) as usize;
         let mut p = DVec2::ZERO;
         for step in 1..=steps {
             p = self.newton(target * (step as f64 / steps as f64), p)?;

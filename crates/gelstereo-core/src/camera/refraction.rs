@@ -7,8 +7,8 @@
 //! Σ d (1 - κ) along the normal. See Agrawal, Ramalingam, Taguchi and Chari, "A theory of multi-layer flat refractive
 //! geometry" (2012), who solve a polynomial instead.
 
-use super::{CameraError, Layers};
-use crate::math::{DMat3, DVec3, abs, sqrt};
+use super::Layers;
+use crate::math::{DVec3, abs, sqrt};
 
 /// Steps within which Newton's method on the slope ends but for light that grazes the first interface.
 const MAX_STEPS: usize = 64;
@@ -32,60 +32,60 @@ pub(crate) struct Refraction<'a> {
     pub(crate) gap_mm: f64,
 }
 
-/// Where a camera sees a point behind layers.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Apparent {
-    /// The point that a camera without layers would see at the same pixel.
-    pub(crate) point: DVec3,
-    /// Slope in air of the ray that reaches it, to start the next search from.
-    pub(crate) slope: f64,
-}
-
 impl Refraction<'_> {
-    /// The apparent point of `point`. A point in air, before the first interface, is its own. `start` is a guess of
-    /// the slope; 0 always does.
-    pub(crate) fn apparent(&self, point: DVec3, start: f64) -> Result<Apparent, CameraError> {
+    /// Slope in air of the light that reaches `point`; 0 for a point in air, before the first interface. `start` is a
+    /// guess; 0 always does.
+    /// `None` when the light is totally reflected.
+    pub(crate) fn slope(&self, point: DVec3, start: f64) -> Option<f64> {
         let height = self.normal.dot(point);
         let below = height - self.gap_mm;
         if !(below > 0.0) {
-            return Ok(Apparent { point, slope: 0.0 });
+            return Some(0.0);
         }
         let rho = (point - self.normal * height).length();
-        let slope = self.slope(rho, below, start).ok_or(CameraError::TotalReflection { point_mm: point })?;
-        let lift: f64 = self.media(below).map(|(d, n2)| d * (reduced(n2, slope) - 1.0)).sum();
-        Ok(Apparent { point: point + self.normal * lift, slope })
+        self.solve(rho, below, start)
     }
 
-    /// d apparent / d point, by implicit differentiation of ρ = t F(t).
-    pub(crate) fn jacobian(&self, point: DVec3, slope: f64) -> DMat3 {
+    /// The point that a camera without layers would see at the same pixel as `point`, which light of the slope
+    /// [`Self::slope`] reaches.
+    pub(crate) fn apparent(&self, point: DVec3, slope: f64) -> DVec3 {
+        let lift: f64 = self
+            .media(self.normal.dot(point) - self.gap_mm)
+            .map(|(d, n2)| d * (reduced(n2, slope) - 1.0))
+            .sum();
+        point + self.normal * lift
+    }
+
+    /// The vector g with d apparent = d point + normal (g · d point), by implicit differentiation of ρ = t (gap + Σ d κ).
+    pub(crate) fn lift_gradient(&self, point: DVec3, slope: f64) -> DVec3 {
         let height = self.normal.dot(point);
-        let below = height - self.gap_mm;
-        if !(below > 0.0) {
-            return DMat3::IDENTITY;
+        let mut left = height - self.gap_mm;
+        if !(left > 0.0) {
+            return DVec3::ZERO;
         }
         let (mut reach, mut gain, mut bend) = (self.gap_mm, self.gap_mm, 0.0);
-        let mut here = None; // κ of the medium in which the point lies
-        let mut left = below;
+        let mut here = 1.0; // κ of the medium in which the point lies
         for (thickness, n2) in self.stack() {
+            if !(left >= 0.0) {
+                break;
+            }
             let (d, k) = (left.min(thickness), reduced(n2, slope));
-            left -= d;
             reach += d * k;
             gain += d * n2 * k * k * k;
             bend += d * (n2 - 1.0) * k * k * k;
-            if d < thickness {
-                here = here.or(Some(k));
-            }
+            here = k;
+            // A point on an interface belongs to the medium behind it.
+            left = if left < thickness { -1.0 } else { left - thickness };
         }
-        // The apparent height is a = Σ d κ: da = κ dh - bend t dt, and gain dt = dρ - t κ dh.
-        let (k, across) = (here.unwrap_or(1.0), (point - self.normal * height) / reach); // t times the unit ρ
+        // The apparent height is a = gap + Σ d κ: da = κ dh - bend t dt, and gain dt = dρ - t κ dh.
+        let across = (point - self.normal * height) / reach; // t times the unit vector of ρ
         let share = bend / gain;
-        let gradient = self.normal * (k * (1.0 + share * slope * slope)) - across * share;
-        outer(self.normal, gradient - self.normal) + DMat3::IDENTITY
+        self.normal * (here * (1.0 + share * slope * slope) - 1.0) - across * share
     }
 
-    /// The ray in the gel of a ray that leaves the camera along `direction` (any length): it starts on the last
-    /// interface. `None` when it never meets the layers.
-    pub(crate) fn ray(&self, direction: DVec3) -> Option<Ray> {
+    /// The ray in the gel of a ray that leaves the camera along `direction` (any length), from the last interface on,
+    /// and its slope in air. `None` when it never meets the layers.
+    pub(crate) fn ray(&self, direction: DVec3) -> Option<(Ray, f64)> {
         let ahead = self.normal.dot(direction);
         let across = direction / ahead - self.normal; // slope in air, a vector along the interface
         if !(ahead > 0.0 && across.is_finite()) {
@@ -100,15 +100,21 @@ impl Refraction<'_> {
         let origin_mm = self.normal * height + across * reach;
         let index = self.layers.gel_index;
         let direction = self.normal + across * reduced(index * index, slope);
-        origin_mm.is_finite().then(|| Ray { origin_mm, direction: direction.normalize() })
+        origin_mm.is_finite().then(|| (Ray { origin_mm, direction: direction.normalize() }, slope))
     }
 
-    /// Slope in air of the light that reaches a point `rho` from the normal and `below` the first interface.
+    /// Whether `point` lies behind the last interface.
+    pub(crate) fn is_in_gel(&self, point: DVec3) -> bool {
+        let plates: f64 = self.layers.plates.iter().map(|plate| plate.thickness_mm).sum();
+        self.normal.dot(point) >= self.gap_mm + plates
+    }
+
+    /// The slope that reaches a point `rho` from the normal and `below` the first interface.
     ///
     /// ρ(t) grows and is concave, so that Newton's method from below never oversteps the root, and one step from
     /// anywhere above leads below it. `None` when the light would arrive along the interface or not at all, which can
     /// only be when the camera touches the first interface.
-    fn slope(&self, rho: f64, below: f64, start: f64) -> Option<f64> {
+    fn solve(&self, rho: f64, below: f64, start: f64) -> Option<f64> {
         let mut t = start;
         for _ in 0..MAX_STEPS {
             let (mut reach, mut gain) = (self.gap_mm, self.gap_mm);
@@ -129,7 +135,7 @@ impl Refraction<'_> {
 
     /// Thickness and squared index of every medium between the first interface and `below` it.
     fn media(&self, below: f64) -> impl Iterator<Item = (f64, f64)> {
-        let mut left = below;
+        let mut left = below.max(0.0);
         self.stack().map(move |(thickness, n2)| {
             let d = left.min(thickness);
             left -= d;
@@ -148,9 +154,4 @@ impl Refraction<'_> {
 /// κ: slope in a medium over slope in air. Exactly 1 in air.
 fn reduced(n2: f64, slope: f64) -> f64 {
     1.0 / sqrt(n2 + (n2 - 1.0) * slope * slope)
-}
-
-/// a bᵀ.
-fn outer(a: DVec3, b: DVec3) -> DMat3 {
-    DMat3::from_cols(a * b.x, a * b.y, a * b.z)
 }

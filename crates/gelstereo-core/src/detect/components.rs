@@ -1,5 +1,6 @@
 //! Connected components of a mask: runs joined by union-find.
 
+use crate::math::linalg::Symmetric;
 use alloc::vec::Vec;
 
 /// A maximal stretch of set pixels in one row.
@@ -213,6 +214,31 @@ impl Blob {
             self.left == 0 || self.right as usize + 1 == size_px.0,
             self.top == 0 || self.bottom as usize + 1 == size_px.1,
         )
+    }
+
+    /// Four times the covariance of the component's pixels, given its runs: for an ellipse the matrix whose eigenvalues
+    /// are its squared semi-axes, px².
+    #[must_use]
+    pub fn spread_px2<'a>(&self, runs: impl Iterator<Item = &'a Run>) -> Symmetric<2> {
+        let area = i64::from(self.area_px2);
+        // Twice the coordinates about the middle of the bounding box, as in the grey centroid.
+        let (mid_x, mid_y) = (i64::from(self.left + self.right), i64::from(self.top + self.bottom));
+        let (mut u, mut v, mut uu, mut uv, mut vv) = (0_i64, 0_i64, 0_i64, 0_i64, 0_i64);
+        for run in runs {
+            let len = i64::from(run.end - run.start);
+            let middle = i64::from(run.start + run.end) - 1 - mid_x;
+            let y = 2 * i64::from(run.y) - mid_y;
+            u += middle * len;
+            v += y * len;
+            // Σ (middle + j)² over j = -(len - 1), -(len - 3), ..., len - 1
+            uu += middle * middle * len + len * (len * len - 1) / 3;
+            uv += middle * y * len;
+            vv += y * y * len;
+        }
+        let per = 1.0 / (area * area) as f64;
+        // A pixel is itself 1/12 px² wide, 1/3 here.
+        let entry = |ab: i64, a: i64, b: i64| (area * ab - a * b) as f64 * per;
+        [[entry(uu, u, u) + 1.0 / 3.0, entry(uv, u, v)], [entry(uv, u, v), entry(vv, v, v) + 1.0 / 3.0]]
     }
 
     pub(super) fn add(&mut self, run: &Run) {

@@ -7,6 +7,7 @@ pub mod centre;
 pub mod components;
 mod difference;
 mod error;
+pub mod fit;
 pub mod morphology;
 pub mod near;
 pub mod noise;
@@ -25,6 +26,7 @@ use alloc::vec::Vec;
 use centre::GreyCentre;
 use components::{Blob, Components};
 use difference::Difference;
+use fit::DiscFit;
 use morphology::Closing;
 use near::Search;
 
@@ -37,6 +39,8 @@ pub struct Markers {
     pub covariance_px2: Vec<Symmetric<2>>,
     /// Areas, square pixels.
     pub area_px2: Vec<u32>,
+    /// How many of them the model fit did not settle on, and which kept the grey centroid; 0 for other rungs.
+    pub unfitted: usize,
     /// Markers of which the image's border cuts off a part; none of the lists above has them.
     pub cut: Vec<CutMarker>,
 }
@@ -60,13 +64,14 @@ impl Markers {
         let variance = sigma_px * sigma_px;
         let (covariance_px2, area_px2) =
             (vec![[[variance, 0.0], [0.0, variance]]; centres_px.len()], vec![1; centres_px.len()]);
-        Self { centres_px, covariance_px2, area_px2, cut: Vec::new() }
+        Self { centres_px, covariance_px2, area_px2, unfitted: 0, cut: Vec::new() }
     }
 
     fn clear(&mut self) {
         self.centres_px.clear();
         self.covariance_px2.clear();
         self.area_px2.clear();
+        self.unfitted = 0;
         self.cut.clear();
     }
 
@@ -92,6 +97,7 @@ pub struct Detector {
     closing: Closing,
     components: Components,
     grey_centre: GreyCentre,
+    disc_fit: DiscFit,
     size_px: (usize, usize),
     mask: Vec<u8>,
     areas_px2: Vec<u32>,
@@ -108,6 +114,7 @@ impl Detector {
             closing: Closing::new(params.morphology_kernel_px),
             components: Components::default(),
             grey_centre: GreyCentre::default(),
+            disc_fit: DiscFit::new(params),
             size_px: (0, 0),
             mask: Vec::new(),
             areas_px2: Vec::new(),
@@ -126,10 +133,11 @@ impl Detector {
         out.clear();
         self.check(image)?;
         self.find_components(image);
-        let Self { params, components, grey_centre, areas_px2, .. } = self;
+        let Self { params, components, grey_centre, disc_fit, mask, areas_px2, .. } = self;
         // No two markers share pixels, so that this many are the most there can be.
         let most = image.width() * image.height() / params.min_area_px2.max(4) as usize;
         out.reserve(most);
+        disc_fit.clear(if params.centre == Centre::Fit { most } else { 0 });
         areas_px2.clear();
         areas_px2.reserve(most);
         let size_px = (image.width(), image.height());
@@ -143,9 +151,14 @@ impl Detector {
         for blob in whole.filter(in_range) {
             let centre_px = match params.centre {
                 Centre::Binary => centre::binary(blob),
-                Centre::Grey => grey_centre.run(image, blob, components.runs(blob), params.polarity),
+                Centre::Grey | Centre::Fit => {
+                    grey_centre.run(image, blob, components.runs(blob), params.polarity)
+                }
             };
             out.push(centre_px, [[variance, 0.0], [0.0, variance]], blob.area_px2);
+            if params.centre == Centre::Fit {
+                disc_fit.add(blob, components.runs(blob), centre_px);
+            }
         }
         for blob in markers.filter(in_range) {
             let reached = blob.sides_reached(size_px);
@@ -153,18 +166,16 @@ impl Detector {
                 out.cut.push(cut_marker(blob, reached, usual_px2, variance));
             }
         }
+        if params.centre == Centre::Fit {
+            fill_mask(components, self.size_px, mask);
+            disc_fit.finish(image, mask, components.blobs(), out);
+        }
         Ok(())
     }
 
     /// Writes the mask of the last image, 255 where a pixel belongs to a component, row by row.
     pub fn mask(&self, out: &mut Vec<u8>) {
-        let (width, height) = self.size_px;
-        out.clear();
-        out.resize(width * height, 0);
-        for run in self.components.all_runs() {
-            let first = run.y as usize * width;
-            out[first + run.start as usize..first + run.end as usize].fill(u8::MAX);
-        }
+        fill_mask(&self.components, self.size_px, out);
     }
 
     fn check(&self, image: GrayView<'_>) -> Result<(), DetectError> {
@@ -190,7 +201,7 @@ impl Detector {
         self.size_px = (width, height);
         self.difference.survey(image);
         if self.closes() {
-            self.fill_mask(image);
+            self.threshold_all(image);
             self.components.run(&self.mask, width);
             return;
         }
@@ -207,13 +218,22 @@ impl Detector {
         self.params.morphology_kernel_px > 1
     }
 
-    fn fill_mask(&mut self, image: GrayView<'_>) {
+    fn threshold_all(&mut self, image: GrayView<'_>) {
         let width = image.width();
         self.mask.resize(width * image.height(), 0);
         for (y, row) in self.mask.chunks_exact_mut(width).enumerate() {
             self.difference.row(image, y, row);
         }
         self.closing.run(&mut self.mask, width);
+    }
+}
+
+fn fill_mask(components: &Components, (width, height): (usize, usize), out: &mut Vec<u8>) {
+    out.clear();
+    out.resize(width * height, 0);
+    for run in components.all_runs() {
+        let first = run.y as usize * width;
+        out[first + run.start as usize..first + run.end as usize].fill(u8::MAX);
     }
 }
 

@@ -97,7 +97,8 @@ impl Detector {
     /// Looks for one marker within `reach_px` of each expected position, in both axes; a marker is found when all of it
     /// lies in that window, `reach_px` being at most 31 px. `out` is cleared first.
     ///
-    /// It is one of those that [`Self::run`] finds, with the same bits: background and threshold are taken from the
+    /// It is one of those that [`Self::run`] finds, with the same bits, except that `detect.centre = "fit"` gives grey centres
+    /// here and counts them in [`Markers::unfitted`]: background and threshold are taken from the
     /// whole image. A marker farther away than the reach is never taken for the expected one. No allocation after the first image with as many
     /// positions.
     ///
@@ -114,7 +115,7 @@ impl Detector {
         out.sights.clear();
         self.check(image)?;
         self.difference.survey(image);
-        self.fill_mask(image);
+        self.threshold_all(image);
         self.near.start(expected_px.len());
         out.markers.reserve(expected_px.len());
         out.sights.resize(expected_px.len(), Sight::Nothing);
@@ -155,7 +156,9 @@ impl Detector {
                 key: (runs[0].y, runs[0].start),
                 centre_px: match params.centre {
                     Centre::Binary => centre::binary(&blob),
-                    Centre::Grey => self.grey_centre.run(image, &blob, runs.iter(), params.polarity),
+                    Centre::Grey | Centre::Fit => {
+                        self.grey_centre.run(image, &blob, runs.iter(), params.polarity)
+                    }
                 },
                 area_px2: blob.area_px2,
             });
@@ -198,6 +201,9 @@ impl Detector {
         for c in candidates.iter() {
             out.sights[c.position as usize] = Sight::Marker(out.markers.centres_px.len() as u32);
             out.markers.push(c.centre_px, [[variance, 0.0], [0.0, variance]], c.area_px2);
+        }
+        if self.params.centre == Centre::Fit {
+            out.markers.unfitted = out.markers.centres_px.len();
         }
     }
 }

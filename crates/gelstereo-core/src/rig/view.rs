@@ -65,13 +65,8 @@ impl<'a> RigView<'a> {
     /// # Errors
     /// [`CameraError::NotInFront`]; [`CameraError::TotalReflection`], only when the camera touches the layers.
     pub fn project(&self, point_mm: DVec3) -> Result<DVec2, CameraError> {
-        let apparent = match &self.refraction {
-            None => self.t_camera_sensor.transform_point(point_mm),
-            Some(refraction) => {
-                self.name_point(point_mm, refraction.apparent(self.local(point_mm)?, 0.0))?.point
-            }
-        };
-        self.pixel(point_mm, apparent)
+        let (local, slope) = self.local(point_mm, 0.0)?;
+        self.pixel(point_mm, self.apparent(local, slope))
     }
 
     /// As [`Self::project`], with the derivatives. `start` is the slope of a point nearby, to begin the search of the
@@ -80,20 +75,10 @@ impl<'a> RigView<'a> {
     /// # Errors
     /// As [`Self::project`].
     pub fn project_with_jacobian(&self, point_mm: DVec3, start: f64) -> Result<Projection, CameraError> {
-        let local = self.local(point_mm)?;
-        let (apparent, slope) = match &self.refraction {
-            None => (local, 0.0),
-            Some(refraction) => {
-                let found = self.name_point(point_mm, refraction.apparent(local, start))?;
-                (found.point, found.slope)
-            }
-        };
+        let (local, slope) = self.local(point_mm, start)?;
+        let apparent = self.apparent(local, slope);
         let pixel_px = self.pixel(point_mm, apparent)?;
-        let jacobian = self.camera.projection_jacobian(apparent).map(|row| {
-            let row = self.refraction.as_ref().map_or(row, |r| r.jacobian(local, slope).transpose() * row);
-            self.t_sensor_camera.transform_vector(row)
-        });
-        Ok(Projection { pixel_px, jacobian, slope })
+        Ok(Projection { pixel_px, jacobian: self.jacobian(local, apparent, slope), slope })
     }
 
     /// The ray on which the points lie that this pixel shows (sensor frame): in the gel from the last interface on, or
@@ -102,33 +87,70 @@ impl<'a> RigView<'a> {
     /// # Errors
     /// [`CameraError::BeyondDistortion`], [`CameraError::PixelNotFinite`] or [`CameraError::MissesLayers`].
     pub fn ray(&self, pixel_px: DVec2) -> Result<Ray, CameraError> {
-        let direction = self.camera.undistort(pixel_px)?.extend(1.0);
-        let ray = match &self.refraction {
-            None => Ray { origin_mm: DVec3::ZERO, direction: direction.normalize() },
-            Some(refraction) => refraction.ray(direction).ok_or(CameraError::MissesLayers { pixel_px })?,
-        };
-        Ok(Ray {
-            origin_mm: self.t_sensor_camera.transform_point(ray.origin_mm),
-            direction: self.t_sensor_camera.transform_vector(ray.direction),
-        })
+        let ahead = self.camera.undistort(pixel_px)?;
+        Ok(self.ray_along(ahead).ok_or(CameraError::MissesLayers { pixel_px })?.0)
     }
 
-    /// The point in the camera's frame.
-    fn local(&self, point_mm: DVec3) -> Result<DVec3, CameraError> {
+    /// The ray of normalised coordinates and its slope in air, or `None` when it never meets the layers.
+    pub(crate) fn ray_along(&self, normalised: DVec2) -> Option<(Ray, f64)> {
+        let direction = normalised.extend(1.0);
+        let (ray, slope) = match &self.refraction {
+            None => return Some((self.ray_in_air(normalised), 0.0)),
+            Some(refraction) => refraction.ray(direction)?,
+        };
+        let origin_mm = self.t_sensor_camera.transform_point(ray.origin_mm);
+        Some((Ray { origin_mm, direction: self.t_sensor_camera.transform_vector(ray.direction) }, slope))
+    }
+
+    /// The ray of normalised coordinates as if there were no layers.
+    pub(crate) fn ray_in_air(&self, normalised: DVec2) -> Ray {
+        Ray {
+            origin_mm: self.t_sensor_camera.translation_mm,
+            direction: self.t_sensor_camera.transform_vector(normalised.extend(1.0).normalize()),
+        }
+    }
+
+    /// Whether a point (sensor frame) lies behind the last interface, or there is none.
+    pub(crate) fn is_in_gel(&self, point_mm: DVec3) -> bool {
         let local = self.t_camera_sensor.transform_point(point_mm);
-        if local.is_finite() { Ok(local) } else { Err(CameraError::NotInFront { point_mm }) }
+        self.refraction.as_ref().is_none_or(|refraction| refraction.is_in_gel(local))
+    }
+
+    /// Rows of d pixel / d point at a point of a ray of this slope (sensor frame).
+    pub(crate) fn jacobian_on_ray(&self, point_mm: DVec3, slope: f64) -> [DVec3; 2] {
+        let local = self.t_camera_sensor.transform_point(point_mm);
+        self.jacobian(local, self.apparent(local, slope), slope)
+    }
+
+    fn jacobian(&self, local: DVec3, apparent: DVec3, slope: f64) -> [DVec3; 2] {
+        let rows = self.camera.projection_jacobian(apparent);
+        let rows = match &self.refraction {
+            None => rows,
+            Some(refraction) => {
+                let gradient = refraction.lift_gradient(local, slope);
+                rows.map(|row| row + gradient * refraction.normal.dot(row))
+            }
+        };
+        rows.map(|row| self.t_sensor_camera.transform_vector(row))
+    }
+
+    /// The point in the camera's frame, and the slope of the light that reaches it.
+    fn local(&self, point_mm: DVec3, start: f64) -> Result<(DVec3, f64), CameraError> {
+        let local = self.t_camera_sensor.transform_point(point_mm);
+        if !local.is_finite() {
+            return Err(CameraError::NotInFront { point_mm });
+        }
+        let Some(refraction) = &self.refraction else { return Ok((local, 0.0)) };
+        let slope = refraction.slope(local, start);
+        Ok((local, slope.ok_or(CameraError::TotalReflection { point_mm })?))
+    }
+
+    fn apparent(&self, local: DVec3, slope: f64) -> DVec3 {
+        self.refraction.as_ref().map_or(local, |refraction| refraction.apparent(local, slope))
     }
 
     fn pixel(&self, point_mm: DVec3, apparent: DVec3) -> Result<DVec2, CameraError> {
         let pixel = self.camera.project(apparent).filter(|pixel| pixel.is_finite());
         pixel.ok_or(CameraError::NotInFront { point_mm })
-    }
-
-    /// Errors of the light's path name the point in the sensor frame.
-    fn name_point<T>(&self, point_mm: DVec3, found: Result<T, CameraError>) -> Result<T, CameraError> {
-        found.map_err(|error| match error {
-            CameraError::TotalReflection { .. } => CameraError::TotalReflection { point_mm },
-            other => other,
-        })
     }
 }
