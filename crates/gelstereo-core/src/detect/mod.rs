@@ -202,7 +202,7 @@ impl Detector {
         self.size_px = (width, height);
         self.difference.survey(image);
         if self.closes() {
-            self.fill_mask(image);
+            self.threshold_all(image);
             self.components.run(&self.mask, width);
             return;
         }
@@ -219,7 +219,7 @@ impl Detector {
         self.params.morphology_kernel_px > 1
     }
 
-    fn fill_mask(&mut self, image: GrayView<'_>) {
+    fn threshold_all(&mut self, image: GrayView<'_>) {
         let width = image.width();
         self.mask.resize(width * image.height(), 0);
         for (y, row) in self.mask.chunks_exact_mut(width).enumerate() {

@@ -116,7 +116,7 @@ impl Detector {
         out.sights.clear();
         self.check(image)?;
         self.difference.survey(image);
-        self.fill_mask(image);
+        self.threshold_all(image);
         self.near.start(expected_px.len());
         out.markers.reserve(expected_px.len());
         out.sights.resize(expected_px.len(), Sight::Nothing);
@@ -210,6 +210,9 @@ impl Detector {
         for c in candidates.iter() {
             out.sights[c.position as usize] = Sight::Marker(out.markers.centres_px.len() as u32);
             out.markers.push(c.centre_px, [[variance, 0.0], [0.0, variance]], c.area_px2);
+        }
+        if self.params.centre == Centre::Fit {
+            out.markers.unfitted = out.markers.centres_px.len();
         }
     }
 }
