@@ -51,7 +51,9 @@ fn detection_allocates_for_the_first_image_only() {
     let noise: Vec<u8> = (0..640 * 480).map(|_| stream.next_u64() as u8).collect();
     let stripes: Vec<u8> = (0..640 * 480).map(|n| if n % 2 == 0 { 0 } else { 255 }).collect();
     for background in [Background::Gaussian, Background::Box] {
-        for (centre, kernel_px) in [(Centre::Binary, 1), (Centre::Grey, 1), (Centre::Grey, 5)] {
+        for (centre, kernel_px) in
+            [(Centre::Binary, 1), (Centre::Grey, 1), (Centre::Grey, 5), (Centre::Fit, 1)]
+        {
             let mut params = Params::default().detect;
             (params.background, params.centre) = (background, centre);
             (params.morphology_kernel_px, params.min_area_px2, params.smooth_kernel_px) = (kernel_px, 1, 1);
