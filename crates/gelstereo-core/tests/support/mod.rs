@@ -1,6 +1,8 @@
 //! Synthetic dots of which everything is known.
 #![allow(dead_code, reason = "each test crate uses its own part of this")]
 
+pub mod sequence;
+
 use gelstereo_core::image::GrayView;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec2, cos, sin};
