@@ -16,6 +16,7 @@ Every array that gelstereo returns is read-only; ``.copy()`` gives one that can 
 from gelstereo import geometry, templates
 from gelstereo._native import (
     ContactError,
+    DenseSurface,
     DetectError,
     Detector,
     Error,
@@ -42,6 +43,7 @@ from gelstereo._native import (
     SceneError,
     SensorMount,
     ShapeError,
+    SimulatedDots,
     SimulatedFrame,
     Simulator,
     Template,
@@ -52,15 +54,17 @@ from gelstereo._native import (
     adjusted_gripper,
     foresight_sort,
     localize,
+    pressure_saliency,
     rest_lattice,
     triangulate,
     triangulate_covariance,
 )
 from gelstereo.simulation import simulate
-from gelstereo.states import MarkerState
+from gelstereo.states import MarkerState, Sight
 
 __all__ = [
     "ContactError",
+    "DenseSurface",
     "DetectError",
     "Detector",
     "Error",
@@ -88,6 +92,8 @@ __all__ = [
     "SceneError",
     "SensorMount",
     "ShapeError",
+    "Sight",
+    "SimulatedDots",
     "SimulatedFrame",
     "Simulator",
     "Template",
@@ -99,6 +105,7 @@ __all__ = [
     "foresight_sort",
     "geometry",
     "localize",
+    "pressure_saliency",
     "rest_lattice",
     "simulate",
     "templates",

@@ -7,7 +7,7 @@ use gelstereo_core::digest::Digest;
 use gelstereo_core::image::GrayView;
 use gelstereo_core::math::DVec2;
 use gelstereo_core::math::random::Stream;
-use gelstereo_core::params::{Background, Centre, DetectParams, FitParams, Polarity};
+use gelstereo_core::params::{Background, Centre, DetectParams, FitParams, Polarity, Threshold};
 use proptest::prelude::*;
 use support::{Dots, errors, paper_lattice, view};
 
@@ -17,14 +17,16 @@ fn detect(params: &DetectParams, image: &[u8], width: usize) -> Result<Markers, 
     Ok(markers)
 }
 
-fn every_rung() -> [DetectParams; 4] {
-    [
-        (Background::Gaussian, Centre::Binary),
-        (Background::Gaussian, Centre::Grey),
-        (Background::Box, Centre::Binary),
-        (Background::Box, Centre::Grey),
-    ]
-    .map(|(background, centre)| DetectParams { background, centre, ..DetectParams::default() })
+fn every_rung() -> Vec<DetectParams> {
+    let mut rungs = Vec::new();
+    for background in [Background::Gaussian, Background::Box, Background::Blocks] {
+        for threshold in [Threshold::Fixed, Threshold::Auto] {
+            for centre in [Centre::Binary, Centre::Grey] {
+                rungs.push(DetectParams { background, threshold, centre, ..DetectParams::default() });
+            }
+        }
+    }
+    rungs
 }
 
 #[test]
@@ -95,10 +97,12 @@ fn row_30_markers_on_the_border_are_dropped_and_no_others() {
                 let mut detector = Detector::new(&params);
                 let mut markers = Markers::default();
                 detector.run(view(&image, SIZE.0), &mut markers).unwrap();
+                let mut mask = Vec::new();
+                detector.mask(&mut mask);
                 let pixels = (0..SIZE.1).flat_map(|v| (0..SIZE.0).map(move |u| (u, v)));
                 let touches = pixels
                     .filter(|&(u, v)| DVec2::new(u as f64, v as f64).distance(centre) < 3.0)
-                    .any(|start| flood_reaches_the_border(detector.mask(), SIZE, start));
+                    .any(|start| flood_reaches_the_border(&mask, SIZE, start));
                 cut[side] += usize::from(touches);
                 let near = markers.centres_px.iter().filter(|c| c.distance(centre) < 1.0).count();
                 // Whose centre lies outside may not show at all; with it a radius and a pixel and a half inside, the dot
@@ -113,10 +117,39 @@ fn row_30_markers_on_the_border_are_dropped_and_no_others() {
     assert!(cut.iter().all(|&times| times > 20), "the dots hardly touched a border: {cut:?}");
 }
 
+/// What the border cuts is listed apart, and the covariance says how far off its visible part is: across the border by no
+/// more than a standard deviation (a bound, for a straight cut), along it like any marker.
+#[test]
+fn row_30_markers_cut_by_the_border_are_listed_with_what_is_known() {
+    let inner = support::lattice(3, 3, 18.0, DVec2::new(50.1, 45.3), 0.0, 0.0);
+    let mut seen = 0;
+    for step in 0..20 {
+        let x = -2.0 + 0.3 * f64::from(step);
+        let sides = [(x, 44.0), (99.0 - x, 44.0), (48.0, x), (48.0, 89.0 - x)].map(DVec2::from);
+        for (side, at) in sides.into_iter().enumerate() {
+            let mut centres = inner.clone();
+            centres.push(at);
+            let image = Dots::new(100, 90, centres).render();
+            for params in every_rung() {
+                let found = detect(&params, &image, 100).unwrap();
+                assert!(found.cut.len() <= 1 && found.centres_px.len() + found.cut.len() <= 10);
+                for cut in &found.cut {
+                    let [across, along] = if side < 2 { [0, 1] } else { [1, 0] };
+                    let (off, covariance) = (cut.centre_px - at, cut.covariance_px2);
+                    assert!(off[across].abs() <= covariance[across][across].sqrt(), "{at} {off} {params:?}");
+                    assert!(off[along].abs() < 0.3 && (covariance[along][along].sqrt() - 0.09).abs() < 1e-12);
+                    seen += 1;
+                }
+            }
+        }
+    }
+    assert!(seen > 400, "hardly any was cut: {seen}");
+}
+
 #[test]
 fn row_30_images_without_contrast_are_refused_by_name() {
-    let threshold_levels = 35;
     for params in every_rung() {
+        let threshold_levels = if params.threshold == Threshold::Auto { 3 } else { 35 };
         for level in [0, 127, 255_u8] {
             let error = detect(&params, &[level; 640 * 4], 64).unwrap_err();
             assert_eq!(error, DetectError::Flat { low: level, high: level, threshold_levels });
@@ -232,14 +265,15 @@ proptest! {
         (width, bytes) in (1..40_usize, 1..40_usize).prop_flat_map(|(width, height)| {
             (Just(width), prop::collection::vec(prop_oneof![Just(0), Just(255), any::<u8>()], width * height))
         }),
-        (gaussian, grey, dark) in any::<(bool, bool, bool)>(),
+        (background, grey, dark, fixed) in (0..3_usize, any::<bool>(), any::<bool>(), any::<bool>()),
         (smooth, surround, kernel) in (0..4_usize, 0..30_usize, 0..3_usize),
         threshold_levels in 1..=255_u8,
         min_area_px2 in 1..20_u32,
     ) {
         let params = DetectParams {
             polarity: if dark { Polarity::Dark } else { Polarity::Bright },
-            background: if gaussian { Background::Gaussian } else { Background::Box },
+            background: [Background::Gaussian, Background::Box, Background::Blocks][background],
+            threshold: if fixed { Threshold::Fixed } else { Threshold::Auto },
             centre: if grey { Centre::Grey } else { Centre::Binary },
             smooth_kernel_px: 2 * smooth + 1,
             background_kernel_px: 2 * surround + 1,

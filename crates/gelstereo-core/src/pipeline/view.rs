@@ -5,7 +5,7 @@ use super::error::{PipelineError, View};
 use super::frame::{LabelSource, ViewEvidence};
 use crate::detect::{DetectError, Detector, Markers};
 use crate::image::GrayView;
-use crate::label;
+use crate::label::{self, RestLattice};
 use crate::params::{LabelMethod, Params};
 use crate::track::{Tracker, Tracks};
 use alloc::vec::Vec;
@@ -65,15 +65,21 @@ impl ViewStages {
         self.detected.map_err(|error| PipelineError::Detect { view: self.view, error })
     }
 
-    pub fn start(&mut self, params: &Params) -> Result<(), PipelineError> {
+    /// Labels the rest frame, with rows that run as those of the other view, if that was labelled before.
+    pub fn start(
+        &mut self,
+        params: &Params,
+        other: Option<&RestLattice>,
+    ) -> Result<RestLattice, PipelineError> {
         let tolerance_pitches = params.label.tolerance_pitches;
         let rest = label::rest_lattice(&self.markers.centres_px, &params.lattice, tolerance_pitches)
             .map_err(|error| PipelineError::Label { view: self.view, error })?;
+        let rest = other.map_or_else(|| rest.clone(), |other| rest.turned_like(other));
         (self.rows, self.cols, self.pitch_px) = (rest.rows, rest.cols, rest.pitch_px);
         self.tracker.initialise(&rest, &self.markers, &mut self.tracks);
         self.tracker.reserve(self.size_px, self.markers.centres_px.capacity());
         self.take_tracks(LabelSource::Rest);
-        Ok(())
+        Ok(rest)
     }
 
     pub fn follow(&mut self, params: &Params) {

@@ -1,4 +1,8 @@
-//! What touches the gel: rest surface, saliency (Eq. 4), mean marker motion and the stop triggers.
+//! What touches the gel: rest surface, saliency (Eq. 4, or by pressure), mean marker motion and the stop triggers.
+
+mod pressure;
+
+pub use pressure::Pressure;
 
 use crate::math::linalg::{Symmetric, eigen};
 use crate::math::{DVec2, DVec3, centroid};
@@ -6,7 +10,7 @@ use crate::track::MarkerState;
 use alloc::vec::Vec;
 
 /// Why a cloud is no rest surface.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ContactError {
     /// Fewer than three points, or all on one line.
     NoPlane {
@@ -25,6 +29,11 @@ pub enum ContactError {
         /// Which marker.
         index: usize,
     },
+    /// A decay length that no gel has.
+    Decay {
+        /// The length found.
+        found_mm: f64,
+    },
 }
 
 impl core::fmt::Display for ContactError {
@@ -40,7 +49,12 @@ impl core::fmt::Display for ContactError {
                 f,
                 "the cloud has {found} markers but the rest surface {rest}; both must come from the same tracks"
             ),
-            Self::NotFinite { index } => write!(f, "marker {index} has a coordinate that is NaN or infinite"),
+            Self::NotFinite { index } => {
+                write!(f, "marker {index} has a coordinate that is NaN or infinite, or a variance below 0")
+            }
+            Self::Decay { found_mm } => {
+                write!(f, "the decay length is {found_mm} mm; valid is 0.001 to 1000 mm")
+            }
         }
     }
 }
@@ -115,6 +129,13 @@ fn check_finite(points_mm: &[DVec3]) -> Result<(), ContactError> {
         Some(index) => Err(ContactError::NotFinite { index }),
         None => Ok(()),
     }
+}
+
+/// Variance of a point's coordinate along a unit vector, mm².
+#[must_use]
+pub fn variance_along(covariance_mm2: &Symmetric<3>, direction: DVec3) -> f64 {
+    let along = |row: &[f64; 3]| DVec3::from_array(*row).dot(direction);
+    DVec3::new(along(&covariance_mm2[0]), along(&covariance_mm2[1]), along(&covariance_mm2[2])).dot(direction)
 }
 
 /// Eq. 4: a marker is salient when it was seen and its indentation exceeds the threshold.

@@ -1,0 +1,225 @@
+//! Whether all neighbours in a lattice agree, and what is dropped where they do not.
+
+use super::canvas::{Canvas, STEPS};
+use super::found::Place;
+use super::predict::predict;
+use crate::math::{DVec2, sqrt};
+use crate::track::grid::Grid;
+use alloc::vec::Vec;
+
+/// Farthest that a marker may lie from where its neighbours say, in steps. One that slipped by a place is off by half a step
+/// or more.
+const MOST_OFF: f64 = 0.33;
+
+/// Rounds of dropping; each drops what is worst around.
+const ROUNDS: usize = 16;
+
+/// How near to a marker a detection without a place puts it in doubt, in distances of neighbours.
+const DOUBT: f64 = 2.1;
+
+/// Largest distance from where the neighbours say, in steps, and largest slant of a cell, for a regular neighbourhood.
+const REGULAR_OFF: f64 = 0.15;
+const REGULAR_SLANT: f64 = 0.35;
+
+/// How often what is left is asked again.
+const EROSIONS: usize = 8;
+
+/// Groups of markers: those in doubt, those not yet counted, and those that hang together from then on.
+const DOUBTED: u32 = 0;
+const UNSEEN: u32 = 1;
+
+/// Scratch of the checks.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Agreement {
+    /// Distance of each detection from where its neighbours say, in steps.
+    off: Vec<f64>,
+    doomed: Vec<u32>,
+    group: Vec<u32>,
+    queue: Vec<u32>,
+    /// Detections dropped.
+    pub dropped: usize,
+    /// Largest distance left.
+    pub worst: f64,
+}
+
+impl Agreement {
+    pub fn reserve(&mut self, most: usize) {
+        for list in [&mut self.doomed, &mut self.group, &mut self.queue] {
+            list.clear();
+            list.reserve(most);
+        }
+        self.off.clear();
+        self.off.reserve(most);
+    }
+
+    /// Drops markers until all that are left agree: each lies where its neighbours say, no cell folds over, and no empty place
+    /// is seen where a marker with another place stands. Keeps the largest part in one piece.
+    pub fn prune(&mut self, points: &[DVec2], grid: &Grid, near_px: f64, canvas: &mut Canvas) {
+        self.dropped = 0;
+        for _ in 0..ROUNDS {
+            self.measure(points, canvas);
+            self.doomed.clear();
+            self.find_worst(canvas);
+            self.find_folds(points, canvas);
+            self.find_seams(points, grid, canvas);
+            if self.doomed.is_empty() {
+                break;
+            }
+            for &m in &self.doomed {
+                self.dropped += usize::from(canvas.places[m as usize].is_some());
+                canvas.drop(m as usize);
+            }
+        }
+        for _ in 0..EROSIONS {
+            let before = self.dropped;
+            self.keep_sure(points, grid, near_px, canvas);
+            self.measure(points, canvas);
+            if self.dropped == before {
+                break;
+            }
+        }
+        self.worst = self.off.iter().copied().fold(0.0, f64::max);
+    }
+
+    fn measure(&mut self, points: &[DVec2], canvas: &Canvas) {
+        self.off.clear();
+        self.off.resize(points.len(), 0.0);
+        for (m, place) in placed(canvas) {
+            if let Some(predicted) = predict(canvas, points, place) {
+                let step2 = shortest_step2(points, canvas, m, place);
+                self.off[m] = sqrt(predicted.at.distance_squared(points[m]) / step2);
+            }
+        }
+    }
+
+    /// A wrong marker pulls at the predictions of its neighbours as well: only the worst around goes.
+    fn find_worst(&mut self, canvas: &Canvas) {
+        for (m, place) in placed(canvas) {
+            let off = self.off[m];
+            let worst_around = || {
+                STEPS.into_iter().filter_map(|step| canvas.at(place.step(step))).all(|n| self.off[n] <= off)
+            };
+            if !(off < MOST_OFF) && worst_around() {
+                self.doomed.push(m as u32);
+            }
+        }
+    }
+
+    fn find_folds(&mut self, points: &[DVec2], canvas: &Canvas) {
+        for (m, place) in placed(canvas) {
+            let corner = |step| canvas.at(place.step(step));
+            let cell = [Some(m), corner((0, 1)), corner((1, 1)), corner((1, 0))];
+            if super::folds(cell.map(|n| n.map(|n| points[n]))) {
+                self.doomed.extend(cell.iter().flatten().map(|&n| n as u32));
+            }
+        }
+    }
+
+    /// Two sheets that met with different labels.
+    fn find_seams(&mut self, points: &[DVec2], grid: &Grid, canvas: &Canvas) {
+        for (m, place) in placed(canvas) {
+            for step in STEPS {
+                let beyond = place.step(step);
+                if canvas.at(beyond).is_some() {
+                    continue;
+                }
+                let Some(predicted) = predict(canvas, points, beyond) else { continue };
+                let radius_px = MOST_OFF * predicted.at.distance(points[m]);
+                let other = grid.nearest(points, predicted.at, radius_px, |n| canvas.places[n].is_some());
+                if let Some(n) = other {
+                    self.doomed.extend([m as u32, n as u32]);
+                }
+            }
+        }
+    }
+
+    /// Keeps the largest part that hangs together by markers beyond doubt, and the doubtful ones beside it.
+    ///
+    /// A detection without a place puts those around it in doubt unless they are regular, as around a speck: where a lattice is sheared so far that the walk slips by
+    /// a place, one is left over at each end of the slip. What hangs on the rest by doubtful markers only may have slipped as a
+    /// whole.
+    fn keep_sure(&mut self, points: &[DVec2], grid: &Grid, near_px: f64, canvas: &mut Canvas) {
+        self.group.clear();
+        self.group.resize(points.len(), UNSEEN);
+        let mut left_over = false;
+        let reach = DOUBT * near_px;
+        for m in (0..points.len()).filter(|&m| canvas.places[m].is_none()) {
+            left_over = true;
+            let near = |n: usize| points[n].distance_squared(points[m]) < reach * reach;
+            let mut regular = true;
+            grid.visit(points[m], reach, |n| {
+                regular &=
+                    !near(n) || (self.off[n] < REGULAR_OFF && slant(points, canvas, n) < REGULAR_SLANT);
+            });
+            if !regular {
+                grid.visit(points[m], reach, |n| {
+                    if near(n) {
+                        self.group[n] = DOUBTED;
+                    }
+                });
+            }
+        }
+        if !left_over && self.dropped == 0 {
+            return;
+        }
+        let (mut groups, mut largest) = (UNSEEN, (0, UNSEEN));
+        for start in 0..points.len() {
+            if canvas.places[start].is_some() && self.group[start] == UNSEEN {
+                groups += 1;
+                let size = self.flood(canvas, start, groups);
+                if size > largest.0 {
+                    largest = (size, groups);
+                }
+            }
+        }
+        self.doomed.clear();
+        for (m, place) in placed(canvas) {
+            let sure = |n: usize| self.group[n] == largest.1;
+            let beside = || STEPS.into_iter().filter_map(|step| canvas.at(place.step(step))).any(sure);
+            if !sure(m) && (self.group[m] != DOUBTED || !beside()) {
+                self.doomed.push(m as u32);
+            }
+        }
+        self.dropped += self.doomed.len();
+        for &m in &self.doomed {
+            canvas.drop(m as usize);
+        }
+    }
+
+    fn flood(&mut self, canvas: &Canvas, start: usize, group: u32) -> usize {
+        self.queue.clear();
+        self.queue.push(start as u32);
+        self.group[start] = group;
+        let mut next = 0;
+        while let Some(&m) = self.queue.get(next) {
+            next += 1;
+            let Some(place) = canvas.places[m as usize] else { continue };
+            for step in (-1..=1).flat_map(|dr| (-1..=1).map(move |dc| (dr, dc))) {
+                if let Some(n) = canvas.at(place.step(step))
+                    && self.group[n] == UNSEEN
+                {
+                    self.group[n] = group;
+                    self.queue.push(n as u32);
+                }
+            }
+        }
+        self.queue.len()
+    }
+}
+
+/// The detections with a place.
+pub(super) fn placed(canvas: &Canvas) -> impl Iterator<Item = (usize, Place)> {
+    canvas.places.iter().enumerate().filter_map(|(m, place)| Some((m, (*place)?)))
+}
+
+/// How oblique the cells are at a detection: 0.5 where another diagonal would do as well for a step; 0 without a place.
+fn slant(points: &[DVec2], canvas: &Canvas, m: usize) -> f64 {
+    let Some(place) = canvas.places[m] else { return 0.0 };
+    let [row, col] = canvas.steps_at(points, m, place);
+    row.dot(col).abs() / row.length_squared().min(col.length_squared())
+}
+
+fn shortest_step2(points: &[DVec2], canvas: &Canvas, m: usize, place: Place) -> f64 {
+    let near = STEPS.into_iter().filter_map(|step| canvas.position(points, place.step(step)));
+    near.map(|p| p.distance_squared(points[m])).fold(f64::INFINITY, f64::min)
+}
