@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from gelstereo import Params, Rig, geometry, triangulate
 from gelstereo.calibrate.errors import CalibrationError, UndeterminedLayersError
 from gelstereo.calibrate.layers import LayersCalibration, SeatedFrame, _Model, calibrate_layers
+from gelstereo.cli.main import main
 from scipy import optimize, stats
 
-CAMERAS = Rig.parallel((640, 480), 600.0, 10.0)
+F_PX = 600.0
+CAMERAS = Rig.parallel((640, 480), F_PX, 10.0)
 PITCH_MM, SIGMA_PX = 0.9, 0.03
 ROWS, COLS = 17, 15
 BOARDS_MM = (0.4, 0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 1.8)
@@ -203,3 +207,40 @@ def test_frames_that_cannot_be_used(change: dict[str, Any], words: str) -> None:
 def test_a_parameter_can_be_held() -> None:
     found = calibrate(4, (1.8,), priors={**PRIORS, "gap_mm": 0.0})
     assert "gap_mm" not in found.values and found.rig.layers["gap_mm"] == 20.5
+
+
+def draw(centres_px: np.ndarray) -> np.ndarray:
+    """Dark dots with soft edges on a bright ground."""
+    image = np.full((480, 640), 190, np.uint8)
+    for centre in centres_px:
+        # OpenCV takes the centre in 1/256 px.
+        cv2.circle(image, np.rint(centre * 256).astype(int), int(4.5 * 256), 60, -1, cv2.LINE_AA, 8)
+    return cv2.GaussianBlur(image, (0, 0), 0.8)
+
+
+def test_the_command_calibrates_from_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    true_rig, rng = CAMERAS.with_layers(layers()), np.random.default_rng(1)
+    words = []
+    for height_mm in (0.0, 0.6, 1.2):
+        rows, cols = np.divmod(np.arange(ROWS * COLS), COLS)
+        inner = (rows > 0) & (rows < ROWS - 1) & (cols > 0) & (cols < COLS - 1)
+        place = np.column_stack([PITCH_MM * cols, PITCH_MM * rows, -height_mm * inner])
+        views = true_rig.project(place @ REST[:3, :3].T + REST[:3, 3])
+        files = [str(tmp_path / f"{side}{height_mm}.png") for side in ("left", "right")]
+        for file, centres_px in zip(files, views, strict=True):
+            image = draw(centres_px) + rng.normal(0.0, 2.0, (480, 640))
+            cv2.imwrite(file, np.clip(np.rint(image), 0, 255).astype(np.uint8))
+        words += ["--board", str(height_mm), *files] if height_mm else ["--rest", *files]
+    CAMERAS.with_layers(layers((0.0, 0.0), 20.4, (3.0, 1.49), 1.43)).save(tmp_path / "design.toml")
+    words += [f"--prior={name}={sigma}" for name, sigma in PRIORS.items()]
+    out = tmp_path / "gel.toml"
+    assert main(["calibrate-layers", "--rig", str(tmp_path / "design.toml"), *words, "--out", str(out)]) == 0
+    assert "gel_index = 1.4" in capsys.readouterr().out
+    found = Rig.load(out).layers
+    # Drawn dots are off by the bias of an ellipse's centre, 0.02 px: as much as noise.
+    assert found["gel_index"] == pytest.approx(1.41, abs=0.01) and found["gap_mm"] == pytest.approx(
+        20.0, abs=0.15
+    )
+    Rig.parallel((640, 480), F_PX, 10.0).save(tmp_path / "bare.toml")
+    assert main(["calibrate-layers", "--rig", str(tmp_path / "bare.toml"), *words]) == 2
+    assert "no [layers]" in capsys.readouterr().err

@@ -153,8 +153,8 @@ def calibrate_layers(
     rig: Rig,
     frames: Sequence[SeatedFrame],
     *,
-    layers: Mapping[str, Any],
     pitch_mm: float,
+    layers: Mapping[str, Any] | None = None,
     priors: Mapping[str, float] | None = None,
     sigma_px: float = 0.03,
     height_sigma_mm: float = 0.002,
@@ -167,10 +167,11 @@ def calibrate_layers(
         The cameras, calibrated in air.
     frames
         At least one at rest; boards make the gel's index known.
-    layers
-        As designed, in the form of `Rig.layers`: where the search starts, and the middle of every prior.
     pitch_mm
         Of the printed lattice.
+    layers
+        As designed, in the form of `Rig.layers`: where the search starts, and the middle of every prior; those of the
+        rig if left out.
     priors
         Standard deviation of what is known of a parameter beforehand, by its name: ``tilt_x``, ``tilt_y``, ``gap_mm``,
         ``gel_index``, ``plate_0_thickness_mm``, ``plate_0_index`` and so on. 0 holds it fixed.
@@ -186,6 +187,9 @@ def calibrate_layers(
     CalibrationError
         The frames cannot be used, or nothing explains them.
     """
+    layers = rig.layers if layers is None else layers
+    if layers is None:
+        raise CalibrationError("the rig has no layers; give the layers as designed")
     model = _Model(rig, frames, layers, pitch_mm, dict(priors or {}), sigma_px, height_sigma_mm)
     start = model.start()
     # Before the search, which without an answer wanders, and after it.
@@ -226,7 +230,7 @@ class _Model:
             sigma_px,
             height_sigma_mm,
         )
-        self.nominal = _parameters(rig.with_layers(layers).layers or {})
+        self.nominal = _parameters(layers)
         unknown = set(priors) - set(self.nominal)
         if unknown:
             raise CalibrationError(f"there is no parameter {sorted(unknown)}; valid are {list(self.nominal)}")

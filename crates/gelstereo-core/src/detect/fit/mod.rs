@@ -14,8 +14,6 @@ mod solve;
 pub use noise::Noise;
 
 use super::Markers;
-use super::centre;
-use super::components::{Blob, Run};
 use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, median, sqrt};
@@ -270,16 +268,22 @@ impl DiscFit {
         self.starts.reserve(most);
     }
 
-    /// Takes note of a marker whose approximate centre is known.
-    pub fn add<'a>(&mut self, blob: &Blob, runs: impl Iterator<Item = &'a Run>, centre_px: DVec2) {
-        let spread_px2 = blob.spread_px2(runs);
+    /// Takes note of a marker whose approximate centre and spread ([`Blob::spread_px2`](super::components::Blob::spread_px2))
+    /// are known.
+    pub fn add(&mut self, centre_px: DVec2, spread_px2: Symmetric<2>) {
         self.starts.push(Start { centre_px, spread_px2, neighbour_px: f64::INFINITY });
     }
 
     /// Fits the markers noted, which `markers` lists in the same order, and replaces centre and covariance where that
-    /// succeeds. `blobs` are all components of the image's `mask`, for neighbours keep their pixels.
-    pub fn finish(&mut self, image: GrayView<'_>, mask: &[u8], blobs: &[Blob], markers: &mut Markers) {
-        self.find_neighbours(image, blobs);
+    /// succeeds. `others_px` are the centres of all components of the image's `mask`, for neighbours keep their pixels.
+    pub fn finish(
+        &mut self,
+        image: GrayView<'_>,
+        mask: &[u8],
+        others_px: impl Iterator<Item = DVec2>,
+        markers: &mut Markers,
+    ) {
+        self.find_neighbours(image, others_px);
         let starts = core::mem::take(&mut self.starts);
         self.learn(image, mask, &starts);
         markers.unfitted = 0;
@@ -293,13 +297,13 @@ impl DiscFit {
         self.starts = starts;
     }
 
-    fn find_neighbours(&mut self, image: GrayView<'_>, blobs: &[Blob]) {
+    fn find_neighbours(&mut self, image: GrayView<'_>, others_px: impl Iterator<Item = DVec2>) {
         let widest = self.starts.iter().map(Start::radius_px).fold(1.0, f64::max);
         // Beyond this a neighbour takes no pixel away.
         let far_px = 2.0 * widest + REACH_PX + 4.0 * FIRST_BLUR_PX;
         self.centres.clear();
         self.centres.reserve(self.starts.capacity());
-        self.centres.extend(blobs.iter().filter(|blob| blob.area_px2 > 2).map(centre::binary));
+        self.centres.extend(others_px);
         self.grid.reserve(self.starts.capacity(), (image.width(), image.height()), LEAST_FAR_PX);
         self.grid.build(&self.centres, far_px);
         for start in &mut self.starts {
