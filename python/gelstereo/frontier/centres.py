@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -56,14 +56,11 @@ class Condition:
         return frames
 
     def bound_px(self) -> float:
-        """Least 2-D rms error of an unbiased centre, over the markers of all frames of one seed."""
-        scene = self.scene(1).to_dict()
-        views: tuple[Literal["left", "right"], ...] = ("left", "right")
-        bounds = [
-            marker_bounds_px(scene, getattr(frame, f"{view}_px"), frame.points_mm, view=view)
-            for frame in self.frames(1)
-            for view in views
-        ]
+        """Least 2-D rms error of an unbiased centre, over the left view's markers of one seed's frames."""
+        frames = self.frames(1)
+        centres_px = np.concatenate([frame.left_px for frame in frames])
+        points_mm = np.concatenate([frame.points_mm for frame in frames])
+        bounds = marker_bounds_px(self.scene(1).to_dict(), centres_px, points_mm)
         return float(np.sqrt(np.mean(np.square(bounds))))
 
 
