@@ -133,7 +133,12 @@ impl Triangulator {
         }
         let views = self.views();
         for index in 0..of {
-            match self.point_between(&views, index, &left.at(index), &right.at(index)) {
+            let (left_centre, right_centre) = (left.at(index), right.at(index));
+            if let Some(found) = self.mapped(&left_centre, &right_centre) {
+                out.push(found);
+                continue;
+            }
+            match self.exact(&views, index, &left_centre, &right_centre) {
                 Ok(point) => out.push(point),
                 Err(TriangulateError::Disparity { disparity_px, min_px, .. }) => {
                     let bad = |&i: &usize| {
@@ -160,23 +165,27 @@ impl Triangulator {
         left: &Centre,
         right: &Centre,
     ) -> Result<StereoPoint, TriangulateError> {
-        self.point_between(&self.views(), index, left, right)
+        match self.mapped(left, right) {
+            Some(found) => Ok(found),
+            None => self.exact(&self.views(), index, left, right),
+        }
+    }
+
+    fn mapped(&self, left: &Centre, right: &Centre) -> Option<StereoPoint> {
+        self.map.as_ref().and_then(|map| map.point(left, right))
     }
 
     fn views(&self) -> [RigView<'_>; 2] {
         [self.rig.view(View::Left), self.rig.view(View::Right)]
     }
 
-    fn point_between(
+    fn exact(
         &self,
         views: &[RigView<'_>; 2],
         index: usize,
         left: &Centre,
         right: &Centre,
     ) -> Result<StereoPoint, TriangulateError> {
-        if let Some(found) = self.map.as_ref().and_then(|map| map.point(left, right)) {
-            return Ok(found);
-        }
         let pair = self.pair(index, left, right)?;
         match self.params.method {
             TriangulateMethod::Q => Ok(q::point(&self.rectification, self.to_sensor, &pair)),
