@@ -24,6 +24,17 @@ pub struct Centre {
     pub covariance_px2: Symmetric<2>,
 }
 
+impl Centre {
+    /// Inverse of the covariance, or `None` when that is not positive definite.
+    fn weight(&self) -> Option<Symmetric<2>> {
+        let [[a, b], [c, d]] = self.covariance_px2;
+        let determinant = a * d - b * c;
+        let scale = 1.0 / determinant;
+        let valid = a > 0.0 && determinant > 0.0 && scale.is_finite();
+        valid.then(|| [[d * scale, -b * scale], [-c * scale, a * scale]])
+    }
+}
+
 /// The centres of all markers in one view, in the same order in every list.
 #[derive(Clone, Copy, Debug)]
 pub struct Centres<'a> {
@@ -67,6 +78,8 @@ pub struct Triangulator {
 /// Two centres with their rays.
 struct Pair<'a> {
     centres: [&'a Centre; 2],
+    /// Inverses of the centres' covariances.
+    weights: [Symmetric<2>; 2],
     /// Undistorted normalised coordinates.
     normalised: [DVec2; 2],
     rectified: [DVec2; 2],
@@ -172,7 +185,8 @@ impl Triangulator {
     }
 
     fn mapped(&self, left: &Centre, right: &Centre) -> Option<StereoPoint> {
-        self.map.as_ref().and_then(|map| map.point(left, right))
+        let valid = |centre: &Centre| centre.weight().is_some();
+        self.map.as_ref().filter(|_| valid(left) && valid(right)).and_then(|map| map.point(left, right))
     }
 
     fn views(&self) -> [RigView<'_>; 2] {
@@ -202,6 +216,9 @@ impl Triangulator {
         right: &'a Centre,
     ) -> Result<Pair<'a>, TriangulateError> {
         let r = &self.rectification;
+        let weight =
+            |view, centre: &Centre| centre.weight().ok_or(TriangulateError::Covariance { index, view });
+        let weights = [weight(View::Left, left)?, weight(View::Right, right)?];
         let one = |view, camera: &crate::camera::Camera, rotation, pixel_px: DVec2| {
             let fail = |error| TriangulateError::Ray { index, view, error };
             let normalised = camera.undistort(pixel_px).map_err(fail)?;
@@ -214,6 +231,11 @@ impl Triangulator {
         if !(disparity_px >= min_px) {
             return Err(TriangulateError::Disparity { index, disparity_px, min_px, affected: 1, of: 1 });
         }
-        Ok(Pair { centres: [left, right], normalised: [left_ray, right_ray], rectified: [left_px, right_px] })
+        Ok(Pair {
+            centres: [left, right],
+            weights,
+            normalised: [left_ray, right_ray],
+            rectified: [left_px, right_px],
+        })
     }
 }
