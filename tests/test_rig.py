@@ -138,7 +138,7 @@ def test_load_and_save(tmp_path: Path) -> None:
     ("changes", "error", "words"),
     [
         ({"translation_mm": [8.0, 0, 0]}, RigError, "swapped"),
-        ({"translation_mm": [0.0, 0, 0]}, RigError, "baseline"),
+        ({"translation_mm": [0.0, 0, 0]}, RigError, "mm apart"),
         ({"translation_mm": [-8.0, np.nan, 0]}, RigError, "NaN"),
         ({"translation_mm": [1.0, 2.0]}, ShapeError, "3 numbers"),
         ({"rotation": 2 * np.eye(3)}, PoseError, "determinant"),

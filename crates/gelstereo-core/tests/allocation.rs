@@ -2,13 +2,16 @@
 
 mod support;
 
+use gelstereo_core::camera::{Camera, Layer, Layers};
 use gelstereo_core::detect::near::Found;
 use gelstereo_core::detect::{Detector, Markers};
 use gelstereo_core::label::{FoundLattice, LatticeFinder, anchor, foresight_sort, rest_lattice};
-use gelstereo_core::math::DVec2;
 use gelstereo_core::math::random::Stream;
-use gelstereo_core::params::{Background, Centre, Params, Threshold};
+use gelstereo_core::math::{DVec2, DVec3};
+use gelstereo_core::params::{Background, Centre, Params, Threshold, TriangulateMethod, TriangulateParams};
+use gelstereo_core::rig::Rig;
 use gelstereo_core::track::{Tracker, Tracks};
+use gelstereo_core::triangulate::{Centres, Triangulator};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use support::{Dots, paper_lattice, view};
@@ -138,4 +141,33 @@ fn the_lattice_is_found_and_anchored_without_allocating_after_the_first_frame() 
     // Room for rows and columns of specks is made by what is found.
     assert!(frame(20) > 0, "the counter counts");
     assert_eq!((0..40).map(frame).sum::<usize>(), 0);
+}
+
+#[test]
+fn triangulation_allocates_for_the_first_frame_only() {
+    let camera = Camera {
+        width_px: 640,
+        height_px: 480,
+        fx_px: 600.0,
+        fy_px: 600.0,
+        cx_px: 319.5,
+        cy_px: 239.5,
+        distortion: [-0.1, 0.02, 0.0, 0.0, 0.0],
+    };
+    let plates = vec![Layer { thickness_mm: 3.0, index: 1.49 }];
+    let layers = Layers { normal: DVec3::Z, gap_mm: 20.0, plates, gel_index: 1.41 };
+    let rig = Rig { layers: Some(layers), ..Rig::parallel(camera, 10.0) };
+    let rest: Vec<DVec3> =
+        (0..625).map(|i| DVec3::new(0.4 * f64::from(i % 25), 0.4 * f64::from(i / 25) - 5.0, 28.0)).collect();
+    let (left, right): (Vec<_>, Vec<_>) = rest.iter().map(|&p| rig.project(p).unwrap()).unzip();
+    let covariance_px2 = vec![[[1e-3, 0.0], [0.0, 1e-3]]; rest.len()];
+    let centres = |positions_px| Centres { positions_px, covariance_px2: &covariance_px2 };
+    for method in [TriangulateMethod::Q, TriangulateMethod::Polynomial, TriangulateMethod::Rays] {
+        let params = TriangulateParams { method, ..Default::default() };
+        let (mut stage, mut out) = (Triangulator::new(&rig, &params).unwrap(), Vec::new());
+        stage.fit_map(&rest);
+        let mut run = || stage.run(centres(&left), centres(&right), &mut out).unwrap();
+        assert!(allocations(&mut run) > 0, "the counter counts");
+        assert_eq!(allocations(&mut run), 0, "{method:?}");
+    }
 }

@@ -4,9 +4,9 @@ mod support;
 
 use gelstereo_core::math::DVec2;
 use gelstereo_core::params::{Motion, TrackParams};
-use gelstereo_core::track::{MarkerState, Verdict};
+use gelstereo_core::track::Verdict;
 use proptest::prelude::*;
-use support::sequence::{MARKERS, PITCH_PX, Run, SIDE, Seeing, Warp};
+use support::sequence::{MARKERS, PITCH_PX, Run, Seeing, Warp};
 
 fn params(motion: Motion) -> TrackParams {
     TrackParams { motion, ..TrackParams::default() }

@@ -137,6 +137,25 @@ proptest! {
         }
     }
 
+    /// Any two pixels are a finite point with a finite covariance, or an error.
+    #[test]
+    fn any_pair_of_pixels_has_an_answer(
+        left in (-2e3..3e3_f64, -2e3..3e3_f64), right in (-2e3..3e3_f64, -2e3..3e3_f64), sigma_px in 1e-6..1e3_f64,
+    ) {
+        for rig in [parallel(), turned_rig(), layered_rig()] {
+            for method in ALL {
+                let (left, right) = (DVec2::new(left.0, left.1), DVec2::new(right.0, right.1));
+                let params = TriangulateParams { method, ..Default::default() };
+                let stage = Triangulator::new(&rig, &params).unwrap();
+                let found = stage.point(0, &centre(left, sigma_px), &centre(right, sigma_px));
+                if let Ok(found) = found {
+                    prop_assert!(found.point_mm.is_finite() && found.epipolar_px.is_finite(), "{found:?}");
+                    prop_assert!(found.covariance_mm2.iter().flatten().all(|c| c.is_finite()), "{found:?}");
+                }
+            }
+        }
+    }
+
     /// Within its reach the map is within 1 um of the exact point, its residual within 0.01 px and its covariance
     /// within 3 %.
     #[test]
@@ -339,8 +358,12 @@ fn centres_that_make_no_pair_are_refused_by_name() {
     for covariance_px2 in
         [[[0.0; 2]; 2], [[1.0, 2.0], [2.0, 1.0]], [[-1.0, 0.0], [0.0, -1.0]], [[f64::NAN; 2]; 2]]
     {
-        let found = stage.point(3, &centre(at[0], 0.1), &Centre { at_px: right, covariance_px2 });
-        assert_eq!(found, Err(TriangulateError::Covariance { index: 3, view: View::Right }));
+        for method in ALL {
+            let stage = self::stage(&parallel(), method);
+            assert!(point(&stage, at[0], right).is_ok());
+            let found = stage.point(3, &centre(at[0], 0.1), &Centre { at_px: right, covariance_px2 });
+            assert_eq!(found, Err(TriangulateError::Covariance { index: 3, view: View::Right }));
+        }
     }
     // Rows 300 px apart are 15 mm apart in space: an answer, with a residual that says so, or a refusal.
     let far = stage.point(3, &centre(at[0], 0.1), &centre(right + DVec2::new(0.0, 250.0), 0.1));

@@ -7,7 +7,7 @@ pub use layers::{Layer, Layers, LayersError};
 pub use refraction::Ray;
 pub(crate) use refraction::Refraction;
 
-use crate::math::{DVec2, DVec3, sqrt};
+use crate::math::{DVec2, DVec3, abs, sqrt};
 
 /// A pinhole camera with the Brown-Conrady distortion of OpenCV (k1, k2, p1, p2, k3).
 #[derive(Clone, Debug, PartialEq)]
@@ -186,9 +186,28 @@ impl Camera {
         self.invert_distortion(target).ok_or(CameraError::BeyondDistortion { pixel_px })
     }
 
+    /// The solution near the target, where the model bends little; else the one that is followed from the centre on.
+    fn invert_distortion(&self, target: DVec2) -> Option<DVec2> {
+        match self.newton(target, target) {
+            Some(p) if self.is_one_to_one_within(p) => Some(p),
+            _ => self.follow_distortion(target),
+        }
+    }
+
+    /// Whether the distortion is surely one-to-one on the disc around the centre that reaches to `p`: on a convex set
+    /// it is where its Jacobian, which is symmetric, is positive definite. Its eigenvalues are those of the radial
+    /// part, at least 1 + 3 k1 r² + 5 k2 r⁴ + 7 k3 r⁶ with the positive coefficients left out, less at most
+    /// 6 r (|p1| + |p2|) for the tangential one.
+    fn is_one_to_one_within(&self, p: DVec2) -> bool {
+        let [k1, k2, p1, p2, k3] = self.distortion;
+        let r2 = p.length_squared();
+        let radial = r2 * ((3.0 * k1).min(0.0) + r2 * ((5.0 * k2).min(0.0) + r2 * (7.0 * k3).min(0.0)));
+        1.0 + radial - 6.0 * sqrt(r2) * (abs(p1) + abs(p2)) > 0.1
+    }
+
     /// Follows the solution from the centre outwards (homotopy in the target's length), so that the answer is on the
     /// branch that contains the principal point.
-    fn invert_distortion(&self, target: DVec2) -> Option<DVec2> {
+    fn follow_distortion(&self, target: DVec2) -> Option<DVec2> {
         let steps = 1 + (sqrt(target.length_squared()) * 4.0) as usize;
         let mut p = DVec2::ZERO;
         for step in 1..=steps {

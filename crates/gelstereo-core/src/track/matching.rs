@@ -106,7 +106,7 @@ impl Matching {
         };
         let fresh = |canvas: &Canvas, site: usize| canvas.marker(site).is_some_and(|n| missed(n) == 0);
         let reach_px = NEIGHBOURS_AGREE * pitch_px;
-        if agree_all(canvas, pitch_px, &fresh) {
+        if agree_all(canvas, pitch_px, fresh) {
             // What lies beyond the gate when all have moved nearly as far.
             if self.taken.contains(&false) {
                 self.grow(canvas, detected_px, reach_px, disputed_px);

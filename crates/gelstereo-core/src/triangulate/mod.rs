@@ -24,6 +24,17 @@ pub struct Centre {
     pub covariance_px2: Symmetric<2>,
 }
 
+impl Centre {
+    /// Inverse of the covariance, or `None` when that is not positive definite.
+    fn weight(&self) -> Option<Symmetric<2>> {
+        let [[a, b], [c, d]] = self.covariance_px2;
+        let determinant = a * d - b * c;
+        let scale = 1.0 / determinant;
+        let valid = a > 0.0 && determinant > 0.0 && scale.is_finite();
+        valid.then(|| [[d * scale, -b * scale], [-c * scale, a * scale]])
+    }
+}
+
 /// The centres of all markers in one view, in the same order in every list.
 #[derive(Clone, Copy, Debug)]
 pub struct Centres<'a> {
@@ -67,6 +78,8 @@ pub struct Triangulator {
 /// Two centres with their rays.
 struct Pair<'a> {
     centres: [&'a Centre; 2],
+    /// Inverses of the centres' covariances.
+    weights: [Symmetric<2>; 2],
     /// Undistorted normalised coordinates.
     normalised: [DVec2; 2],
     rectified: [DVec2; 2],
@@ -133,7 +146,12 @@ impl Triangulator {
         }
         let views = self.views();
         for index in 0..of {
-            match self.point_between(&views, index, &left.at(index), &right.at(index)) {
+            let (left_centre, right_centre) = (left.at(index), right.at(index));
+            if let Some(found) = self.mapped(&left_centre, &right_centre) {
+                out.push(found);
+                continue;
+            }
+            match self.exact(&views, index, &left_centre, &right_centre) {
                 Ok(point) => out.push(point),
                 Err(TriangulateError::Disparity { disparity_px, min_px, .. }) => {
                     let bad = |&i: &usize| {
@@ -160,23 +178,28 @@ impl Triangulator {
         left: &Centre,
         right: &Centre,
     ) -> Result<StereoPoint, TriangulateError> {
-        self.point_between(&self.views(), index, left, right)
+        match self.mapped(left, right) {
+            Some(found) => Ok(found),
+            None => self.exact(&self.views(), index, left, right),
+        }
+    }
+
+    fn mapped(&self, left: &Centre, right: &Centre) -> Option<StereoPoint> {
+        let valid = |centre: &Centre| centre.weight().is_some();
+        self.map.as_ref().filter(|_| valid(left) && valid(right)).and_then(|map| map.point(left, right))
     }
 
     fn views(&self) -> [RigView<'_>; 2] {
         [self.rig.view(View::Left), self.rig.view(View::Right)]
     }
 
-    fn point_between(
+    fn exact(
         &self,
         views: &[RigView<'_>; 2],
         index: usize,
         left: &Centre,
         right: &Centre,
     ) -> Result<StereoPoint, TriangulateError> {
-        if let Some(found) = self.map.as_ref().and_then(|map| map.point(left, right)) {
-            return Ok(found);
-        }
         let pair = self.pair(index, left, right)?;
         match self.params.method {
             TriangulateMethod::Q => Ok(q::point(&self.rectification, self.to_sensor, &pair)),
@@ -193,6 +216,9 @@ impl Triangulator {
         right: &'a Centre,
     ) -> Result<Pair<'a>, TriangulateError> {
         let r = &self.rectification;
+        let weight =
+            |view, centre: &Centre| centre.weight().ok_or(TriangulateError::Covariance { index, view });
+        let weights = [weight(View::Left, left)?, weight(View::Right, right)?];
         let one = |view, camera: &crate::camera::Camera, rotation, pixel_px: DVec2| {
             let fail = |error| TriangulateError::Ray { index, view, error };
             let normalised = camera.undistort(pixel_px).map_err(fail)?;
@@ -205,6 +231,11 @@ impl Triangulator {
         if !(disparity_px >= min_px) {
             return Err(TriangulateError::Disparity { index, disparity_px, min_px, affected: 1, of: 1 });
         }
-        Ok(Pair { centres: [left, right], normalised: [left_ray, right_ray], rectified: [left_px, right_px] })
+        Ok(Pair {
+            centres: [left, right],
+            weights,
+            normalised: [left_ray, right_ray],
+            rectified: [left_px, right_px],
+        })
     }
 }

@@ -50,12 +50,7 @@ pub(super) fn point(
     index: usize,
     pair: &Pair<'_>,
 ) -> Result<StereoPoint, TriangulateError> {
-    let mut weights = [[[0.0; 2]; 2]; 2];
-    for (k, view) in VIEWS.into_iter().enumerate() {
-        weights[k] =
-            inverse(&pair.centres[k].covariance_px2).ok_or(TriangulateError::Covariance { index, view })?;
-    }
-    let (first, slopes) = start(views, index, pair, &weights)?;
+    let (first, slopes) = start(views, index, pair)?;
     let mut point_mm = match first {
         Start::Done(found) => return Ok(found),
         Start::At(point_mm) => point_mm,
@@ -67,7 +62,7 @@ pub(super) fn point(
             let seen = views[k].project_with_jacobian(point_mm, slopes[k]);
             let seen = seen.map_err(|error| TriangulateError::Ray { index, view, error })?;
             linear[k] = (seen.jacobian, pair.centres[k].at_px - seen.pixel_px);
-            normal.add(&linear[k].0, linear[k].1, &weights[k]);
+            normal.add(&linear[k].0, linear[k].1, &pair.weights[k]);
         }
         let (found, step) = normal.solve(point_mm, &linear);
         point_mm = found.point_mm;
@@ -98,7 +93,6 @@ fn start(
     views: &[RigView<'_>; 2],
     index: usize,
     pair: &Pair<'_>,
-    weights: &[Symmetric<2>; 2],
 ) -> Result<(Start, [f64; 2]), TriangulateError> {
     let mut sights = [(Ray { origin_mm: DVec3::ZERO, direction: DVec3::Z }, 0.0); 2];
     for (k, view) in VIEWS.into_iter().enumerate() {
@@ -121,7 +115,7 @@ fn start(
     for k in 0..2 {
         let rows = views[k].jacobian_on_ray(nearest[k], slopes[k]);
         linear[k] = (rows, along(&rows, nearest[k] - middle));
-        normal.add(&rows, linear[k].1, &weights[k]);
+        normal.add(&rows, linear[k].1, &pair.weights[k]);
     }
     let (found, _) = normal.solve(middle, &linear);
     let limit = NEAR * NEAR * found.point_mm.length();
@@ -140,13 +134,4 @@ fn nearest_points(a: &Ray, b: &Ray) -> [DVec3; 2] {
 
 fn along([u, v]: &[DVec3; 2], step: DVec3) -> DVec2 {
     DVec2::new(u.dot(step), v.dot(step))
-}
-
-/// Inverse of a positive definite matrix.
-fn inverse(m: &Symmetric<2>) -> Option<Symmetric<2>> {
-    let [[a, b], [c, d]] = *m;
-    let determinant = a * d - b * c;
-    let scale = 1.0 / determinant;
-    let valid = a > 0.0 && determinant > 0.0 && scale.is_finite();
-    valid.then(|| [[d * scale, -b * scale], [-c * scale, a * scale]])
 }
