@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 
 from gelstereo.frontier.boards import measure_boards
-from gelstereo.frontier.centres import measure_centres
+from gelstereo.frontier.centres import CONDITIONS, measure_centres
 from gelstereo.frontier.covariance import measure_covariance
 from gelstereo.frontier.figures import draw_errors, draw_growth
 from gelstereo.frontier.page import check_page, write_page
@@ -78,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
     finally:
         cv2.setNumThreads(threads)
     write_page(page, rows, tables, targets, rounds)
-    draw_errors(pictures / "accuracy-vs-time.png", rows)
+    draw_errors(pictures / "accuracy-vs-time.png", rows, CONDITIONS[0].bound_px())
     draw_growth(pictures / "time-over-size.png", speeds)
     missed = [target for target in targets if not target.met]
     print(f"wrote {page} and its figures; {len(targets) - len(missed)} of {len(targets)} targets met")
