@@ -3,7 +3,7 @@
 use gelstereo_core::digest::Digest;
 use gelstereo_core::image::GrayView;
 use gelstereo_core::math::{DVec3, Pose};
-use gelstereo_core::params::Params;
+use gelstereo_core::params::{Params, Saliency};
 use gelstereo_core::pipeline::{Frame, LabelSource, Pipeline, PipelineError, View};
 use gelstereo_core::track::MarkerState;
 use gelstereo_core::triangulate::{TriangulateError, Triangulator};
@@ -109,6 +109,22 @@ fn a_press_is_measured_to_what_the_centres_allow() {
         }
         assert!(frame.salient.iter().filter(|&&s| s).count() > 40);
     }
+}
+
+/// From images: the ball's contact is found by pressure, with few wrong markers at its rim, where depth takes the shoulder.
+#[test]
+fn pressure_finds_the_contact_in_images() {
+    let mut params = Params::preset("balanced").unwrap();
+    let wrong = |params: &Params| {
+        let (_, frame, truth) = run(&scene(vec![]), params, false);
+        frame.salient.iter().zip(&truth.in_contact).filter(|(found, truly)| found != truly).count()
+    };
+    let by_depth = wrong(&params);
+    params.contact.saliency = Saliency::Pressure;
+    let by_pressure = wrong(&params);
+    println!("wrong of 625: {by_depth} by depth, {by_pressure} by pressure");
+    // A circle of 2.5 mm crosses 17 markers' cells.
+    assert!(by_pressure <= 4 && by_depth > 20, "{by_depth} by depth, {by_pressure} by pressure");
 }
 
 #[test]

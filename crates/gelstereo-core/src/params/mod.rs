@@ -17,7 +17,7 @@ pub use detect::{Background, Centre, DetectParams, FitParams, Polarity, Threshol
 pub use label::{LabelMethod, LabelParams};
 pub use lattice::LatticeParams;
 pub use register::{RegisterMethod, RegisterParams};
-pub use track::TrackParams;
+pub use track::{Motion, TrackParams};
 pub use triangulate::{TriangulateMethod, TriangulateParams};
 
 /// All settings of the pipeline and of registration.

@@ -2,6 +2,17 @@
 
 use super::{ParamsError, check};
 
+/// Where a marker is expected in the next frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
+pub enum Motion {
+    /// Where it was (the paper).
+    #[default]
+    Still,
+    /// As far on as it has moved since the frame before.
+    ConstantVelocity,
+}
+
 /// Keeping the identity of markers over frames.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
@@ -10,15 +21,18 @@ use super::{ParamsError, check};
     serde(default, deny_unknown_fields)
 )]
 pub struct TrackParams {
-    /// A detection farther than this from a marker's last position is not that marker (Eq. 2). Default: `0.5` pitches.
+    /// A detection farther than this from where a marker is expected is not that marker (Eq. 2); with `label.method` =
+    /// `lattice` this only starts the search. Default: `0.5` pitches.
     pub gate_pitches: f64,
+    /// Where a marker is expected, with `label.method` = `lattice`; the others search where it was. Default: `still`.
+    pub motion: Motion,
     /// A marker unseen for more frames than this is lost until it is seen again. Default: `15`, half a second.
     pub max_held_frames: u32,
 }
 
 impl Default for TrackParams {
     fn default() -> Self {
-        Self { gate_pitches: 0.5, max_held_frames: 15 }
+        Self { gate_pitches: 0.5, motion: Motion::Still, max_held_frames: 15 }
     }
 }
 

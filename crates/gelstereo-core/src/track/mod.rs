@@ -1,6 +1,13 @@
 //! Identity of markers from frame to frame (Eq. 1 and 2).
 
+mod anchor;
+mod canvas;
+mod carry;
+mod checked;
 pub(crate) mod grid;
+mod matching;
+
+pub use checked::{CheckedTracker, Verdict};
 
 use crate::detect::Markers;
 use crate::label::RestLattice;
@@ -39,6 +46,14 @@ pub struct Tracks {
     unseen_frames: Vec<u32>,
     /// Displacement since the rest frame, less the mean one of its neighbours, when the marker was last measured.
     own_px: Vec<DVec2>,
+    /// Positions in the frame before, if `steady`.
+    previous_px: Vec<DVec2>,
+    /// Frames in succession that were matched with certainty but did not show the marker.
+    missed_frames: Vec<u32>,
+    /// The last two frames were matched with certainty.
+    steady: bool,
+    /// The last frame was not: positions are of an earlier one.
+    stale: bool,
 }
 
 /// A marker that was filled in at rest is held for ever, until it is seen.
@@ -57,6 +72,48 @@ impl Clone for Tracks {
         self.state.clone_from(&source.state);
         self.unseen_frames.clone_from(&source.unseen_frames);
         self.own_px.clone_from(&source.own_px);
+        self.previous_px.clone_from(&source.previous_px);
+        self.missed_frames.clone_from(&source.missed_frames);
+        (self.steady, self.stale) = (source.steady, source.stale);
+    }
+}
+
+impl Tracks {
+    /// Of a labelled rest frame and the detections that it was made of; a filled-in position is known to `unknown_px`.
+    fn initialise(&mut self, rest: &RestLattice, detected: &Markers, unknown_px: f64) {
+        self.positions_px.clone_from(&rest.positions_px);
+        let unknown = [[unknown_px * unknown_px, 0.0], [0.0, unknown_px * unknown_px]];
+        self.covariance_px2.clear();
+        self.covariance_px2.extend(
+            rest.detection.iter().map(|d| d.map_or(unknown, |m| detected.covariance_px2[m as usize])),
+        );
+        let held = rest.detection.iter().map(Option::is_none);
+        self.state.clear();
+        self.state.extend(held.clone().map(|held| if held { MarkerState::Held } else { MarkerState::Seen }));
+        self.unseen_frames.clear();
+        self.unseen_frames.extend(held.map(|held| if held { NEVER_SEEN } else { 0 }));
+        self.own_px.clear();
+        self.own_px.resize(rest.positions_px.len(), DVec2::ZERO);
+        self.previous_px.clone_from(&rest.positions_px);
+        self.missed_frames.clear();
+        self.missed_frames.extend(rest.detection.iter().map(|d| u32::from(d.is_none())));
+        (self.steady, self.stale) = (false, false);
+    }
+
+    /// Counts the frames that a marker is not seen, and gives it its state.
+    fn update_state(&mut self, n: usize, seen: bool, max_held_frames: u32) {
+        let unseen = &mut self.unseen_frames[n];
+        *unseen = match (seen, *unseen) {
+            (true, _) => 0,
+            (false, NEVER_SEEN) => NEVER_SEEN,
+            (false, frames) => (frames + 1).min(NEVER_SEEN - 1),
+        };
+        self.state[n] = match *unseen {
+            0 => MarkerState::Seen,
+            NEVER_SEEN => MarkerState::Held,
+            frames if frames <= max_held_frames => MarkerState::Held,
+            _ => MarkerState::Lost,
+        };
     }
 }
 
@@ -109,20 +166,8 @@ impl Tracker {
         self.gate_px = self.params.gate_pitches * rest.pitch_px;
         self.cols = rest.cols.max(1);
         self.rest_px.clone_from(&rest.positions_px);
-        out.positions_px.clone_from(&rest.positions_px);
         // A filled-in position is as good as the gate at best.
-        let unknown = [[self.gate_px * self.gate_px, 0.0], [0.0, self.gate_px * self.gate_px]];
-        out.covariance_px2.clear();
-        out.covariance_px2.extend(
-            rest.detection.iter().map(|d| d.map_or(unknown, |m| detected.covariance_px2[m as usize])),
-        );
-        let held = rest.detection.iter().map(Option::is_none);
-        out.state.clear();
-        out.state.extend(held.clone().map(|held| if held { MarkerState::Held } else { MarkerState::Seen }));
-        out.unseen_frames.clear();
-        out.unseen_frames.extend(held.map(|held| if held { NEVER_SEEN } else { 0 }));
-        out.own_px.clear();
-        out.own_px.resize(self.rest_px.len(), DVec2::ZERO);
+        out.initialise(rest, detected, self.gate_px);
     }
 
     /// Makes room for any later frame of `size_px` (width, height) with up to `most_detections`: after the first
@@ -160,7 +205,9 @@ impl Tracker {
                 *covariance = detected.covariance_px2[*m as usize];
             }
         }
-        self.update_states(out);
+        for (n, detection) in self.detection_of.iter().enumerate() {
+            out.update_state(n, detection.is_some(), self.params.max_held_frames);
+        }
     }
 
     /// Pairs free markers and free detections that are each other's nearest, closer than the gate; whether there were any.
@@ -206,23 +253,6 @@ impl Tracker {
                 }
                 out.positions_px[n] = self.rest_px[n] + now / seen + out.own_px[n];
             }
-        }
-    }
-
-    fn update_states(&self, out: &mut Tracks) {
-        let states = out.state.iter_mut().zip(&mut out.unseen_frames);
-        for ((state, unseen), detection) in states.zip(&self.detection_of) {
-            *unseen = match (detection, *unseen) {
-                (Some(_), _) => 0,
-                (None, NEVER_SEEN) => NEVER_SEEN,
-                (None, frames) => (frames + 1).min(NEVER_SEEN - 1),
-            };
-            *state = match *unseen {
-                0 => MarkerState::Seen,
-                NEVER_SEEN => MarkerState::Held,
-                frames if frames <= self.params.max_held_frames => MarkerState::Held,
-                _ => MarkerState::Lost,
-            };
         }
     }
 }

@@ -1,0 +1,136 @@
+//! By how many whole pitches a lattice has moved, told by its border.
+
+use super::canvas::{Canvas, NONE};
+use crate::math::DVec2;
+use alloc::vec::Vec;
+
+/// What a marker outside the lattice, or at a place that was never printed, costs against one that is not found.
+const STRAY: u32 = 3;
+
+/// Within so many pitches of the image's border a marker may be cut off: neither presence nor absence is expected.
+const BORDER_PITCHES: f64 = 0.6;
+
+/// What is known of a marker beforehand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Expectation {
+    /// Found lately.
+    Present,
+    /// Hidden for some time.
+    Unknown,
+    /// Never found: not printed.
+    Absent,
+}
+
+/// Compares the shifts that a labelled patch can have.
+///
+/// The inside of a lattice looks the same after a step of a pitch; what differs is its border, and places
+/// without a print. A shift costs 1 for each marker that was expected in view and is not there, and [`STRAY`] for each
+/// detection where nothing can be, besides what the jump costs. The best is certain when all others cost clearly more.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Anchor {
+    present: Vec<u8>,
+    visible: Vec<u8>,
+    expected: Vec<u8>,
+    unprinted: Vec<u8>,
+}
+
+/// What a jump costs: up to a row of markers, from a pitch on. A border that disappears at once may have moved on, or be
+/// hidden.
+fn surprise(canvas: &Canvas, shift: [isize; 2], pitch_px: f64) -> u32 {
+    let side = canvas.rows.min(canvas.cols) as f64;
+    let middle = canvas.rows / 2 * canvas.cols + canvas.cols / 2;
+    let (Some(from), Some(to)) = (canvas.site(middle, [0, 0]), canvas.site(middle, shift)) else { return 0 };
+    let moved_px = canvas.position_px(to).distance(canvas.predicted_px[from]);
+    (side * (moved_px / pitch_px).min(1.0)) as u32
+}
+
+/// The answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Anchored {
+    /// Marker (row, col) stands at place (row, col) + shift.
+    pub shift: [isize; 2],
+    /// No other shift comes near.
+    pub certain: bool,
+}
+
+impl Anchor {
+    /// Makes room for a lattice with so many rings.
+    pub fn reserve(&mut self, markers: usize, sites: usize) {
+        for list in [&mut self.present, &mut self.visible] {
+            list.clear();
+            list.reserve(sites);
+        }
+        for list in [&mut self.expected, &mut self.unprinted] {
+            list.clear();
+            list.reserve(markers);
+        }
+    }
+
+    /// The cheapest shift of at most the canvas's rings along rows and columns.
+    pub fn run(
+        &mut self,
+        canvas: &Canvas,
+        expectations: impl Iterator<Item = Expectation> + Clone,
+        size_px: (usize, usize),
+        pitch_px: f64,
+    ) -> Anchored {
+        let border = DVec2::splat(BORDER_PITCHES * pitch_px);
+        let far = DVec2::new(size_px.0 as f64 - 1.0, size_px.1 as f64 - 1.0) - border;
+        let in_view = |p: DVec2| p.cmpge(border).all() && p.cmple(far).all();
+        let fill = |list: &mut Vec<u8>, values: &mut dyn Iterator<Item = bool>| {
+            list.clear();
+            list.extend(values.map(u8::from));
+        };
+        fill(&mut self.present, &mut canvas.found.iter().map(|&m| m != NONE));
+        fill(&mut self.visible, &mut (0..canvas.found.len()).map(|s| in_view(canvas.position_px(s))));
+        fill(&mut self.expected, &mut expectations.clone().map(|e| e == Expectation::Present));
+        fill(&mut self.unprinted, &mut expectations.map(|e| e == Expectation::Absent));
+        let most = canvas.rings as isize;
+        let (mut best, mut second) = ((u32::MAX, [0, 0]), u32::MAX);
+        for shift in (-most..=most).flat_map(|row| (-most..=most).map(move |col| [row, col])) {
+            let cost = self.cost(canvas, shift) + surprise(canvas, shift, pitch_px);
+            if cost < best.0 {
+                (second, best) = (best.0, (cost, shift));
+            } else {
+                second = second.min(cost);
+            }
+        }
+        // Half a border row tells two shifts apart; a few specks do not.
+        let margin = (canvas.rows.min(canvas.cols) as u32 / 2).max(6);
+        let certain = second - best.0 >= margin && self.on_edge(canvas) <= margin / 2;
+        Anchored { shift: best.1, certain }
+    }
+
+    fn cost(&self, canvas: &Canvas, shift: [isize; 2]) -> u32 {
+        let (rows, cols, width) = (canvas.rows, canvas.cols, canvas.width());
+        let (mut missing, mut inside, mut misprinted) = (0, 0, 0);
+        for row in 0..rows {
+            let first = (row as isize + canvas.rings as isize + shift[0]) as usize * width
+                + (canvas.rings as isize + shift[1]) as usize;
+            let (present, visible) = (&self.present[first..][..cols], &self.visible[first..][..cols]);
+            let (expected, unprinted) =
+                (&self.expected[row * cols..][..cols], &self.unprinted[row * cols..][..cols]);
+            for ((&p, &v), (&e, &u)) in present.iter().zip(visible).zip(expected.iter().zip(unprinted)) {
+                missing += u32::from(e & v & (1 - p));
+                misprinted += u32::from(u & p);
+                inside += u32::from(p);
+            }
+        }
+        let all: u32 = self.present.iter().map(|&p| u32::from(p)).sum();
+        missing + STRAY * (all - inside + misprinted)
+    }
+
+    /// Detections on the outermost ring: where there are some, the lattice may go on beyond.
+    fn on_edge(&self, canvas: &Canvas) -> u32 {
+        let width = canvas.width();
+        let line = |line: &[u8]| line.iter().map(|&p| u32::from(p)).sum::<u32>();
+        let height = self.present.len() / width;
+        self.present.chunks_exact(width).enumerate().fold(0, |sum, (row, places)| {
+            sum + if row == 0 || row + 1 == height {
+                line(places)
+            } else {
+                u32::from(places[0]) + u32::from(places[width - 1])
+            }
+        })
+    }
+}

@@ -1,0 +1,200 @@
+//! The lattice with rings of empty places around it, where markers would appear if it had moved by whole pitches.
+
+use crate::math::{DVec2, median};
+use alloc::vec::Vec;
+
+/// No detection.
+pub(super) const NONE: u32 = u32::MAX;
+
+/// Steps to the eight places around one: rows down, columns to the right.
+const AROUND: [[isize; 2]; 8] = [[-1, -1], [-1, 0], [-1, 1], [0, -1], [0, 1], [1, -1], [1, 0], [1, 1]];
+
+/// Values that the surround of a place suggests.
+#[derive(Clone, Copy, Debug, Default)]
+struct Suggestions {
+    x: [f64; 12],
+    y: [f64; 12],
+    count: usize,
+}
+
+/// The value that the surround of a place suggests.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Suggested {
+    pub middle_px: DVec2,
+    /// Median distance of the suggestions from it.
+    pub spread_px: f64,
+    /// How many suggestions there are.
+    pub count: usize,
+}
+
+impl Suggestions {
+    fn push(&mut self, value: DVec2) {
+        (self.x[self.count], self.y[self.count]) = (value.x, value.y);
+        self.count += 1;
+    }
+
+    /// Their median on each axis, which one wrong neighbour does not move far.
+    fn middle(mut self) -> Option<Suggested> {
+        let mut apart = [0.0; 12];
+        let n = self.count;
+        let (xs, ys) = (self.x, self.y);
+        let middle = DVec2::new(median(&mut self.x[..n])?, median(&mut self.y[..n])?);
+        for (apart, (&x, &y)) in apart.iter_mut().zip(xs.iter().zip(&ys)) {
+            *apart = middle.distance(DVec2::new(x, y));
+        }
+        Some(Suggested { middle_px: middle, spread_px: median(&mut apart[..n])?, count: n })
+    }
+}
+
+/// Places of the lattice and of `rings` rings around it, row by row.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Canvas {
+    pub rows: usize,
+    pub cols: usize,
+    pub rings: usize,
+    /// Where the marker of each place is expected; around the lattice its outer steps are continued.
+    pub predicted_px: Vec<DVec2>,
+    /// Detection less prediction; where there is no detection, what its surround suggests.
+    pub residual_px: Vec<DVec2>,
+    /// Detection at each place, or [`NONE`].
+    pub found: Vec<u32>,
+}
+
+impl Canvas {
+    pub const fn width(&self) -> usize {
+        self.cols + 2 * self.rings
+    }
+
+    /// Marker of a place, or none around the lattice.
+    pub fn marker(&self, site: usize) -> Option<usize> {
+        let row = (site / self.width()).checked_sub(self.rings)?;
+        let col = (site % self.width()).checked_sub(self.rings)?;
+        (row < self.rows && col < self.cols).then_some(row * self.cols + col)
+    }
+
+    /// Place of a marker of a lattice that is shifted by so many rows and columns; `None` beyond the canvas.
+    pub fn site(&self, marker: usize, shift: [isize; 2]) -> Option<usize> {
+        let along =
+            |at: usize, by: isize, end: usize| (at + self.rings).checked_add_signed(by).filter(|&i| i < end);
+        let row = along(marker / self.cols, shift[0], self.rows + 2 * self.rings)?;
+        let col = along(marker % self.cols, shift[1], self.width())?;
+        Some(row * self.width() + col)
+    }
+
+    /// Expects markers at these positions, `rows * cols` of them, and nothing found yet.
+    pub fn lay(&mut self, lattice_px: &[DVec2], rows: usize, cols: usize, rings: usize) {
+        (self.rows, self.cols, self.rings) = (rows, cols, rings);
+        let (width, height) = (self.width(), rows + 2 * rings);
+        self.predicted_px.clear();
+        self.predicted_px.resize(width * height, DVec2::ZERO);
+        self.residual_px.clear();
+        self.residual_px.resize(width * height, DVec2::ZERO);
+        self.found.clear();
+        self.found.resize(width * height, NONE);
+        for (row, line) in lattice_px.chunks_exact(cols).enumerate() {
+            let start = (row + rings) * width;
+            self.predicted_px[start + rings..][..cols].copy_from_slice(line);
+            self.continue_line(start, 1, cols);
+        }
+        for col in 0..width {
+            self.continue_line(col, width, rows);
+        }
+    }
+
+    /// Continues the `len` known places of a line on both sides, by the mean of their outer two steps.
+    fn continue_line(&mut self, start: usize, stride: usize, len: usize) {
+        let (first, last, steps) = (self.rings, self.rings + len - 1, len.min(3) - 1);
+        for (end, inner, outwards) in [(first, first + steps, -1), (last, last - steps, 1)] {
+            let outer = self.predicted_px[start + end * stride];
+            let step = (outer - self.predicted_px[start + inner * stride]) / steps.max(1) as f64;
+            for ring in 1..=self.rings as isize {
+                let place = end.wrapping_add_signed(outwards * ring);
+                self.predicted_px[start + place * stride] = outer + step * ring as f64;
+            }
+        }
+    }
+
+    /// The up to eight places around one.
+    pub fn around(&self, site: usize) -> impl Iterator<Item = usize> + use<> {
+        let (width, height) = (self.width(), self.rows + 2 * self.rings);
+        let (row, col) = (site / width, site % width);
+        let near = |at: usize, end: usize| at.saturating_sub(1)..(at + 2).min(end);
+        near(row, height)
+            .flat_map(move |r| near(col, width).map(move |c| r * width + c))
+            .filter(move |&other| other != site)
+    }
+
+    /// Where the marker of a place stands, or would.
+    pub fn position_px(&self, site: usize) -> DVec2 {
+        self.predicted_px[site] + self.residual_px[site]
+    }
+
+    /// Gives every place without a detection the mean residual of those around it, from the detections outwards.
+    pub fn spread(&mut self, known: &mut Vec<bool>, round: &mut Vec<(u32, DVec2)>) {
+        known.clear();
+        known.extend(self.found.iter().map(|&m| m != NONE));
+        loop {
+            round.clear();
+            for site in (0..known.len()).filter(|&s| !known[s]) {
+                if let Some(mean) = self.mean_residual(site, |s| known[s]) {
+                    round.push((site as u32, mean));
+                }
+            }
+            if round.is_empty() {
+                return;
+            }
+            for &(site, residual) in round.iter() {
+                self.residual_px[site as usize] = residual;
+                known[site as usize] = true;
+            }
+        }
+    }
+
+    /// What the matched places around one suggest as its value: each two on opposite sides, and each two in a line. All
+    /// are right where values change evenly, as positions do, and residuals in a turn.
+    fn suggestions(&self, site: usize, value: impl Fn(usize) -> DVec2) -> Suggestions {
+        let mut out = Suggestions::default();
+        let (width, height) = (self.width() as isize, (self.rows + 2 * self.rings) as isize);
+        let (row, col) = (site as isize / width, site as isize % width);
+        let residual = |steps: isize, [down, right]: [isize; 2]| {
+            let (r, c) = (row + steps * down, col + steps * right);
+            let other = (r * width + c) as usize;
+            let inside = (0..height).contains(&r) && (0..width).contains(&c);
+            (inside && self.found[other] != NONE).then(|| value(other))
+        };
+        let near = AROUND.map(|direction| residual(1, direction));
+        for (k, first) in near.iter().enumerate().filter_map(|(k, near)| Some((k, (*near)?))) {
+            if let (true, Some(opposite)) = (k < 4, near[7 - k]) {
+                out.push((first + opposite) * 0.5);
+            }
+            if let Some(second) = residual(2, AROUND[k]) {
+                out.push(first * 2.0 - second);
+            }
+        }
+        out
+    }
+
+    /// The residual that the matched places around one suggest.
+    pub fn suggested(&self, site: usize) -> Option<Suggested> {
+        let lines = self.suggestions(site, |s| self.residual_px[s]).middle();
+        lines.or_else(|| {
+            let mean = self.mean_residual(site, |s| self.found[s] != NONE)?;
+            Some(Suggested { middle_px: mean, spread_px: 0.0, count: 1 })
+        })
+    }
+
+    /// Where the matched places around one suggest that it stands in this frame, whatever was predicted.
+    pub fn between_px(&self, site: usize) -> Option<DVec2> {
+        Some(self.suggestions(site, |s| self.position_px(s)).middle()?.middle_px)
+    }
+
+    /// Mean residual of the places around one that are accepted.
+    pub fn mean_residual(&self, site: usize, accept: impl Fn(usize) -> bool) -> Option<DVec2> {
+        let (mut sum, mut count) = (DVec2::ZERO, 0.0);
+        for other in self.around(site).filter(|&s| accept(s)) {
+            sum += self.residual_px[other];
+            count += 1.0;
+        }
+        (count > 0.0).then(|| sum / count)
+    }
+}

@@ -1,0 +1,329 @@
+//! Which detection belongs to which place of the lattice, up to a shift by whole pitches.
+
+use super::canvas::{Canvas, NONE};
+use super::grid::Grid;
+use crate::math::DVec2;
+use alloc::vec::Vec;
+
+/// Residuals of neighbours that belong together differ by less, in pitches: a slip makes them differ by one pitch less the
+/// true difference.
+const NEIGHBOURS_AGREE: f64 = 0.35;
+
+/// Neighbours whose residuals differ by more, in pitches, have slipped against each other: where the prediction is fresh,
+/// and where it is of a frame some time ago.
+const SLIPPED: f64 = 0.5;
+const SLIPPED_STALE: f64 = 0.3;
+
+/// A marker farther from the middle of its neighbours, in pitches, is not between them: a slip leaves half a pitch.
+const BENT: f64 = 1.0 / 3.0;
+
+/// Where all residuals lie so close to their mean, in pitches, every two agree.
+const ALL_AGREE: f64 = 0.5 * NEIGHBOURS_AGREE;
+
+/// A detection that two places want about equally, in pitches, is two markers in one, and nobody's.
+const DISPUTED: f64 = 0.25;
+
+/// Where a lattice has moved by any part of a pitch, some marker is at most this far from every place, in pitches: half a
+/// diagonal and a little.
+const HALF_DIAGONAL: f64 = 0.75;
+
+/// A marker may differ from what its neighbours suggest by so many pitches, and by twice as much as they differ among
+/// themselves; by a little more for each frame that it was hidden, up to a limit.
+const LONE: f64 = 0.12;
+const LONE_HIDDEN: f64 = 0.02;
+const HIDDEN_FRAMES: u32 = 4;
+const LONE_MOST: f64 = 0.25;
+
+/// With fewer suggestions than this a marker is given no more room.
+const SUPPORT: usize = 5;
+
+/// The places that want a detection.
+#[derive(Clone, Copy, Debug)]
+struct Claim {
+    site: u32,
+    nearest_px2: f64,
+    second_px2: f64,
+}
+
+const UNCLAIMED: Claim = Claim { site: NONE, nearest_px2: f64::INFINITY, second_px2: f64::INFINITY };
+
+/// Matches detections to the places of a canvas.
+///
+/// Nearest neighbours alone go wrong where the gel has moved by half a pitch or more. But two neighbours that are both
+/// right have moved alike: matches whose residuals disagree with their neighbours' are slips, and the largest set of
+/// places in agreement, grown from place to place, is labelled right up to one shift for all of it.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Matching {
+    grid: Grid,
+    taken: Vec<bool>,
+    claims: Vec<Claim>,
+    targets: Vec<(u32, DVec2)>,
+    claimants: Vec<(u32, u32)>,
+    component: Vec<u32>,
+    stack: Vec<u32>,
+    known: Vec<bool>,
+}
+
+impl Matching {
+    /// Makes room for so many places and detections, spread over so many pixels.
+    pub fn reserve(&mut self, sites: usize, detections: usize, size_px: (usize, usize), pitch_px: f64) {
+        self.grid.reserve(detections, size_px, pitch_px);
+        self.taken.reserve(detections.saturating_sub(self.taken.len()));
+        self.claims.reserve(detections.saturating_sub(self.claims.len()));
+        self.targets.reserve(sites);
+        self.claimants.reserve(sites);
+        self.component.reserve(sites);
+        self.stack.reserve(sites);
+        self.known.reserve(sites);
+    }
+
+    /// Takes the detections of a frame.
+    pub fn load(&mut self, detected_px: &[DVec2], pitch_px: f64) {
+        self.grid.build(detected_px, pitch_px);
+    }
+
+    /// Matches the loaded detections; `missed` tells how many frames a marker was not seen. Matches start closer than
+    /// `gate_px` or, without one, from any that make a lattice. Returns whether all neighbours agree in the end.
+    pub fn run(
+        &mut self,
+        canvas: &mut Canvas,
+        detected_px: &[DVec2],
+        missed: impl Fn(usize) -> u32,
+        stale: bool,
+        gate_px: Option<f64>,
+        pitch_px: f64,
+    ) -> bool {
+        let disputed_px = DISPUTED * pitch_px;
+        self.taken.clear();
+        self.taken.resize(detected_px.len(), false);
+        self.claims.clear();
+        self.claims.resize(detected_px.len(), UNCLAIMED);
+        self.targets.clear();
+        self.targets.extend(canvas.predicted_px.iter().enumerate().map(|(s, &p)| (s as u32, p)));
+        match gate_px {
+            Some(gate_px) => self.claim(canvas, detected_px, gate_px, disputed_px),
+            None => self.claim(canvas, detected_px, HALF_DIAGONAL * pitch_px, 0.0),
+        };
+        let fresh = |canvas: &Canvas, site: usize| canvas.marker(site).is_some_and(|n| missed(n) == 0);
+        let reach_px = NEIGHBOURS_AGREE * pitch_px;
+        if agree_all(canvas, pitch_px, &fresh) {
+            // What lies beyond the gate when all have moved nearly as far.
+            if self.taken.contains(&false) {
+                self.grow(canvas, detected_px, reach_px, disputed_px);
+                self.weed(canvas, &missed, pitch_px);
+            }
+            return true;
+        }
+        self.keep_largest(canvas, pitch_px);
+        self.grow(canvas, detected_px, reach_px, disputed_px);
+        // Islands beyond a gap are joined while all has moved alike; those that were hidden until now could have moved unseen.
+        if let Some(mean) = common_residual(canvas, NEIGHBOURS_AGREE * pitch_px) {
+            self.targets.clear();
+            for site in (0..canvas.found.len()).filter(|&s| canvas.found[s] == NONE && fresh(canvas, s)) {
+                self.targets.push((site as u32, canvas.predicted_px[site] + mean));
+            }
+            if self.claim(canvas, detected_px, reach_px, disputed_px) {
+                self.grow(canvas, detected_px, reach_px, disputed_px);
+            }
+        }
+        self.settle(canvas, detected_px, reach_px, disputed_px);
+        self.weed(canvas, &missed, pitch_px);
+        canvas.spread(&mut self.known, &mut self.targets);
+        !torn(canvas, if stale { SLIPPED_STALE } else { SLIPPED }, pitch_px)
+    }
+
+    /// Gives every target the free detection nearest to it and closer than the gate, if no other wants it about as
+    /// much; whether any was given.
+    fn claim(&mut self, canvas: &mut Canvas, detected_px: &[DVec2], gate_px: f64, disputed_px: f64) -> bool {
+        let Self { grid, taken, claims, targets, claimants, .. } = self;
+        claimants.clear();
+        for &(site, target) in targets.iter() {
+            let Some(m) = grid.nearest(detected_px, target, gate_px, |m| !taken[m]) else { continue };
+            let px2 = detected_px[m].distance_squared(target);
+            let claim = &mut claims[m];
+            *claim = if px2 < claim.nearest_px2 {
+                Claim { site, nearest_px2: px2, second_px2: claim.nearest_px2 }
+            } else {
+                Claim { second_px2: claim.second_px2.min(px2), ..*claim }
+            };
+            claimants.push((site, m as u32));
+        }
+        let before = claimants.len();
+        claimants.retain(|&(site, m)| {
+            let claim = &claims[m as usize];
+            // The root of the smaller one is spared where there is no second.
+            claim.site == site
+                && (claim.second_px2 == f64::INFINITY
+                    || crate::math::sqrt(claim.second_px2) - crate::math::sqrt(claim.nearest_px2)
+                        >= disputed_px)
+        });
+        for &(site, m) in claimants.iter() {
+            let (site, m) = (site as usize, m as usize);
+            canvas.found[site] = m as u32;
+            canvas.residual_px[site] = detected_px[m] - canvas.predicted_px[site];
+            taken[m] = true;
+        }
+        if before > 0 {
+            claims.fill(UNCLAIMED);
+        }
+        !claimants.is_empty()
+    }
+
+    /// Drops all but the largest set of neighbours in agreement.
+    fn keep_largest(&mut self, canvas: &mut Canvas, pitch_px: f64) {
+        let agree_px2 = (NEIGHBOURS_AGREE * pitch_px) * (NEIGHBOURS_AGREE * pitch_px);
+        self.component.clear();
+        self.component.resize(canvas.found.len(), NONE);
+        let (mut largest, mut most) = (NONE, 0);
+        for seed in 0..canvas.found.len() {
+            if canvas.found[seed] == NONE || self.component[seed] != NONE {
+                continue;
+            }
+            let mut size = 0;
+            self.component[seed] = seed as u32;
+            self.stack.clear();
+            self.stack.push(seed as u32);
+            while let Some(site) = self.stack.pop() {
+                size += 1;
+                for other in canvas.around(site as usize) {
+                    let apart = canvas.residual_px[other] - canvas.residual_px[site as usize];
+                    if canvas.found[other] != NONE
+                        && self.component[other] == NONE
+                        && apart.length_squared() < agree_px2
+                    {
+                        self.component[other] = seed as u32;
+                        self.stack.push(other as u32);
+                    }
+                }
+            }
+            if size > most {
+                (largest, most) = (seed as u32, size);
+            }
+        }
+        for site in (0..canvas.found.len()).filter(|&s| self.component[s] != largest) {
+            if canvas.found[site] != NONE {
+                self.taken[canvas.found[site] as usize] = false;
+                canvas.found[site] = NONE;
+                canvas.residual_px[site] = DVec2::ZERO;
+            }
+        }
+    }
+
+    /// Matches places beside matched ones, predicted by their residuals, until nothing new is found.
+    fn grow(&mut self, canvas: &mut Canvas, detected_px: &[DVec2], reach_px: f64, disputed_px: f64) {
+        loop {
+            self.targets.clear();
+            for site in (0..canvas.found.len()).filter(|&s| canvas.found[s] == NONE) {
+                if let Some(around) = canvas.suggested(site) {
+                    self.targets.push((site as u32, canvas.predicted_px[site] + around.middle_px));
+                }
+            }
+            if !self.claim(canvas, detected_px, reach_px, disputed_px) {
+                return;
+            }
+        }
+    }
+
+    /// Drops detections that an empty place wants about as much as the one that has it.
+    fn settle(&mut self, canvas: &mut Canvas, detected_px: &[DVec2], reach_px: f64, disputed_px: f64) {
+        self.claimants.clear();
+        for (site, &m) in canvas.found.iter().enumerate().filter(|&(_, &m)| m != NONE) {
+            self.claims[m as usize].site = site as u32;
+        }
+        for empty in (0..canvas.found.len()).filter(|&s| canvas.found[s] == NONE) {
+            let Some(around) = canvas.suggested(empty) else { continue };
+            let target = canvas.predicted_px[empty] + around.middle_px;
+            let Some(m) = self.grid.nearest(detected_px, target, reach_px, |_| true) else { continue };
+            let owner = self.claims[m].site;
+            if owner == NONE {
+                continue;
+            }
+            // How far the owner is from where its neighbours say.
+            let off_px = canvas
+                .suggested(owner as usize)
+                .map_or(0.0, |around| around.middle_px.distance(canvas.residual_px[owner as usize]));
+            if detected_px[m].distance(target) - off_px < disputed_px {
+                self.claimants.push((owner, m as u32));
+            }
+        }
+        for &(site, m) in &self.claimants {
+            canvas.found[site as usize] = NONE;
+            self.taken[m as usize] = false;
+        }
+    }
+
+    /// Drops detections that stand alone against their neighbours: specks, and merged pairs.
+    fn weed(&mut self, canvas: &mut Canvas, missed: impl Fn(usize) -> u32, pitch_px: f64) {
+        self.claimants.clear();
+        for (site, &m) in canvas.found.iter().enumerate().filter(|&(_, &m)| m != NONE) {
+            let alone = canvas.suggested(site).is_none_or(|around| {
+                let hidden = canvas.marker(site).map_or(HIDDEN_FRAMES, |n| missed(n).min(HIDDEN_FRAMES));
+                let most_px = if around.count < SUPPORT {
+                    LONE * pitch_px
+                } else {
+                    let most_px = (LONE + LONE_HIDDEN * f64::from(hidden)) * pitch_px;
+                    (most_px + 2.0 * around.spread_px).min(LONE_MOST * pitch_px)
+                };
+                canvas.residual_px[site].distance(around.middle_px) > most_px
+            });
+            let bent = |between: DVec2| canvas.position_px(site).distance(between) > BENT * pitch_px;
+            let alone = alone || canvas.between_px(site).is_some_and(bent);
+            if alone {
+                self.claimants.push((site as u32, m));
+            }
+        }
+        for &(site, m) in &self.claimants {
+            self.taken[m as usize] = false;
+            canvas.found[site as usize] = NONE;
+        }
+    }
+}
+
+/// Whether two neighbours have slipped against each other: their motions differ too much, or a marker does not stand between
+/// its neighbours.
+fn torn(canvas: &Canvas, most_slip: f64, pitch_px: f64) -> bool {
+    let (slip, bent) = (most_slip * pitch_px, BENT * pitch_px);
+    let width = canvas.width();
+    let found = |site: usize| canvas.found[site] != NONE;
+    let height = canvas.found.len() / width;
+    let tears = |site: usize, row: usize, col: usize| {
+        let between = |before: usize, after: usize| {
+            let middle = (canvas.position_px(before) + canvas.position_px(after)) * 0.5;
+            found(before) && found(after) && middle.distance_squared(canvas.position_px(site)) > bent * bent
+        };
+        let slipped = |other: usize| {
+            let apart = canvas.residual_px[site] - canvas.residual_px[other];
+            found(other) && apart.length_squared() > slip * slip
+        };
+        (col > 0 && col + 1 < width && between(site - 1, site + 1))
+            || (row > 0 && row + 1 < height && between(site - width, site + width))
+            || canvas.around(site).any(slipped)
+    };
+    (0..canvas.found.len()).any(|site| found(site) && tears(site, site / width, site % width))
+}
+
+/// Mean residual of all matches if all lie closer to it than `most_px`.
+fn common_residual(canvas: &Canvas, most_px: f64) -> Option<DVec2> {
+    let matched =
+        || canvas.found.iter().zip(&canvas.residual_px).filter(|&(&m, _)| m != NONE).map(|(_, &r)| r);
+    let (sum, count) = matched().fold((DVec2::ZERO, 0.0), |(sum, count), r| (sum + r, count + 1.0));
+    let mean = sum / count;
+    (count > 0.0 && matched().all(|r| r.distance_squared(mean) < most_px * most_px)).then_some(mean)
+}
+
+/// Whether all matches agree with each other, and those that reappear stand beside one that was seen before; then what was
+/// not found is given the mean residual.
+fn agree_all(canvas: &mut Canvas, pitch_px: f64, fresh: impl Fn(&Canvas, usize) -> bool) -> bool {
+    let Some(mean) = common_residual(canvas, ALL_AGREE * pitch_px) else { return false };
+    let fresh_match = |s: usize| canvas.found[s] != NONE && fresh(canvas, s);
+    let joined = |s: usize| fresh(canvas, s) || canvas.around(s).any(fresh_match);
+    let agree = (0..canvas.found.len()).filter(|&s| canvas.found[s] != NONE).all(joined);
+    if agree {
+        for (residual, &m) in canvas.residual_px.iter_mut().zip(&canvas.found) {
+            if m == NONE {
+                *residual = mean;
+            }
+        }
+    }
+    agree
+}
