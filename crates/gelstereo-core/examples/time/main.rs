@@ -113,6 +113,9 @@ impl Bench {
         let covariance_px2 = vec![[[1e-3, 0.0], [0.0, 1e-3]]; frame.left_px.len()];
         let view = |positions_px| Centres { positions_px, covariance_px2: &covariance_px2 };
         let (left, right) = (view(&frame.left_px), view(&frame.right_px));
+        if self.triangulator.map_error_mm().is_none() {
+            self.triangulator.fit_map(&frame.points_mm);
+        }
         let mut points: Vec<StereoPoint> = Vec::with_capacity(frame.left_px.len());
         timed(|| self.triangulator.run(left, right, &mut points))
     }

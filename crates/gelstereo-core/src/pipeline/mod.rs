@@ -158,7 +158,6 @@ impl Pipeline {
         self.points_mm.extend(self.stereo.iter().map(|s| s.point_mm));
         self.covariance_mm2.clear();
         self.covariance_mm2.extend(self.stereo.iter().map(|s| s.covariance_mm2));
-        self.triangulator.fit_map(&self.points_mm);
         let rest = RestSurface::new(&self.points_mm).map_err(PipelineError::Contact)?;
         if self.params.contact.saliency == Saliency::Pressure {
             let (rows, cols) = side(&self.left);
@@ -185,6 +184,10 @@ impl Pipeline {
 
     /// Later frames: a pair that makes no point is not this marker, which is then held where it was.
     fn follow_points(&mut self, out: &mut Frame) {
+        if let (1, Some(rest)) = (self.frames, &self.rest) {
+            // Not in the rest frame itself, so that a single frame costs no fit.
+            self.triangulator.fit_map(rest.points_mm());
+        }
         let max_px = self.params.triangulate.max_epipolar_px;
         out.mismatched = 0;
         out.state.clear();
