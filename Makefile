@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 OUT ?= out
 HOST := target/release/gelstereo-host
 
-.PHONY: demo test test-rust test-python lint docs frontier clean prerequisites
+.PHONY: demo test test-rust test-python fuzz frontier clean prerequisites
 
 demo: prerequisites $(BIN)/python
 	$(BIN)/pip install --quiet '.[recording]'
@@ -16,7 +16,7 @@ demo: prerequisites $(BIN)/python
 	@echo "picture:   $(OUT)/demo/located.png"
 	@echo "recording: $(OUT)/demo/run.mcap"
 
-test: prerequisites test-rust test-python
+test: prerequisites test-rust test-python fuzz
 	@echo "all tests passed"
 
 # Lints first: they fail soonest.
@@ -32,12 +32,19 @@ test-python: prerequisites $(BIN)/python
 	$(BIN)/pip install --quiet '.[test]'
 	# It would bring a second OpenCV with it; only its recordings are read.
 	$(BIN)/pip install --quiet --no-deps pytac3d==3.3.0.9
+	@.ci/second-opinion.sh
 	cargo build --release --quiet -p gelstereo-host
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy --strict python/gelstereo
 	$(BIN)/python -m mypy.stubtest gelstereo._native
 	GELSTEREO_HOST=$(HOST) $(BIN)/pytest
+
+# So many seconds for each target; a find ends it.
+FUZZ_SECONDS ?= 10
+fuzz: prerequisites
+	cargo fmt --manifest-path fuzz/Cargo.toml --check
+	fuzz/run.sh $(FUZZ_SECONDS)
 
 frontier: prerequisites $(BIN)/python
 	$(BIN)/pip install --quiet '.[bench]'
@@ -50,4 +57,4 @@ prerequisites:
 	@PYTHON=$(PYTHON) .ci/prerequisites.sh
 
 clean:
-	rm -rf target $(VENV) $(OUT)
+	rm -rf target fuzz/target fuzz/corpus fuzz/found $(VENV) $(OUT)

@@ -163,5 +163,5 @@ def test_numbers_that_are_no_rig(changes: dict[str, object], error: type[Excepti
 
 
 def test_points_behind_a_camera_are_named() -> None:
-    with pytest.raises(RigError, match=r"point 1 is .* not in front"):
+    with pytest.raises(RigError, match=r"point 1: .* not in front"):
         Rig.parallel(SIZE_PX, 560.0, 8.0).project([[0, 0, 1.0], [0, 0, -1.0]])

@@ -42,6 +42,7 @@ from gelstereo._native import (
     SceneError,
     SensorMount,
     ShapeError,
+    SimulatedDots,
     SimulatedFrame,
     Simulator,
     Template,
@@ -57,7 +58,7 @@ from gelstereo._native import (
     triangulate_covariance,
 )
 from gelstereo.simulation import simulate
-from gelstereo.states import MarkerState
+from gelstereo.states import MarkerState, Sight
 
 __all__ = [
     "ContactError",
@@ -88,6 +89,8 @@ __all__ = [
     "SceneError",
     "SensorMount",
     "ShapeError",
+    "Sight",
+    "SimulatedDots",
     "SimulatedFrame",
     "Simulator",
     "Template",

@@ -11,17 +11,17 @@
 //! spacing, x y z per patch point, and the rows of the guess.
 #![allow(clippy::print_stdout, reason = "it is a program")]
 
+#[path = "support/pgm.rs"]
+mod pgm;
+
 use gelstereo_core::detect::{Detector, Markers};
-use gelstereo_core::image::GrayView;
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::params::Params;
 use gelstereo_core::pipeline::{Frame, Pipeline};
 use gelstereo_core::register::{Registrar, Template};
 use gelstereo_core::rig::Rig;
-use std::error::Error;
+use pgm::{Outcome, Pgm};
 use std::fs;
-
-type Outcome<T> = Result<T, Box<dyn Error>>;
 
 fn main() -> Outcome<()> {
     let words: Vec<String> = std::env::args().skip(1).collect();
@@ -92,37 +92,4 @@ fn register(params: &Params, files: &[String]) -> Outcome<String> {
 
 fn numbers(path: &str) -> Outcome<Vec<f64>> {
     Ok(fs::read_to_string(path)?.split_whitespace().map(str::parse).collect::<Result<_, _>>()?)
-}
-
-/// A binary grey image.
-struct Pgm {
-    width: usize,
-    height: usize,
-    pixels: Vec<u8>,
-}
-
-impl Pgm {
-    /// Reads `P5 width height 255` and the pixels, as OpenCV writes them.
-    fn read(path: &str) -> Outcome<Self> {
-        let bytes = fs::read(path)?;
-        let mut at = 0;
-        let mut word = || {
-            let start = at;
-            while at < bytes.len() && !bytes[at].is_ascii_whitespace() {
-                at += 1;
-            }
-            at += 1;
-            String::from_utf8_lossy(bytes.get(start..at - 1).unwrap_or_default()).into_owned()
-        };
-        if word() != "P5" {
-            return Err(format!("{path} is no binary PGM").into());
-        }
-        let (width, height) = (word().parse()?, word().parse()?);
-        word();
-        Ok(Self { width, height, pixels: bytes.get(at..).unwrap_or_default().to_vec() })
-    }
-
-    fn view(&self) -> Outcome<GrayView<'_>> {
-        Ok(GrayView::new(&self.pixels, self.width, self.height, self.width)?)
-    }
 }

@@ -5,7 +5,7 @@ mod support;
 use gelstereo_core::detect::{Detector, Markers};
 use gelstereo_core::label::{foresight_sort, rest_lattice};
 use gelstereo_core::math::random::Stream;
-use gelstereo_core::params::{Background, Centre, Params};
+use gelstereo_core::params::{Background, Centre, Params, Threshold};
 use gelstereo_core::track::{Tracker, Tracks};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -50,10 +50,12 @@ fn detection_allocates_for_the_first_image_only() {
     // The most components there can be, and the most runs.
     let noise: Vec<u8> = (0..640 * 480).map(|_| stream.next_u64() as u8).collect();
     let stripes: Vec<u8> = (0..640 * 480).map(|n| if n % 2 == 0 { 0 } else { 255 }).collect();
-    for background in [Background::Gaussian, Background::Box] {
+    let backgrounds = [Background::Gaussian, Background::Box, Background::Blocks];
+    let thresholds = [Threshold::Fixed, Threshold::Auto];
+    for (background, threshold) in backgrounds.into_iter().flat_map(|b| thresholds.map(|t| (b, t))) {
         for (centre, kernel_px) in [(Centre::Binary, 1), (Centre::Grey, 1), (Centre::Grey, 5)] {
             let mut params = Params::default().detect;
-            (params.background, params.centre) = (background, centre);
+            (params.background, params.threshold, params.centre) = (background, threshold, centre);
             (params.morphology_kernel_px, params.min_area_px2, params.smooth_kernel_px) = (kernel_px, 1, 1);
             let (mut detector, mut markers) = (Detector::new(&params), Markers::default());
             let first = allocations(|| detector.run(view(&few, 640), &mut markers).unwrap());
@@ -63,7 +65,7 @@ fn detection_allocates_for_the_first_image_only() {
                     detector.run(view(image, 640), &mut markers).unwrap();
                 }
             });
-            assert_eq!(later, 0, "{background:?} {centre:?} {kernel_px}");
+            assert_eq!(later, 0, "{background:?} {threshold:?} {centre:?} {kernel_px}");
         }
     }
 }

@@ -84,3 +84,26 @@ fn impossible_cameras_and_rigs_are_refused_by_name() {
     assert!(matches!(Rig::parallel(good.clone(), 0.0).validate(), Err(RigError::NoBaseline { .. })));
     assert!(matches!(Rig::parallel(good, -8.0).validate(), Err(RigError::NotSideBySide { .. })));
 }
+
+/// Found by the fuzz target `rigs`: infinity times zero in the tangential terms.
+#[test]
+fn a_point_astronomically_far_aside_has_no_pixel() {
+    let camera = camera([-0.1, 0.02, 0.001, -0.001, 0.0]);
+    for y in [1e163, 1e200, f64::MAX] {
+        assert_eq!(camera.project(DVec3::new(0.04, y, 30.0)), None, "{y}");
+    }
+}
+
+/// Found by the fuzz target `rigs`: the path from the centre outwards took as many steps as the pixel is far.
+#[test]
+fn a_pixel_astronomically_far_aside_has_no_ray() {
+    for distortion in [[0.0; 5], [0.1, 0.02, 0.001, -0.001, 0.0]] {
+        for x in [1e6, 1e19, 1e163, f64::MAX] {
+            let pixel_px = DVec2::new(x, 3.0);
+            assert_eq!(
+                camera(distortion).undistort(pixel_px),
+                Err(CameraError::BeyondDistortion { pixel_px })
+            );
+        }
+    }
+}

@@ -1,6 +1,8 @@
 //! Rest plane, saliency, motion; and the frames from sensor to base.
 
-use gelstereo_core::contact::{ContactError, RestSurface, mean_motion_px, patch, saliency};
+use gelstereo_core::contact::{
+    ContactError, Pressure, RestSurface, mean_motion_px, patch, saliency, variance_along,
+};
 use gelstereo_core::frames::{FingerKinematics, SensorMount, adjusted_gripper};
 use gelstereo_core::math::{DVec2, DVec3, Pose, so3};
 use gelstereo_core::track::MarkerState::{Held, Lost, Seen};
@@ -29,6 +31,125 @@ proptest! {
             prop_assert!((h - height).abs() < 1e-12 * 30.0, "{h} {height}");
         }
     }
+}
+
+fn on_face(i: usize) -> bool {
+    (4..10).contains(&(i / 15)) && (4..10).contains(&(i % 15))
+}
+
+/// Heights over 15 x 15 markers 0.9 mm apart: the free membrane beside a flat face over rows and columns 4 to 9, and noise.
+fn pressed_face(noise: &[f64]) -> Vec<f64> {
+    let (n, reach2) = (15, (2.5_f64 / 0.9).powi(2));
+    let mut heights: Vec<f64> = (0..n * n).map(|i| if on_face(i) { 0.8 } else { 0.0 }).collect();
+    for _ in 0..2000 {
+        for i in (0..n * n).filter(|&i| !on_face(i)) {
+            let at = |exists: bool, j: usize| if exists { (heights[j], 1.0) } else { (0.0, 0.0) };
+            let ring = [
+                at(i % n > 0, i.wrapping_sub(1)),
+                at(i % n + 1 < n, i + 1),
+                at(i >= n, i.wrapping_sub(n)),
+                at(i + n < n * n, i + n),
+            ];
+            let (sum, count) = ring.iter().fold((0.0, 0.0), |(s, c), (h, one)| (s + h, c + one));
+            heights[i] = reach2 * sum / (1.0 + reach2 * count);
+        }
+    }
+    heights.iter().zip(noise).map(|(h, e)| h + 0.005 * e).collect()
+}
+
+fn square(pose: &Pose) -> RestSurface {
+    let at = |i: i32| DVec3::new(0.9 * f64::from(i % 15), 0.9 * f64::from(i / 15), 0.0);
+    RestSurface::new(&(0..225).map(|i| pose.transform_point(at(i))).collect::<Vec<_>>()).unwrap()
+}
+
+fn in_contact(
+    rest: &RestSurface,
+    heights: &[f64],
+    state: &[gelstereo_core::track::MarkerState],
+) -> Vec<bool> {
+    let mut found = Vec::new();
+    let mut pressure = Pressure::new(rest, 15, 15, 2.5).unwrap();
+    pressure.run(heights, std::iter::repeat_n(25e-6, 225), state, &mut found).unwrap();
+    found
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(32))]
+
+    /// Rows and columns may be swapped or counted from the other end, and the gel may lie in space as it likes.
+    #[test]
+    fn pressure_does_not_depend_on_the_view(
+        noise in prop::collection::vec(-1.7..1.7_f64, 225),
+        tilt in prop::array::uniform3(-0.3..0.3_f64),
+    ) {
+        let heights = pressed_face(&noise);
+        let flat = square(&Pose::IDENTITY);
+        let found = in_contact(&flat, &heights, &[Seen; 225]);
+        // A free marker beside the face's edge is called in contact beyond 2.8 standard deviations: 0.06 of the 24 are.
+        prop_assert!((0..225).filter(|&i| found[i] != on_face(i)).count() <= 3);
+        let views: [fn(usize) -> usize; 3] =
+            [|i| i / 15 * 15 + 14 - i % 15, |i| (14 - i / 15) * 15 + i % 15, |i| i % 15 * 15 + i / 15];
+        for view in views {
+            let seen: Vec<f64> = (0..225).map(|i| heights[view(i)]).collect();
+            let again = in_contact(&flat, &seen, &[Seen; 225]);
+            prop_assert!((0..225).all(|i| again[i] == found[view(i)]));
+        }
+        let pose = Pose { rotation: so3::exp(DVec3::from_array(tilt)), translation_mm: DVec3::new(4.0, 0.0, 28.7) };
+        let tilted = square(&pose);
+        let cloud: Vec<DVec3> =
+            tilted.points_mm().iter().zip(&heights).map(|(&p, &h)| p + tilted.normal() * h).collect();
+        let mut measured = Vec::new();
+        tilted.indentation_mm(&cloud, &mut measured).unwrap();
+        prop_assert_eq!(in_contact(&tilted, &measured, &[Seen; 225]), found);
+    }
+
+    /// Whatever the height said of a marker that is not seen, it is not salient and changes nothing else.
+    #[test]
+    fn pressure_does_without_markers_that_are_not_seen(
+        noise in prop::collection::vec(-1.7..1.7_f64, 225),
+        gone in prop::collection::vec(0..225_usize, 1..8), height in -5.0..5.0_f64,
+    ) {
+        let mut heights = pressed_face(&noise);
+        let mut state = [Seen; 225];
+        gone.iter().for_each(|&i| state[i] = Held);
+        let found = in_contact(&square(&Pose::IDENTITY), &heights, &state);
+        gone.iter().for_each(|&i| heights[i] = height);
+        prop_assert_eq!(&in_contact(&square(&Pose::IDENTITY), &heights, &state), &found);
+        prop_assert!(gone.iter().all(|&i| !found[i]));
+        // A marker beside one that is not seen may be judged wrongly; elsewhere it is as above.
+        let wrong = |&i: &usize| state[i] == Seen && found[i] != on_face(i);
+        let near = |i: usize| gone.iter().any(|&g| (g / 15).abs_diff(i / 15) + (g % 15).abs_diff(i % 15) <= 2);
+        prop_assert!((0..225).filter(wrong).filter(|&i| !near(i)).count() <= 3);
+    }
+}
+
+#[test]
+fn pressure_refuses_what_it_cannot_judge() {
+    let rest = square(&Pose::IDENTITY);
+    assert_eq!(
+        Pressure::new(&rest, 15, 14, 2.5).unwrap_err(),
+        ContactError::LengthMismatch { rest: 225, found: 210 }
+    );
+    let mut pressure = Pressure::new(&rest, 15, 15, 2.5).unwrap();
+    let (mut out, variance) = (vec![true], || std::iter::repeat_n(25e-6, 225));
+    for (heights, states) in [(224, 225), (225, 224)] {
+        let error = pressure.run(&vec![0.0; heights], variance(), &vec![Seen; states], &mut out);
+        assert_eq!(error, Err(ContactError::LengthMismatch { rest: 225, found: 224 }));
+    }
+    let mut heights = vec![0.0; 225];
+    for bad in [f64::NAN, f64::INFINITY] {
+        heights[9] = bad;
+        let error = pressure.run(&heights, variance(), &[Seen; 225], &mut out);
+        assert_eq!(error, Err(ContactError::NotFinite { index: 9 }));
+        assert!(out.is_empty());
+    }
+    let mut state = [Seen; 225];
+    state[9] = Lost;
+    pressure.run(&heights, variance(), &state, &mut out).unwrap();
+    assert_eq!(out, [false; 225]);
+    let covariance = [[4.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 9.0]];
+    assert_eq!(variance_along(&covariance, DVec3::Z), 9.0);
+    assert!((variance_along(&covariance, DVec3::new(0.6, 0.8, 0.0)) - 3.68).abs() < 1e-15);
 }
 
 #[test]

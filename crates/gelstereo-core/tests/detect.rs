@@ -7,7 +7,7 @@ use gelstereo_core::digest::Digest;
 use gelstereo_core::image::GrayView;
 use gelstereo_core::math::DVec2;
 use gelstereo_core::math::random::Stream;
-use gelstereo_core::params::{Background, Centre, DetectParams, Polarity};
+use gelstereo_core::params::{Background, Centre, DetectParams, FitParams, Polarity, Threshold};
 use proptest::prelude::*;
 use support::{Dots, errors, paper_lattice, view};
 
@@ -17,14 +17,16 @@ fn detect(params: &DetectParams, image: &[u8], width: usize) -> Result<Markers, 
     Ok(markers)
 }
 
-fn every_rung() -> [DetectParams; 4] {
-    [
-        (Background::Gaussian, Centre::Binary),
-        (Background::Gaussian, Centre::Grey),
-        (Background::Box, Centre::Binary),
-        (Background::Box, Centre::Grey),
-    ]
-    .map(|(background, centre)| DetectParams { background, centre, ..DetectParams::default() })
+fn every_rung() -> Vec<DetectParams> {
+    let mut rungs = Vec::new();
+    for background in [Background::Gaussian, Background::Box, Background::Blocks] {
+        for threshold in [Threshold::Fixed, Threshold::Auto] {
+            for centre in [Centre::Binary, Centre::Grey] {
+                rungs.push(DetectParams { background, threshold, centre, ..DetectParams::default() });
+            }
+        }
+    }
+    rungs
 }
 
 #[test]
@@ -95,10 +97,12 @@ fn row_30_markers_on_the_border_are_dropped_and_no_others() {
                 let mut detector = Detector::new(&params);
                 let mut markers = Markers::default();
                 detector.run(view(&image, SIZE.0), &mut markers).unwrap();
+                let mut mask = Vec::new();
+                detector.mask(&mut mask);
                 let pixels = (0..SIZE.1).flat_map(|v| (0..SIZE.0).map(move |u| (u, v)));
                 let touches = pixels
                     .filter(|&(u, v)| DVec2::new(u as f64, v as f64).distance(centre) < 3.0)
-                    .any(|start| flood_reaches_the_border(detector.mask(), SIZE, start));
+                    .any(|start| flood_reaches_the_border(&mask, SIZE, start));
                 cut[side] += usize::from(touches);
                 let near = markers.centres_px.iter().filter(|c| c.distance(centre) < 1.0).count();
                 // Whose centre lies outside may not show at all; with it a radius and a pixel and a half inside, the dot
@@ -115,8 +119,8 @@ fn row_30_markers_on_the_border_are_dropped_and_no_others() {
 
 #[test]
 fn row_30_images_without_contrast_are_refused_by_name() {
-    let threshold_levels = 35;
     for params in every_rung() {
+        let threshold_levels = if params.threshold == Threshold::Auto { 3 } else { 35 };
         for level in [0, 127, 255_u8] {
             let error = detect(&params, &[level; 640 * 4], 64).unwrap_err();
             assert_eq!(error, DetectError::Flat { low: level, high: level, threshold_levels });
@@ -232,14 +236,15 @@ proptest! {
         (width, bytes) in (1..40_usize, 1..40_usize).prop_flat_map(|(width, height)| {
             (Just(width), prop::collection::vec(prop_oneof![Just(0), Just(255), any::<u8>()], width * height))
         }),
-        (gaussian, grey, dark) in any::<(bool, bool, bool)>(),
+        (background, grey, dark, fixed) in (0..3_usize, any::<bool>(), any::<bool>(), any::<bool>()),
         (smooth, surround, kernel) in (0..4_usize, 0..30_usize, 0..3_usize),
         threshold_levels in 1..=255_u8,
         min_area_px2 in 1..20_u32,
     ) {
         let params = DetectParams {
             polarity: if dark { Polarity::Dark } else { Polarity::Bright },
-            background: if gaussian { Background::Gaussian } else { Background::Box },
+            background: [Background::Gaussian, Background::Box, Background::Blocks][background],
+            threshold: if fixed { Threshold::Fixed } else { Threshold::Auto },
             centre: if grey { Centre::Grey } else { Centre::Binary },
             smooth_kernel_px: 2 * smooth + 1,
             background_kernel_px: 2 * surround + 1,
@@ -249,6 +254,7 @@ proptest! {
             max_area_px2: 2000,
             min_fill: 0.0,
             centre_sigma_px: 0.09,
+            fit: FitParams::default(),
         };
         if let Ok(markers) = detect(&params, &bytes, width) {
             prop_assert_eq!(markers.centres_px.len(), markers.area_px2.len());

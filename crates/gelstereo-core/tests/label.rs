@@ -212,8 +212,6 @@ fn what_is_no_such_lattice_is_refused_by_name() {
     assert!(matches!(fit(&cut, 25, 25), Err(LabelError::Shape { rows: 25, cols: 26, labelled: 638, .. })));
     let nan: Vec<DVec2> = truth.iter().copied().chain([DVec2::NAN]).collect();
     assert_eq!(fit(&nan, 25, 25), Err(LabelError::NotFinite { index: 625 }));
-    let turned = as_seen(25, 43.0, 0.0);
-    assert!(matches!(fit(&turned, 25, 25), Err(LabelError::Rotated { .. })));
     assert_eq!(fit(&[DVec2::ONE; 625], 25, 25), Err(LabelError::NoLattice { found: 625 }));
 }
 

@@ -20,6 +20,9 @@ pub struct Markers {
     /// (N,) areas, square pixels.
     #[pyo3(get)]
     area_px2: Array1<u32>,
+    /// How many of them the model fit did not settle on, and which kept the grey centroid; 0 for other rungs.
+    #[pyo3(get)]
+    unfitted: usize,
     count: usize,
 }
 
@@ -81,6 +84,7 @@ impl Detector {
         let found = found.map_err(raise)?;
         Ok(Markers {
             count: found.centres_px.len(),
+            unfitted: found.unfitted,
             covariance_px2: arrays::shaped(
                 py,
                 found.covariance_px2.iter().flatten().flatten().copied().collect(),
@@ -91,7 +95,7 @@ impl Detector {
         })
     }
 
-    /// Which pixels of an image differ enough from their surround: what ``detect.threshold_levels`` and
+    /// Which pixels of an image differ enough from their surround: what ``detect.threshold`` and
     /// ``detect.polarity`` keep, before markers are chosen by their size and shape.
     ///
     /// Parameters
@@ -113,7 +117,9 @@ impl Detector {
         let mask = py.detach(|| {
             let mut stage = self.stage.lock().unwrap_or_else(PoisonError::into_inner);
             stage.run(view, &mut core::Markers::default())?;
-            Ok(stage.mask().iter().map(|&pixel| pixel != 0).collect::<Vec<_>>())
+            let mut mask = Vec::new();
+            stage.mask(&mut mask);
+            Ok(mask.into_iter().map(|pixel| pixel != 0).collect::<Vec<_>>())
         });
         arrays::shaped(py, mask.map_err(raise::<core::DetectError>)?, (view.height(), view.width()))
     }

@@ -50,7 +50,7 @@ mod _native {
     #[pymodule_export]
     use crate::rig::{Rectification, Rig};
     #[pymodule_export]
-    use crate::sim::{Scene, SimulatedFrame, Simulator, shape_mesh};
+    use crate::sim::{Scene, SimulatedDots, SimulatedFrame, Simulator, shape_mesh, sights};
     #[pymodule_export]
     use crate::tree::parse_toml;
     #[pymodule_export]

@@ -8,6 +8,7 @@ use crate::rig::Rig;
 use gelstereo_core::pipeline as core;
 use gelstereo_core::track::MarkerState;
 use numpy::PyArray3;
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -25,14 +26,17 @@ impl ViewEvidence {
         self.inner.detected
     }
 
-    /// Where rows and columns come from: ``"rest"``, ``"foresight"`` (the sort of this frame) or ``"tracks"``; the last
-    /// under ``label.method = "foresight"`` means that the sort refused this frame.
+    /// Where rows and columns come from: ``"rest"``, ``"foresight"`` (the sort of this frame), ``"tracks"`` (under
+    /// ``label.method = "foresight"``: the sort refused this frame), ``"lattice"`` (tracks that were checked) or ``"held"`` (no
+    /// labels were certain).
     #[getter]
     const fn labels(&self) -> &'static str {
         match self.inner.labels {
             core::LabelSource::Rest => "rest",
             core::LabelSource::Foresight => "foresight",
             core::LabelSource::Tracks => "tracks",
+            core::LabelSource::Lattice => "lattice",
+            core::LabelSource::Held => "held",
         }
     }
 
@@ -204,6 +208,8 @@ impl Pipeline {
     /// ----------
     /// left, right : (H, W) uint8
     ///     Grey images of the rig's size; borrowed when contiguous, copied otherwise.
+    /// threads : 1 or 2
+    ///     With 2, the markers of the right view are detected on a thread of their own; the result has the same bits.
     ///
     /// Returns
     /// -------
@@ -213,16 +219,43 @@ impl Pipeline {
     /// ------
     /// ImageError, DetectError, LabelError, TriangulateError, ContactError
     ///     Naming stage and view. The tracks are then as before the call.
-    fn process(&self, py: Python<'_>, left: &Bound<'_, PyAny>, right: &Bound<'_, PyAny>) -> PyResult<Frame> {
+    /// ValueError
+    ///     Another number of threads.
+    #[pyo3(signature = (left, right, *, threads=1))]
+    fn process(
+        &self,
+        py: Python<'_>,
+        left: &Bound<'_, PyAny>,
+        right: &Bound<'_, PyAny>,
+        threads: usize,
+    ) -> PyResult<Frame> {
+        if !(1..=2).contains(&threads) {
+            return Err(PyValueError::new_err(format!(
+                "threads is {threads}; valid is 1 or 2, one per view"
+            )));
+        }
         let (left, right) = (Image::new(left, "left")?, Image::new(right, "right")?);
         let (left, right) = (left.view()?, right.view()?);
         // The frame is made anew because its lists become the arrays that Python keeps.
         let frame = py.detach(|| {
             let mut out = core::Frame::default();
-            self.lock().process(left, right, &mut out).map(|()| out)
+            let mut stages = self.lock();
+            let done = match threads {
+                1 => stages.process(left, right, &mut out),
+                _ => stages.process_with(left, right, &mut out, on_two_threads),
+            };
+            done.map(|()| out)
         });
         Frame::new(py, frame.map_err(raise)?)
     }
+}
+
+/// Runs both to the end, the second on a thread of its own.
+fn on_two_threads(left: &mut (dyn FnMut() + Send), right: &mut (dyn FnMut() + Send)) {
+    std::thread::scope(|scope| {
+        scope.spawn(right);
+        left();
+    });
 }
 
 /// Names and values of the core's marker states, which `gelstereo.MarkerState` repeats for the sake of its types.

@@ -7,7 +7,7 @@ use gelstereo_core::camera::Camera;
 use gelstereo_core::math::{DMat3, DVec2, DVec3, Pose, so3};
 use gelstereo_core::rig as core;
 use pyo3::prelude::*;
-use pyo3::types::PyType;
+use pyo3::types::{PyDict, PyMapping, PyType};
 use std::path::PathBuf;
 
 /// A calibrated stereo pair: what calibration produces and triangulation consumes.
@@ -198,12 +198,46 @@ impl Rig {
         self.inner.baseline_mm()
     }
 
+    /// Flat layers before the markers, or None: a dictionary with the unit ``normal`` of the interfaces away from the
+    /// cameras (sensor frame), ``gap_mm`` from the left camera to the first one, ``plates``, a list of ``thickness_mm``
+    /// and refractive ``index``, and the ``gel_index``.
+    #[getter]
+    fn layers<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
+        self.inner.layers.as_ref().map(|layers| tree::to_dict(py, layers)).transpose()
+    }
+
+    /// This rig behind other layers.
+    ///
+    /// Parameters
+    /// ----------
+    /// layers : mapping or None
+    ///     As `layers` gives them.
+    ///
+    /// Raises
+    /// ------
+    /// RigError
+    ///     If the numbers describe no layers, or a camera stands within them.
+    ///
+    /// Examples
+    /// --------
+    /// >>> rig = Rig.parallel(size_px=(640, 480), f_px=600.0, baseline_mm=10.0).with_layers({
+    /// ...     "normal": [0.0, 0.0, 1.0], "gap_mm": 20.0,
+    /// ...     "plates": [{"thickness_mm": 3.0, "index": 1.49}], "gel_index": 1.41,
+    /// ... })
+    /// >>> origins_mm, directions = rig.rays([[319.5, 239.5]])
+    /// >>> print(origins_mm, directions)
+    /// [[ 0. 0. 23.]] [[0. 0. 1.]]
+    fn with_layers(&self, layers: Option<&Bound<'_, PyMapping>>) -> PyResult<Self> {
+        let layers = layers.map(tree::from_mapping).transpose().map_err(RigError::new_err)?;
+        Self::checked(core::Rig { layers, ..self.inner.clone() })
+    }
+
     /// The row-aligned virtual cameras, with Q of Eq. 3.
     fn rectification(&self) -> PyResult<Rectification> {
         Ok(Rectification { inner: self.inner.rectification().map_err(raise)? })
     }
 
-    /// Pixels of points in both views.
+    /// Pixels of points in both views, through the layers if the rig has any.
     ///
     /// Parameters
     /// ----------
@@ -217,19 +251,16 @@ impl Rig {
     /// Raises
     /// ------
     /// RigError
-    ///     If a point is not in front of both cameras.
+    ///     If a point is not in front of both cameras, or its light is totally reflected in the layers.
     fn project(&self, py: Python<'_>, points_mm: &Bound<'_, PyAny>) -> PyResult<(Matrix, Matrix)> {
         let points = Numbers::new(points_mm, "points_mm")?;
         let points = points.rows::<DVec3, 3>()?;
         let (mut left, mut right) = (Vec::with_capacity(points.len()), Vec::with_capacity(points.len()));
         for (index, &point) in points.iter().enumerate() {
-            let seen = self.inner.project(point).filter(|(l, r)| l.is_finite() && r.is_finite());
-            let (l, r) = seen.ok_or_else(|| {
-                RigError::new_err(format!(
-                    "point {index} is ({}, {}, {}) mm, which is not in front of both cameras; valid is z > 0, all finite",
-                    point.x, point.y, point.z
-                ))
-            })?;
+            let (l, r) = self
+                .inner
+                .project(point)
+                .map_err(|error| RigError::new_err(format!("point {index}: {error}")))?;
             left.push(l);
             right.push(r);
         }
@@ -257,6 +288,36 @@ impl Rig {
         let pixels = Numbers::new(pixels_px, "pixels_px")?;
         let out = pixels.rows::<DVec2, 2>()?.iter().map(|&p| camera.undistort(p)).collect::<Result<_, _>>();
         arrays::rows::<DVec2, 2>(py, out.map_err(raise)?)
+    }
+
+    /// Rays on which the points lie that pixels show: in the gel from the last interface on, or from the camera when
+    /// there are no layers.
+    ///
+    /// Parameters
+    /// ----------
+    /// pixels_px : (N, 2) array_like
+    /// view : {"left", "right"}
+    ///
+    /// Returns
+    /// -------
+    /// origins_mm, directions : (N, 3) float64
+    ///     Sensor frame; the directions are unit vectors.
+    ///
+    /// Raises
+    /// ------
+    /// RigError
+    ///     If a pixel has no ray, or one that never meets the layers.
+    #[pyo3(signature = (pixels_px, view="left"))]
+    fn rays(&self, py: Python<'_>, pixels_px: &Bound<'_, PyAny>, view: &str) -> PyResult<(Matrix, Matrix)> {
+        self.camera(view)?;
+        let view = self.inner.view(if view == "left" { core::View::Left } else { core::View::Right });
+        let pixels = Numbers::new(pixels_px, "pixels_px")?;
+        let rays = pixels.rows::<DVec2, 2>()?.iter().map(|&p| view.ray(p)).collect::<Result<Vec<_>, _>>();
+        let rays = rays.map_err(raise)?;
+        Ok((
+            arrays::rows::<_, 3>(py, rays.iter().map(|ray| ray.origin_mm).collect())?,
+            arrays::rows::<_, 3>(py, rays.iter().map(|ray| ray.direction).collect())?,
+        ))
     }
 
     fn __repr__(&self) -> String {

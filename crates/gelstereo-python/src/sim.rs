@@ -6,10 +6,10 @@ use crate::register::{load_mesh, triangle_mesh};
 use crate::rig::Rig;
 use crate::tree;
 use gelstereo_sim as sim;
-use numpy::PyArray2;
+use numpy::{PyArray2, PyArray3};
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyMapping, PyType};
+use pyo3::types::{PyDict, PyMapping, PyTuple, PyType};
 use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -38,6 +38,29 @@ impl Scene {
     #[new]
     fn new() -> Self {
         Self { inner: sim::Scene::default(), folder: PathBuf::new() }
+    }
+
+    /// A sensor by its name, without effects and with nothing that touches it: image size and markers along each
+    /// side. All see about 22 mm of gel at 28.7 mm; "640x480-25" is the default scene, "640x480-25-refraction" looks
+    /// through air, acrylic and gel at 15.6 mm of lattice.
+    ///
+    /// Raises
+    /// ------
+    /// SceneError
+    ///     If there is no preset of that name; the valid ones are listed.
+    #[classmethod]
+    fn preset(_cls: &Bound<'_, PyType>, name: &str) -> PyResult<Self> {
+        let inner = sim::Scene::preset(name).ok_or_else(|| {
+            let valid = sim::Scene::PRESETS.join("\", \"");
+            SceneError::new_err(format!("there is no preset \"{name}\"; valid is \"{valid}\""))
+        })?;
+        Ok(Self { inner, folder: PathBuf::new() })
+    }
+
+    /// Names that `preset` knows.
+    #[classmethod]
+    fn presets<'py>(cls: &Bound<'py, PyType>) -> PyResult<Bound<'py, PyTuple>> {
+        PyTuple::new(cls.py(), sim::Scene::PRESETS)
     }
 
     /// A scene from TOML text; what is left out keeps its default.
@@ -104,8 +127,10 @@ impl Scene {
 /// One moment of a scene: both images and the truth behind them.
 #[pyclass(frozen, get_all, module = "gelstereo")]
 pub struct SimulatedFrame {
-    /// Which frame of the trajectory; it keys the noise.
+    /// Which frame of the trajectory; it keys the noise, and jumps where frames were dropped.
     index: u64,
+    /// When it was taken, seconds on the keyframes' clock.
+    time_s: f64,
     /// (H, W) uint8 left image.
     left: Py<PyArray2<u8>>,
     /// (H, W) uint8 right image.
@@ -116,6 +141,12 @@ pub struct SimulatedFrame {
     right_px: Matrix,
     /// (N, 3) true marker positions, sensor frame.
     points_mm: Matrix,
+    /// (N, 3) true unit normals of the surface at the markers, towards the cameras.
+    normals: Matrix,
+    /// How the markers look in the left image.
+    left_dots: Py<SimulatedDots>,
+    /// How the markers look in the right image.
+    right_dots: Py<SimulatedDots>,
     /// (N,) true height above the rest surface.
     indentation_mm: Array1<f64>,
     /// (N,) bool, whether the indenter touches the gel at this marker.
@@ -124,7 +155,45 @@ pub struct SimulatedFrame {
     t_sensor_object: Option<Matrix>,
 }
 
-/// A scene made ready to run: a sequence of `SimulatedFrame` s, each rendered when it is asked for.
+/// How the markers' dots look in one image, N markers and S specks.
+#[pyclass(frozen, get_all, module = "gelstereo")]
+pub struct SimulatedDots {
+    /// (N, 2) centroids of the dots' images, which are not the images of the dots' centres.
+    centres_px: Matrix,
+    /// (N, 2, 2) two conjugate half diameters of each dot's elliptical image.
+    half_px: Py<PyArray3<f64>>,
+    /// (N,) radius of the circle of the same area.
+    radii_px: Array1<f64>,
+    /// (N,) difference between dot and gel there, before the lens blurs it, grey levels.
+    contrast_levels: Array1<f64>,
+    /// (N,) uint8, what there is to see of each dot, see `Sight`.
+    sight: Array1<u8>,
+    /// (S, 2) centroids of specks, which are no markers.
+    specks_px: Matrix,
+}
+
+impl SimulatedDots {
+    fn new(py: Python<'_>, dots: &[sim::DotImage], specks: &[sim::Ellipse]) -> PyResult<Py<Self>> {
+        let half_px = dots.iter().flat_map(|dot| dot.outline.half_px).flat_map(|half| half.to_array());
+        let dots_px = Self {
+            centres_px: arrays::rows::<_, 2>(py, dots.iter().map(|dot| dot.outline.centre_px).collect())?,
+            half_px: arrays::shaped(py, half_px.collect(), (dots.len(), 2, 2))?,
+            radii_px: arrays::list(py, dots.iter().map(|dot| dot.outline.radius_px()).collect()),
+            contrast_levels: arrays::list(py, dots.iter().map(|dot| dot.contrast_levels).collect()),
+            sight: arrays::list(py, dots.iter().map(|dot| dot.sight as u8).collect()),
+            specks_px: arrays::rows::<_, 2>(py, specks.iter().map(|speck| speck.centre_px).collect())?,
+        };
+        Py::new(py, dots_px)
+    }
+}
+
+/// Names and values of the simulator's sights, which `gelstereo.Sight` repeats for the sake of its types.
+#[pyfunction]
+pub fn sights() -> std::collections::BTreeMap<&'static str, u8> {
+    sim::Sight::ALL.map(|(name, sight)| (name, sight as u8)).into()
+}
+
+/// A scene made ready to run: a sequence of the `SimulatedFrame` s that arrive, each rendered when it is asked for.
 ///
 /// Parameters
 /// ----------
@@ -164,13 +233,15 @@ impl Simulator {
     }
 
     fn __len__(&self, py: Python<'_>) -> usize {
-        py.detach(|| self.lock().frames())
+        py.detach(|| self.lock().delivered())
     }
 
     fn __getitem__(&self, py: Python<'_>, index: isize) -> PyResult<SimulatedFrame> {
         let frames = self.__len__(py);
         let counted = if index < 0 { index + frames as isize } else { index };
-        let frame = usize::try_from(counted).ok().filter(|&i| i < frames).ok_or_else(|| {
+        let arrived = usize::try_from(counted).ok();
+        let frame = arrived.and_then(|arrived| py.detach(|| self.lock().frame_of(arrived)));
+        let frame = frame.ok_or_else(|| {
             PyIndexError::new_err(format!("there is no frame {index}; the scene has {frames}"))
         })?;
         let contact = py.detach(|| self.lock().contact(frame));
@@ -203,7 +274,7 @@ impl Simulator {
     /// twist_rad : float
     ///     How far it has turned the surface.
     /// frame : int
-    ///     Keys the noise.
+    ///     Keys the noise, and times the gel's motion and smears.
     #[pyo3(signature = (t_sensor_object=None, *, shear_mm=None, twist_rad=0.0, frame=Count(0)), text_signature = "($self, t_sensor_object=None, *, shear_mm=None, twist_rad=0.0, frame=0)")]
     fn press(
         &self,
@@ -241,19 +312,24 @@ impl Simulator {
         frame: u64,
     ) -> PyResult<SimulatedFrame> {
         let (mut truth, mut left, mut right) = (sim::Truth::default(), Vec::new(), Vec::new());
-        py.detach(|| {
+        let time_s = py.detach(|| {
             let mut stage = self.lock();
-            stage.truth(contact, &mut truth);
+            stage.moment(contact, frame, &mut truth);
             stage.render(&truth, frame, &mut left, &mut right);
+            stage.time_s(frame)
         });
         let rig = &self.scene.get().inner.rig;
         Ok(SimulatedFrame {
             index: frame,
+            time_s,
             left: arrays::shaped(py, left, (rig.left.height_px, rig.left.width_px))?,
             right: arrays::shaped(py, right, (rig.right.height_px, rig.right.width_px))?,
             left_px: arrays::rows::<_, 2>(py, truth.left_px)?,
             right_px: arrays::rows::<_, 2>(py, truth.right_px)?,
             points_mm: arrays::rows::<_, 3>(py, truth.points_mm)?,
+            normals: arrays::rows::<_, 3>(py, truth.normals)?,
+            left_dots: SimulatedDots::new(py, &truth.left_dots, &truth.left_specks)?,
+            right_dots: SimulatedDots::new(py, &truth.right_dots, &truth.right_specks)?,
             indentation_mm: arrays::list(py, truth.indentation_mm),
             in_contact: arrays::list(py, truth.in_contact),
             t_sensor_object: contact.map(|c| arrays::pose_matrix(py, &c.t_sensor_object)).transpose()?,

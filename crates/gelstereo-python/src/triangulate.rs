@@ -4,16 +4,27 @@ use crate::arrays::{self, Matrix, Numbers};
 use crate::errors::{TriangulateError, raise};
 use crate::params::Params;
 use crate::rig::Rig;
+use gelstereo_core::math::linalg::Symmetric;
 use gelstereo_core::math::{DVec2, DVec3};
-use gelstereo_core::triangulate::Triangulator;
+use gelstereo_core::params as core;
+use gelstereo_core::triangulate::{Centre, Centres, Triangulator};
 use numpy::PyArray3;
 use pyo3::prelude::*;
 
-fn triangulator(rig: &Bound<'_, Rig>, params: Option<&Bound<'_, Params>>) -> PyResult<Triangulator> {
-    Triangulator::new(&rig.get().inner, &Params::or_default(params).triangulate).map_err(raise)
+fn triangulator(rig: &Bound<'_, Rig>, params: &core::Params) -> PyResult<Triangulator> {
+    Triangulator::new(&rig.get().inner, &params.triangulate).map_err(raise)
 }
 
-/// Points of corresponding pixels by the Q matrix (the paper's Eq. 3), with signed disparity.
+/// Covariance of a centre with the same noise along both axes.
+fn even(sigma_px: f64) -> Symmetric<2> {
+    [[sigma_px * sigma_px, 0.0], [0.0, sigma_px * sigma_px]]
+}
+
+/// Points of corresponding pixels, with signed disparity.
+///
+/// ``triangulate.method`` says how: ``"q"`` (the paper's Eq. 3, which knows no layers), ``"rays"`` (the most likely point
+/// of refracted rays) or ``"polynomial"`` (fitted to the rays around a rest surface). Behind layers, q gives depths that
+/// are wrong by tens of percent.
 ///
 /// Parameters
 /// ----------
@@ -21,7 +32,9 @@ fn triangulator(rig: &Bound<'_, Rig>, params: Option<&Bound<'_, Params>>) -> PyR
 /// left_px, right_px : (N, 2) array_like
 ///     The same markers in both images, as the cameras saw them (not rectified).
 /// params : Params, optional
-///     Its ``triangulate`` part is used.
+///     Its ``triangulate`` part is used; both views of every marker count alike.
+/// rest_mm : (M, 3) array_like, optional
+///     The surface around which the polynomial is fitted; without it, and beyond its reach, points are those of rays.
 ///
 /// Returns
 /// -------
@@ -41,19 +54,27 @@ fn triangulator(rig: &Bound<'_, Rig>, params: Option<&Bound<'_, Params>>) -> PyR
 /// >>> print(triangulate(rig, [[319.5, 239.5]], [[159.5, 239.5]]))
 /// [[ 0. 0. 28.]]
 #[pyfunction]
-#[pyo3(signature = (rig, left_px, right_px, params=None))]
+#[pyo3(signature = (rig, left_px, right_px, params=None, *, rest_mm=None))]
 pub fn triangulate(
     py: Python<'_>,
     rig: &Bound<'_, Rig>,
     left_px: &Bound<'_, PyAny>,
     right_px: &Bound<'_, PyAny>,
     params: Option<&Bound<'_, Params>>,
+    rest_mm: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<Matrix> {
-    let stage = triangulator(rig, params)?;
+    let params = Params::or_default(params);
+    let mut stage = triangulator(rig, &params)?;
+    if let Some(rest_mm) = rest_mm {
+        stage.fit_map(Numbers::new(rest_mm, "rest_mm")?.rows::<DVec3, 3>()?);
+    }
     let (left, right) = (Numbers::new(left_px, "left_px")?, Numbers::new(right_px, "right_px")?);
     let (left, right) = (left.rows::<DVec2, 2>()?, right.rows::<DVec2, 2>()?);
     let mut points = Vec::new();
-    py.detach(|| stage.run(left, right, &mut points)).map_err(raise)?;
+    let covariances = vec![even(params.detect.centre_sigma_px); left.len().max(right.len())];
+    let centres =
+        |positions_px| Centres { positions_px, covariance_px2: &covariances[..<[DVec2]>::len(positions_px)] };
+    py.detach(|| stage.run(centres(left), centres(right), &mut points)).map_err(raise)?;
     arrays::rows::<DVec3, 3>(py, points.iter().map(|p| p.point_mm).collect())
 }
 
@@ -81,25 +102,27 @@ pub fn triangulate_covariance(
     sigma_px: Option<f64>,
     params: Option<&Bound<'_, Params>>,
 ) -> PyResult<Py<PyArray3<f64>>> {
-    let stage = triangulator(rig, params)?;
+    let params = Params::or_default(params);
+    let stage = triangulator(rig, &params)?;
     let points = Numbers::new(points_mm, "points_mm")?;
     let points = points.rows::<DVec3, 3>()?;
-    let sigma_px = sigma_px.unwrap_or(Params::or_default(params).detect.centre_sigma_px);
+    let sigma_px = sigma_px.unwrap_or(params.detect.centre_sigma_px);
     if !(sigma_px > 0.0 && sigma_px.is_finite()) {
         return Err(TriangulateError::new_err(format!(
             "sigma_px is {sigma_px}; valid is a finite number above 0"
         )));
     }
-    if let Some(index) = points.iter().position(|p| !(p.is_finite() && p.z > 0.0)) {
-        return Err(TriangulateError::new_err(format!(
-            "point {index} is {} mm, which no camera can see; valid is z > 0, all finite",
-            points[index]
-        )));
+    let mut values = Vec::with_capacity(9 * points.len());
+    for (index, &point) in points.iter().enumerate() {
+        let (left, right) = rig
+            .get()
+            .inner
+            .project(point)
+            .map_err(|error| TriangulateError::new_err(format!("point {index}: {error}")))?;
+        let centre = |at_px| Centre { at_px, covariance_px2: even(sigma_px) };
+        let found = stage.point(index, &centre(left), &centre(right)).map_err(raise)?;
+        values.extend(found.covariance_mm2.into_iter().flatten());
     }
-    let variance = sigma_px * sigma_px;
-    let centre = [[variance, 0.0], [0.0, variance]];
-    let covariances = points.iter().flat_map(|&p| stage.covariance_mm2(p, &centre, &centre));
-    let values: Vec<f64> = covariances.flatten().collect();
     if !values.iter().all(|value| value.is_finite()) {
         return Err(TriangulateError::new_err(format!(
             "sigma_px is {sigma_px} and the points are as far as they are: the covariance has no finite value; valid \

@@ -1,7 +1,6 @@
 //! Fields over the marker lattice: differences between neighbours, and the screened membrane.
 
 use crate::scene::Gel;
-use alloc::vec::Vec;
 use gelstereo_core::math::{DVec2, cos, sin, sqrt};
 
 /// The lattice on its layer of gel.
@@ -35,9 +34,9 @@ impl Lattice {
     }
 
     /// Rest positions of all markers, sensor x and y.
-    pub(crate) fn rest_mm(&self, centre_mm: DVec2) -> Vec<DVec2> {
-        let row_of = |row| (0..self.cols).map(move |col| self.marker_mm(centre_mm, row, col));
-        (0..self.rows).flat_map(row_of).collect()
+    pub(crate) fn rest_mm(&self, centre_mm: DVec2) -> impl Iterator<Item = DVec2> {
+        let row_of = move |row| (0..self.cols).map(move |col| self.marker_mm(centre_mm, row, col));
+        (0..self.rows).flat_map(row_of)
     }
 
     /// The two neighbours along a row and along a column that a difference is taken over, with their distance

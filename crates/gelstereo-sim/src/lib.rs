@@ -20,6 +20,7 @@ pub mod simulator;
 mod trajectory;
 
 pub use effects::Effects;
-pub use scene::{Gel, Keyframe, Scene, SceneError};
+pub use render::Ellipse;
+pub use scene::{Gel, GelKeyframe, Keyframe, Scene, SceneError};
 pub use shapes::Shape;
-pub use simulator::{ContactState, Simulator, Truth};
+pub use simulator::{ContactState, DotImage, Sight, Simulator, Truth};

@@ -1,39 +1,87 @@
 //! Contacts over time.
 
-use crate::scene::{Keyframe, Scene};
+use crate::scene::{GelKeyframe, Keyframe, Scene};
 use crate::simulator::ContactState;
 use alloc::vec::Vec;
 use gelstereo_core::math::{Pose, floor, so3};
 
-/// Keyframes in order of time.
+/// Keyframes of part and gel, each in order of time.
 #[derive(Clone, Debug)]
 pub(crate) struct Trajectory {
     keyframes: Vec<Keyframe>,
+    gel: Vec<GelKeyframe>,
     frame_rate_hz: f64,
 }
 
 impl Trajectory {
     pub(crate) fn new(scene: &Scene) -> Self {
-        Self { keyframes: scene.trajectory.clone(), frame_rate_hz: scene.frame_rate_hz }
+        let (keyframes, gel) = (scene.trajectory.clone(), scene.gel_motion.clone());
+        Self { keyframes, gel, frame_rate_hz: scene.frame_rate_hz }
+    }
+
+    /// Times of the first and the last keyframe; 0 without any.
+    pub(crate) fn span_s(&self) -> [f64; 2] {
+        let ends = [
+            self.keyframes
+                .first()
+                .map(|k| k.time_s)
+                .into_iter()
+                .chain(self.gel.first().map(|k| k.time_s))
+                .reduce(f64::min),
+            self.keyframes
+                .last()
+                .map(|k| k.time_s)
+                .into_iter()
+                .chain(self.gel.last().map(|k| k.time_s))
+                .reduce(f64::max),
+        ];
+        ends.map(Option::unwrap_or_default)
     }
 
     /// Frames from the first keyframe to the last, both included.
     pub(crate) fn frames(&self) -> usize {
-        let [Some(first), Some(last)] = [self.keyframes.first(), self.keyframes.last()] else { return 1 };
+        let [first, last] = self.span_s();
         // 0.1 s at 30 Hz is 3.0000000000000004 frames, and 0.7 s is 20.999999999999996.
-        floor((last.time_s - first.time_s) * self.frame_rate_hz + 1e-6) as usize + 1
+        floor((last - first) * self.frame_rate_hz + 1e-6) as usize + 1
     }
 
-    /// Contact at a frame: translation, shear and twist linear between keyframes, rotation along the shortest
-    /// arc; the last keyframe holds on.
-    pub(crate) fn contact(&self, frame: usize) -> Option<ContactState> {
-        let time_s = self.keyframes.first()?.time_s + frame as f64 / self.frame_rate_hz;
-        let next = self.keyframes.partition_point(|k| k.time_s <= time_s);
-        let before = &self.keyframes[next.saturating_sub(1)];
-        let Some(after) = self.keyframes.get(next) else { return Some(before.contact) };
-        let share = (time_s - before.time_s) / (after.time_s - before.time_s);
-        Some(between(&before.contact, &after.contact, share))
+    pub(crate) fn time_s(&self, frame: u64) -> f64 {
+        self.span_s()[0] + frame as f64 / self.frame_rate_hz
     }
+
+    /// Contact at a time: translation, shear and twist linear between keyframes, rotation along the shortest arc; the
+    /// first keyframe holds before, the last one after.
+    pub(crate) fn contact(&self, time_s: f64) -> Option<ContactState> {
+        let (before, after, share) = around(&self.keyframes, |k| k.time_s, time_s)?;
+        Some(match share {
+            Some(share) => between(&before.contact, &after.contact, share),
+            None => before.contact,
+        })
+    }
+
+    /// Motion of the gel at a time, linear between keyframes; `None` when it never moves.
+    pub(crate) fn gel_at(&self, time_s: f64) -> Option<GelKeyframe> {
+        let (before, after, share) = around(&self.gel, |k| k.time_s, time_s)?;
+        let share = share.unwrap_or_default();
+        let mix = |a: f64, b: f64| a + (b - a) * share;
+        let (from, to) = (before.shift_mm, after.shift_mm);
+        Some(GelKeyframe {
+            time_s,
+            shift_mm: [mix(from[0], to[0]), mix(from[1], to[1])],
+            rotation_rad: mix(before.rotation_rad, after.rotation_rad),
+        })
+    }
+}
+
+/// The keyframes before and after a time and how far it is from the one to the other; outside all of them the nearest
+/// one, twice and with no share. `None` when there are none.
+fn around<K>(keyframes: &[K], at: impl Fn(&K) -> f64, time_s: f64) -> Option<(&K, &K, Option<f64>)> {
+    let next = keyframes.partition_point(|k| at(k) <= time_s);
+    let before = keyframes.get(next.saturating_sub(1))?;
+    Some(match keyframes.get(next) {
+        Some(after) if next > 0 => (before, after, Some((time_s - at(before)) / (at(after) - at(before)))),
+        _ => (before, before, None),
+    })
 }
 
 fn between(a: &ContactState, b: &ContactState, share: f64) -> ContactState {

@@ -116,7 +116,7 @@ fn absent_effects_leave_identical_bits() {
         spread: Some(Spread::default()),
         drag: Some(Drag::default()),
         grain: Some(Grain { sigma_levels: 0.0, size_px: 1.0 }),
-        uneven_light: Some(UnevenLight { across: 0.0, down: 0.0, corner_loss: 0.0 }),
+        uneven_light: Some(UnevenLight { gain: 1.0, across: 0.0, down: 0.0, corner_loss: 0.0 }),
         ..noise.clone()
     };
     assert_eq!(images(&only(joined), 3), plain);

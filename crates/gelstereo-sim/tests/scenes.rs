@@ -122,7 +122,7 @@ fn mistakes_are_named_with_what_would_be_valid() {
 fn keyframes_must_follow_each_other() {
     let mut late = scene(SMALL);
     late.trajectory[1].time_s = 0.0;
-    let expected = SceneError::KeyframeTime { keyframe: 1, time_s: 0.0, after_s: 0.0 };
+    let expected = SceneError::KeyframeTime { list: "trajectory", keyframe: 1, time_s: 0.0, after_s: 0.0 };
     assert_eq!(late.validate(), Err(expected));
     late.trajectory[1].time_s = f64::NAN;
     assert!(late.validate().is_err());

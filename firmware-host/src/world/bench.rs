@@ -69,6 +69,7 @@ impl Bench {
             indenter: Some(shape),
             effects: simulated.effects.clone(),
             trajectory: Vec::new(),
+            ..Scene::default()
         };
         let goal = task.goal_pose.pose();
         let inwards = goal.transform_vector(peg.axis);

@@ -72,12 +72,11 @@ def run(arguments: argparse.Namespace) -> int:
     template = Template.from_triangles(vertices_mm, triangles)
     found, spent = locate(frame, moment, template, params)
     angle_deg, distance_mm = error_of(found, moment.t_sensor_object)
-    lattice = params.to_dict()["lattice"]
     picture = Moment.of(
         moment.left,
         frame,
         rest.left_px,
-        (lattice["rows"], lattice["cols"]),
+        (frame.rows, frame.cols),
         part=Part.located(vertices_mm, triangles, found.t_sensor_object),
         title="A peg located in the hand (simulated sensor)",
         notes=(pose_in_words(found.t_sensor_object), f"free: {'; '.join(map(str, found.free)) or 'nothing'}"),

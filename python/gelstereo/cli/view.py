@@ -37,12 +37,11 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.source.is_dir():
         params = params_of(arguments)
         sensed = sense_folder(arguments.source, arguments.rig, params, arguments.frame)
-        lattice = params.to_dict()["lattice"]
         moment = Moment.of(
             sensed.left,
             sensed.frame,
             sensed.reference_px,
-            (lattice["rows"], lattice["cols"]),
+            (sensed.frame.rows, sensed.frame.cols),
             title=f"{arguments.source.name}: frame {sensed.name}",
             notes=(f"mean marker motion {sensed.frame.motion_px:.2f} px",),
         )

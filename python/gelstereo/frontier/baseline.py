@@ -257,8 +257,11 @@ class BaselineFrame:
 class Baseline:
     """Sections III and IV-A of the paper; the first frame must show all markers untouched."""
 
-    def __init__(self, geometry: StereoGeometry, params: Mapping[str, Any]) -> None:
-        """``params``: the parsed TOML of `gelstereo.Params`."""
+    def __init__(
+        self, geometry: StereoGeometry, params: Mapping[str, Any], lattice: tuple[int, int] = (25, 25)
+    ) -> None:
+        """``params``: the parsed TOML of `gelstereo.Params`; ``lattice``: rows and columns."""
+        self._rows, self._cols = lattice
         self._geometry = geometry
         self._params = params
         self._r_left, self._r_right, self._p_left, self._p_right, self._q = geometry.rectification()
@@ -319,11 +322,11 @@ class Baseline:
         )
 
     def _markers(self) -> int:
-        return int(self._params["lattice"]["rows"] * self._params["lattice"]["cols"])
+        return self._rows * self._cols
 
     def _sort(self, positions_px: Array, view: str) -> npt.NDArray[np.intp]:
         tolerance_px = self._params["label"]["tolerance_pitches"] * _pitch_px(positions_px)
-        order = foresight_sort(positions_px, self._params["lattice"]["cols"], tolerance_px)
+        order = foresight_sort(positions_px, self._cols, tolerance_px)
         if order is None:
             raise ValueError(f"a row of the {view} view does not fill")
         return order

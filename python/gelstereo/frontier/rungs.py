@@ -33,8 +33,14 @@ RUNGS = (
     Rung("detect", "gaussian + grey", {"detect": {"background": "gaussian", "centre": "grey"}}),
     Rung("detect", "box + binary", {"detect": {"background": "box", "centre": "binary"}}),
     Rung("detect", "box + grey", {"detect": {"background": "box", "centre": "grey"}}),
+    Rung("detect", "box + fit", {"detect": {"background": "box", "centre": "fit"}}),
+    Rung("detect", "blocks + binary", {"detect": {"background": "blocks", "threshold": "fixed", "centre": "binary"}}),
+    Rung("detect", "blocks + auto + grey", {"detect": {"background": "blocks", "threshold": "auto", "centre": "grey"}}),
     Rung("label", "foresight (paper)", {"label": {"method": "foresight"}}, "balanced"),
     Rung("label", "temporal", {"label": {"method": "temporal"}}, "balanced"),
+    Rung(
+        "label", "lattice", {"label": {"method": "lattice"}, "track": {"motion": "constant_velocity"}}, "balanced"
+    ),
     Rung("register", "filterreg_point (paper)", {"register": {"method": "filterreg_point"}}),
     Rung("register", "filterreg_plane", {"register": {"method": "filterreg_plane"}}),
     Rung("register", "ransac_icp (paper's comparison)", {"register": {"method": "ransac_icp"}}),

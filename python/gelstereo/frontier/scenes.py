@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,77 +12,138 @@ import numpy as np
 import numpy.typing as npt
 import trimesh
 
-from gelstereo import Scene, SimulatedFrame, Simulator, Template
+from gelstereo import Rig, Scene, SimulatedFrame, Simulator, Template
+from gelstereo._native import parse_toml
 
-__all__ = ["BOARDS_MM", "CONDITIONS", "PARTS", "Part", "board_press", "part_press", "sphere_press"]
+__all__ = [
+    "BOARDS_MM",
+    "CONDITIONS",
+    "FORMATS",
+    "LATTICES",
+    "PARTS",
+    "VGA",
+    "Format",
+    "Part",
+    "board_press",
+    "board_shape",
+    "effects",
+    "part_press",
+    "sphere_press",
+]
 
 Array = npt.NDArray[np.float64]
 
 #: What the page says about all figures.
 CONDITIONS = (
-    "simulated, 640x480, 25x25 markers; image noise 2 grey levels, defocus 0.8 px, paint grain, uneven light, gel "
-    "shoulder and spread; fixed seeds"
+    "simulated; unless a table says otherwise 640x480 and 25x25 markers, image noise 2 grey levels, defocus 0.8 px, paint "
+    "grain, uneven light, gel shoulder and spread; fixed seeds"
 )
-_EFFECTS: dict[str, dict[str, float]] = {
-    name: {} for name in ("sensor_noise", "defocus", "grain", "uneven_light", "shoulder", "spread")
-}
 
 #: Protrusions of the paper's boards (section V-A).
 BOARDS_MM = (0.4, 0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 1.8)
 
-_SURFACE_MM = 28.7
-_CENTRE_MM = (4.0, 0.0)
+SURFACE_MM = 28.7
 _PRESS_S = 0.4
 #: Half a turn about x: the object's +z faces the camera.
-_FACING_RAD = (float(np.pi), 0.0, 0.0)
+FACING_RAD = (float(np.pi), 0.0, 0.0)
+
+#: Rows and columns of the lattices whose cost is compared.
+LATTICES = (25, 45, 71)
 
 
-def _press(
-    indenter: dict[str, Any],
+def effects(**changes: Mapping[str, float]) -> dict[str, dict[str, float]]:
+    """Give the effects of all scenes, with what differs."""
+    names = ("sensor_noise", "defocus", "grain", "uneven_light", "shoulder", "spread")
+    return {name: dict(changes.get(name, {})) for name in (*names, *(set(changes) - set(names)))}
+
+
+@dataclass(frozen=True)
+class Format:
+    """A size of images with the cameras that take them; the surface lies as deep in all."""
+
+    size_px: tuple[int, int]
+    f_px: float
+    baseline_mm: float
+    #: The largest lattice that both cameras see whole under a press.
+    field_mm: float
+
+    @property
+    def name(self) -> str:
+        """Width and height."""
+        return f"{self.size_px[0]}x{self.size_px[1]}"
+
+    @property
+    def megapixels(self) -> float:
+        """Pixels of a pair, in millions."""
+        return 2e-6 * self.size_px[0] * self.size_px[1]
+
+    @property
+    def centre_mm(self) -> tuple[float, float]:
+        """Between the two cameras."""
+        return (0.5 * self.baseline_mm, 0.0)
+
+    def rig(self) -> Rig:
+        """Two parallel cameras."""
+        return Rig.parallel(self.size_px, self.f_px, self.baseline_mm)
+
+    def scene(self, markers: int = 25, gel: Mapping[str, Any] | None = None) -> Scene:
+        """Show a lattice of so many rows and columns at the paper's pitch, or finer when it would not fit."""
+        pitch_mm = min(0.9, self.field_mm / markers)
+        lattice = {
+            "rows": markers,
+            "cols": markers,
+            "pitch_mm": pitch_mm,
+            "dot_radius_mm": 0.22 / 0.9 * pitch_mm,
+            "centre_mm": list(self.centre_mm),
+            "surface_mm": SURFACE_MM,
+        }
+        table = parse_toml(self.rig().to_toml())
+        return Scene().replace({"rig": table, "gel": lattice | dict(gel or {}), "effects": effects()})
+
+
+VGA = Format((640, 480), 560.0, 8.0, 22.5)
+#: 640x480 is the simulator's default; 1280x720 with f 652 px and 6.5 mm is a plausible reading of the paper.
+FORMATS = (VGA, Format((1280, 720), 652.0, 6.5, 28.0), Format((1280, 960), 1120.0, 8.0, 22.5))
+
+
+def press(
+    scene: Scene,
+    indenter: Mapping[str, Any],
     start_mm: float,
     end_mm: float,
-    *,
-    rotation_rad: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    lattice_rad: float = 0.0,
-    seed: int = 1,
+    rotation_rad: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> list[SimulatedFrame]:
     """Move an indenter from one depth of its origin to another; the first frame is untouched."""
-    x, y = _CENTRE_MM
+    x, y = scene.to_dict()["gel"]["centre_mm"]
     keyframes = [
         {"time_s": time_s, "position_mm": [x, y, z], "rotation_rad": list(rotation_rad)}
         for time_s, z in ((0.0, start_mm), (_PRESS_S, end_mm))
     ]
-    scene = Scene().replace(
-        {
-            "seed": seed,
-            "gel": {"rotation_rad": lattice_rad},
-            "indenter": indenter,
-            "effects": _EFFECTS,
-            "trajectory": keyframes,
-        }
-    )
-    simulator = Simulator(scene)
+    simulator = Simulator(scene.replace({"indenter": dict(indenter), "trajectory": keyframes}))
     return [simulator[index] for index in range(len(simulator))]
 
 
-def sphere_press(lattice_rad: float = 0.0, seed: int = 1) -> list[SimulatedFrame]:
+def sphere_press(
+    lattice_rad: float = 0.0, seed: int = 1, scene: Scene | None = None
+) -> list[SimulatedFrame]:
     """Press a ball of 5 mm radius 1.2 mm deep."""
     radius_mm, depth_mm = 5.0, 1.2
-    touch_mm = _SURFACE_MM + radius_mm
+    touch_mm = SURFACE_MM + radius_mm
+    scene = (scene or VGA.scene()).replace({"seed": seed, "gel": {"rotation_rad": lattice_rad}})
     ball = {"kind": "sphere", "radius_mm": radius_mm}
-    return _press(ball, touch_mm + 0.2, touch_mm - depth_mm, lattice_rad=lattice_rad, seed=seed)
+    return press(scene, ball, touch_mm + 0.2, touch_mm - depth_mm)
 
 
-def board_press(protrusion_mm: float, seed: int) -> list[SimulatedFrame]:
+def board_shape(protrusion_mm: float) -> dict[str, Any]:
+    """Make the paper's board: a block on a plate that covers the gel."""
+    return {"kind": "board", "size_mm": [40.0, 40.0], "block_mm": [9.0, 9.0], "protrusion_mm": protrusion_mm}
+
+
+def board_press(protrusion_mm: float, seed: int, scene: Scene | None = None) -> list[SimulatedFrame]:
     """Press a board until its plate lies on the gel: the block stands in it by its protrusion."""
-    board = {
-        "kind": "board",
-        "size_mm": [40.0, 40.0],
-        "block_mm": [9.0, 9.0],
-        "protrusion_mm": protrusion_mm,
-    }
-    start_mm = _SURFACE_MM + protrusion_mm + 0.2
-    return _press(board, start_mm, _SURFACE_MM, rotation_rad=_FACING_RAD, seed=seed)
+    scene = (scene or VGA.scene()).replace({"seed": seed})
+    surface_mm = scene.to_dict()["gel"]["surface_mm"]
+    return press(scene, board_shape(protrusion_mm), surface_mm + protrusion_mm + 0.2, surface_mm, FACING_RAD)
 
 
 @dataclass(frozen=True)
@@ -104,17 +166,13 @@ def part_press(part: Part, seed: int = 1) -> list[SimulatedFrame]:
         np.linalg.norm(part.rotation_rad) or 0.0, part.rotation_rad if any(part.rotation_rad) else (0, 0, 1)
     )
     lowest_mm = float((part.mesh.vertices @ pose[:3, :3].T)[:, 2].min())
-    touch_mm = _SURFACE_MM - lowest_mm
+    touch_mm = SURFACE_MM - lowest_mm
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "part.stl"
         part.mesh.export(path)
-        return _press(
-            {"kind": "mesh", "path": str(path), "units": "mm"},
-            touch_mm + 0.2,
-            touch_mm - part.depth_mm,
-            rotation_rad=part.rotation_rad,
-            seed=seed,
-        )
+        mesh = {"kind": "mesh", "path": str(path), "units": "mm"}
+        scene = VGA.scene().replace({"seed": seed})
+        return press(scene, mesh, touch_mm + 0.2, touch_mm - part.depth_mm, part.rotation_rad)
 
 
 def _two_balls() -> trimesh.Trimesh:

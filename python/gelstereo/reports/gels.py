@@ -60,7 +60,11 @@ class RealGel:
 
     def params(self, preset: str | None = None) -> Params:
         """Give the settings that suit the image, or a preset with the image's lattice."""
-        lattice = {"rows": self.rows, "cols": self.cols, "max_missing_share": self.max_missing / (self.rows * self.cols)}
+        lattice = {
+            "rows": self.rows,
+            "cols": self.cols,
+            "max_missing_share": self.max_missing / (self.rows * self.cols),
+        }
         if preset is not None:
             return Params.preset(preset).replace({"lattice": lattice})
         return Params().replace({"lattice": lattice, "detect": dict(self.detect)})

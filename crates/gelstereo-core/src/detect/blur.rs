@@ -45,6 +45,14 @@ impl GaussianBlur {
         Self { weights: gaussian_weights(kernel_px / 2), sums: Vec::new(), padded: Vec::new() }
     }
 
+    /// Standard deviation that white noise of unit variance keeps: the weights' squares, summed along one axis.
+    #[must_use]
+    pub fn noise_gain(&self) -> f64 {
+        let one = f64::from(1_u32 << WEIGHT_BITS);
+        let square = |weight: &u16| f64::from(*weight) * f64::from(*weight) / (one * one);
+        square(&self.weights[0]) + 2.0 * self.weights[1..].iter().map(square).sum::<f64>()
+    }
+
     /// Writes filtered row `y` of `image` to `out`, which has the image's width.
     pub fn row(&mut self, image: GrayView<'_>, y: usize, out: &mut [u16]) {
         let (width, height, radius) = (image.width(), image.height(), self.weights.len() - 1);

@@ -1,5 +1,6 @@
 //! Connected components of a mask: runs joined by union-find.
 
+use crate::math::linalg::Symmetric;
 use alloc::vec::Vec;
 
 /// A maximal stretch of set pixels in one row.
@@ -47,29 +48,46 @@ pub struct Components {
     /// Blob of each run that is the first of its component.
     blob_of: Vec<u32>,
     blobs: Vec<Blob>,
+    /// Rows pushed.
+    rows: u32,
+    /// First run of the last row pushed.
+    above: usize,
 }
 
 impl Components {
-    /// Components of `mask`, rows of `width` bytes that are 0 outside of components, in the raster order of their
-    /// first pixels. Scratch is reserved for the worst mask of the size.
+    /// Components of `mask`, rows of `width` bytes of 0 or 255, in the raster order of their first pixels.
     pub fn run(&mut self, mask: &[u8], width: usize) -> &[Blob] {
         let rows = mask.chunks_exact(width.max(1));
-        let (most_runs, most_blobs) =
-            (rows.len() * width.div_ceil(2), rows.len().div_ceil(2) * width.div_ceil(2));
+        self.start(width, rows.len());
+        for row in rows {
+            self.push(row);
+        }
+        self.finish()
+    }
+
+    /// Starts a mask of this size; scratch is reserved for the worst one.
+    pub fn start(&mut self, width: usize, height: usize) {
+        let (most_runs, most_blobs) = (height * width.div_ceil(2), height.div_ceil(2) * width.div_ceil(2));
         self.runs.clear();
         self.runs.reserve(most_runs);
-        let mut above = 0..0;
-        for (y, row) in (0_u32..).zip(rows) {
-            let first = self.runs.len();
-            self.push_runs(row, y);
-            self.join(above, first..self.runs.len());
-            above = first..self.runs.len();
-        }
         self.blob_of.clear();
-        self.blob_of.resize(self.runs.len(), 0);
-        self.blob_of.reserve(most_runs - self.runs.len());
+        self.blob_of.reserve(most_runs);
         self.blobs.clear();
         self.blobs.reserve(most_blobs);
+        (self.rows, self.above) = (0, 0);
+    }
+
+    /// Adds the next row, bytes of 0 or 255.
+    pub fn push(&mut self, row: &[u8]) {
+        let (above, first) = (self.above, self.runs.len());
+        self.push_runs(row, self.rows);
+        self.join(above..first, first..self.runs.len());
+        (self.rows, self.above) = (self.rows + 1, first);
+    }
+
+    /// The components of the rows pushed.
+    pub fn finish(&mut self) -> &[Blob] {
+        self.blob_of.resize(self.runs.len(), 0);
         for index in 0..self.runs.len() {
             let root = self.root(index as u32) as usize;
             if root == index {
@@ -86,6 +104,12 @@ impl Components {
         &self.blobs
     }
 
+    /// All runs of the last mask, in raster order.
+    #[must_use]
+    pub fn all_runs(&self) -> &[Run] {
+        &self.runs
+    }
+
     /// The components of the last mask.
     #[must_use]
     pub fn blobs(&self) -> &[Blob] {
@@ -98,14 +122,36 @@ impl Components {
         core::iter::successors(at(blob.first_run), move |run| at(run.next))
     }
 
+    /// Eight pixels at a time: most of a mask is empty.
     fn push_runs(&mut self, row: &[u8], y: u32) {
-        let mut x = 0;
-        while let Some(start) = first_set(row, x) {
-            let end = row[start..].iter().position(|&m| m == 0).map_or(row.len(), |len| start + len);
-            let parent = self.runs.len() as u32;
-            self.runs.push(Run { y, start: start as u32, end: end as u32, parent, next: NO_RUN });
-            x = end;
+        let (words, rest) = row.as_chunks::<8>();
+        let mut last = [0; 8];
+        last[..rest.len()].copy_from_slice(rest);
+        // The column at which the open run starts.
+        let mut open = None;
+        for (x, word) in (0_u32..).step_by(8).zip(words.iter().chain([&last])) {
+            let set = bits(*word);
+            let mut edges = (set ^ (set << 1) ^ u32::from(open.is_some())) & 0xff;
+            while edges != 0 {
+                let at = x + edges.trailing_zeros();
+                edges &= edges - 1;
+                open = match open {
+                    None => Some(at),
+                    Some(start) => {
+                        self.close(y, start, at);
+                        None
+                    }
+                };
+            }
         }
+        if let Some(start) = open {
+            self.close(y, start, row.len() as u32);
+        }
+    }
+
+    fn close(&mut self, y: u32, start: u32, end: u32) {
+        let parent = self.runs.len() as u32;
+        self.runs.push(Run { y, start, end, parent, next: NO_RUN });
     }
 
     /// Joins runs of one row with those of the row above that touch them, also by a corner.
@@ -154,6 +200,31 @@ impl Blob {
         }
     }
 
+    /// Four times the covariance of the component's pixels, given its runs: for an ellipse the matrix whose eigenvalues
+    /// are its squared semi-axes, px².
+    #[must_use]
+    pub fn spread_px2<'a>(&self, runs: impl Iterator<Item = &'a Run>) -> Symmetric<2> {
+        let area = i64::from(self.area_px2);
+        // Twice the coordinates about the middle of the bounding box, as in the grey centroid.
+        let (mid_x, mid_y) = (i64::from(self.left + self.right), i64::from(self.top + self.bottom));
+        let (mut u, mut v, mut uu, mut uv, mut vv) = (0_i64, 0_i64, 0_i64, 0_i64, 0_i64);
+        for run in runs {
+            let len = i64::from(run.end - run.start);
+            let middle = i64::from(run.start + run.end) - 1 - mid_x;
+            let y = 2 * i64::from(run.y) - mid_y;
+            u += middle * len;
+            v += y * len;
+            // Σ (middle + j)² over j = -(len - 1), -(len - 3), ..., len - 1
+            uu += middle * middle * len + len * (len * len - 1) / 3;
+            uv += middle * y * len;
+            vv += y * y * len;
+        }
+        let per = 1.0 / (area * area) as f64;
+        // A pixel is itself 1/12 px² wide, 1/3 here.
+        let entry = |ab: i64, a: i64, b: i64| (area * ab - a * b) as f64 * per;
+        [[entry(uu, u, u) + 1.0 / 3.0, entry(uv, u, v)], [entry(uv, u, v), entry(vv, v, v) + 1.0 / 3.0]]
+    }
+
     fn add(&mut self, run: &Run) {
         let (start, end, y, len) =
             (u64::from(run.start), u64::from(run.end), u64::from(run.y), run.end - run.start);
@@ -168,14 +239,9 @@ impl Blob {
     }
 }
 
-/// Column of the first non-zero byte from `x` on; most of a mask is empty, so it is read eight bytes at a time.
-fn first_set(row: &[u8], x: usize) -> Option<usize> {
-    let mut from = x;
-    for word in row[x..].chunks_exact(8) {
-        if word != [0; 8] {
-            break;
-        }
-        from += 8;
-    }
-    row[from..].iter().position(|&m| m != 0).map(|offset| from + offset)
+/// One bit of each byte of 0 or 255, the first byte's lowest.
+const fn bits(bytes: [u8; 8]) -> u32 {
+    // Byte n keeps its bit n; the product's highest byte is the sum of all.
+    let kept = u64::from_le_bytes(bytes) & 0x8040_2010_0804_0201;
+    (kept.wrapping_mul(0x0101_0101_0101_0101) >> 56) as u32
 }

@@ -3,12 +3,23 @@
 //! Both refuse rather than mislabel: what they return is a lattice in which every marker stands where its neighbours
 //! say.
 
+mod agree;
+mod anchor;
+mod canvas;
+mod extent;
 mod fill;
+mod finder;
 mod foresight;
-mod growth;
+mod found;
+mod predict;
+mod rest;
+mod seed;
 
+pub use anchor::{Anchor, AnchorEvidence, anchor};
+pub use finder::LatticeFinder;
 pub use foresight::foresight_sort;
-pub use growth::rest_lattice;
+pub use found::{FoundLattice, Place, Side};
+pub use rest::rest_lattice;
 
 use crate::math::DVec2;
 use alloc::vec::Vec;
@@ -44,13 +55,6 @@ pub enum LabelError {
         /// Markers found.
         found: usize,
     },
-    /// The lattice is turned so far that rows cannot be told from columns.
-    Rotated {
-        /// Angle between the lattice and the image axes, degrees.
-        found_deg: f64,
-        /// Largest valid one.
-        most_deg: f64,
-    },
     /// The lattice found is not the one configured.
     Shape {
         /// Rows found.
@@ -65,6 +69,30 @@ pub enum LabelError {
         expected_cols: Option<usize>,
         /// How many markers may be missing.
         max_missing: usize,
+    },
+    /// A border row or column that may be printed or not.
+    Border {
+        /// Upper row, left column, lower row, right column.
+        side: usize,
+        /// Markers found in it.
+        seen: usize,
+        /// Markers it would have.
+        length: usize,
+        /// Rows found, this one with them.
+        rows: usize,
+        /// Columns found, this one with them.
+        cols: usize,
+    },
+    /// No turn of the lattice leaves all the places of `lattice.missing` empty.
+    NeverPrinted {
+        /// Row of a place where a marker was found.
+        row: usize,
+        /// Its column.
+        col: usize,
+        /// Rows found.
+        rows: usize,
+        /// Columns found.
+        cols: usize,
     },
     /// A marker does not stand where its neighbours say.
     Irregular {
@@ -99,10 +127,16 @@ impl core::fmt::Display for LabelError {
                 "none of the {found} markers found has four neighbours as in a lattice; check detect.threshold_levels \
                  and detect.polarity"
             ),
-            Self::Rotated { found_deg, most_deg } => write!(
+            Self::Border { side, seen, length, rows, cols } => write!(
                 f,
-                "the lattice is turned by {found_deg:.1} degrees against the image; beyond {most_deg} degrees its rows \
-                 cannot be told from its columns: turn the camera or the gel"
+                "found {rows} rows x {cols} columns, but of the {} only {seen} of {length} markers: it may be specks or a \
+                 row of the print; set lattice.rows and lattice.cols",
+                ["upper row", "left column", "lower row", "right column"][side % 4]
+            ),
+            Self::NeverPrinted { row, col, rows, cols } => write!(
+                f,
+                "found {rows} rows x {cols} columns, and whichever way they are turned a marker where lattice.missing says \
+                 that none was printed, last at row {row}, column {col}; correct lattice.missing"
             ),
             Self::Shape { rows, cols, labelled, expected_rows, expected_cols, max_missing } => {
                 write!(f, "found a lattice of {rows} rows x {cols} columns with {labelled} markers")?;

@@ -2,6 +2,18 @@
 
 use super::{ParamsError, check, positive};
 
+/// How the markers in contact are told from the others.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
+pub enum Saliency {
+    /// Indented by more than `saliency_mm` (the paper, Eq. 4). It misses shallow contacts and takes the shoulder beside deep
+    /// ones.
+    #[default]
+    Depth,
+    /// The gel carries pressure there, beyond what the measured noise explains: [`Pressure`](crate::contact::Pressure).
+    Pressure,
+}
+
 /// Saliency and the stop triggers.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
@@ -10,7 +22,12 @@ use super::{ParamsError, check, positive};
     serde(default, deny_unknown_fields)
 )]
 pub struct ContactParams {
-    /// Indentation from which a marker is salient (Eq. 4). Default: `0.35` mm.
+    /// Default: `depth`.
+    pub saliency: Saliency,
+    /// Length over which the gel's surface comes back to rest beside a contact, for `saliency = pressure`: half of the gel's
+    /// thickness is a fair guess. Default: `2.5` mm.
+    pub decay_mm: f64,
+    /// Indentation from which a marker is salient, for `saliency = depth` (Eq. 4). Default: `0.35` mm.
     pub saliency_mm: f64,
     /// Share of the deepest indentation that a salient marker must reach to belong to the contact patch, which is what is
     /// registered. Beside a deep press the gel is lifted too, but shows no surface of the part; where a ball or a
@@ -24,7 +41,14 @@ pub struct ContactParams {
 
 impl Default for ContactParams {
     fn default() -> Self {
-        Self { saliency_mm: 0.35, patch_share: 0.0, grasp_trigger_px: 10.0, insertion_trigger_px: 5.0 }
+        Self {
+            saliency: Saliency::Depth,
+            decay_mm: 2.5,
+            saliency_mm: 0.35,
+            patch_share: 0.0,
+            grasp_trigger_px: 10.0,
+            insertion_trigger_px: 5.0,
+        }
     }
 }
 
@@ -35,6 +59,8 @@ impl ContactParams {
     /// The first [`ParamsError`] found.
     pub fn validate(&self) -> Result<(), ParamsError> {
         positive("contact.saliency_mm", self.saliency_mm)?;
+        let decay = self.decay_mm;
+        check((1e-3..=1e3).contains(&decay), "contact.decay_mm", decay, "0.001 to 1000 mm")?;
         let share = self.patch_share;
         check((0.0..1.0).contains(&share), "contact.patch_share", share, "from 0 to below 1")?;
         positive("contact.grasp_trigger_px", self.grasp_trigger_px)?;

@@ -1,6 +1,7 @@
 //! The printed lattice.
 
 use super::{ParamsError, check, positive};
+use alloc::vec::Vec;
 
 /// The printed lattice. Its rows and columns are counted in the rest frame; settings of them are only checked.
 #[derive(Clone, Debug, PartialEq)]
@@ -21,11 +22,15 @@ pub struct LatticeParams {
     /// Share of the printed markers that may be missing in the rest frame; they are filled in from their neighbours, as
     /// the paper does for the corner that its print lacks (Fig. 4). Default: `0.01`, 6 of 625.
     pub max_missing_share: f64,
+    /// Row and column of markers that were never printed. They are filled in, do not count as missing, and tell which
+    /// way a lattice is turned. Default: none.
+    #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Vec::is_empty"))]
+    pub missing: Vec<[usize; 2]>,
 }
 
 impl Default for LatticeParams {
     fn default() -> Self {
-        Self { rows: None, cols: None, pitch_mm: 0.9, max_missing_share: 0.01 }
+        Self { rows: None, cols: None, pitch_mm: 0.9, max_missing_share: 0.01, missing: Vec::new() }
     }
 }
 
@@ -44,6 +49,17 @@ impl LatticeParams {
         for (name, side) in [("lattice.rows", self.rows), ("lattice.cols", self.cols)] {
             if let Some(n) = side {
                 check((2..=1000).contains(&n), name, n as f64, "2 to 1000 markers")?;
+            }
+        }
+        for &[row, col] in &self.missing {
+            for (side, place) in [(self.rows, row), (self.cols, col)] {
+                let valid = place < side.unwrap_or(1000);
+                check(
+                    valid,
+                    "lattice.missing",
+                    place as f64,
+                    "rows and columns of the lattice, counted from 0",
+                )?;
             }
         }
         positive("lattice.pitch_mm", self.pitch_mm)?;

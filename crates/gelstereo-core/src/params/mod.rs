@@ -12,13 +12,13 @@ mod register;
 mod track;
 mod triangulate;
 
-pub use contact::ContactParams;
-pub use detect::{Background, Centre, DetectParams, Polarity};
+pub use contact::{ContactParams, Saliency};
+pub use detect::{Background, Centre, DetectParams, FitParams, Polarity, Threshold};
 pub use label::{LabelMethod, LabelParams};
 pub use lattice::LatticeParams;
 pub use register::{RegisterMethod, RegisterParams};
 pub use track::{Motion, TrackParams};
-pub use triangulate::TriangulateParams;
+pub use triangulate::{TriangulateMethod, TriangulateParams};
 
 /// All settings of the pipeline and of registration.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -2,6 +2,22 @@
 
 use super::{ParamsError, positive};
 
+/// How two centres become a point.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
+pub enum TriangulateMethod {
+    /// The paper's Eq. 3: the matrix Q on rectified pixels. It takes the light to be straight, so that behind layers
+    /// ([`crate::camera::Layers`]) depths and heights are wrong by tens of percent, as the paper's are.
+    #[default]
+    Q,
+    /// A polynomial of up to the seventh degree in column, row and disparity, fitted to [`Self::Rays`] around the rest
+    /// surface and within 1 um of it there. A marker beyond its reach, and the rest frame itself, get
+    /// [`Self::Rays`].
+    Polynomial,
+    /// The most likely point given both centres and their covariances, with rays traced through the layers.
+    Rays,
+}
+
 /// From two views to millimetres.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
@@ -10,15 +26,20 @@ use super::{ParamsError, positive};
     serde(default, deny_unknown_fields)
 )]
 pub struct TriangulateParams {
+    /// How two centres become a point. Default: the paper's [`TriangulateMethod::Q`].
+    pub method: TriangulateMethod,
     /// Smallest disparity that has a meaning; it bounds the depth at f B / min. Default: `1` px.
     pub min_disparity_px: f64,
     /// Largest distance between the rectified rows of one marker. Default: `3` px, five times the paper's 0.64.
     pub max_epipolar_px: f64,
+    /// How far a marker may move from the rest surface, sideways and towards the cameras, for the polynomial to hold;
+    /// away from them it is a quarter. Default: `2.5` mm.
+    pub map_reach_mm: f64,
 }
 
 impl Default for TriangulateParams {
     fn default() -> Self {
-        Self { min_disparity_px: 1.0, max_epipolar_px: 3.0 }
+        Self { method: TriangulateMethod::Q, min_disparity_px: 1.0, max_epipolar_px: 3.0, map_reach_mm: 2.5 }
     }
 }
 
@@ -29,6 +50,7 @@ impl TriangulateParams {
     /// The first [`ParamsError`] found.
     pub fn validate(&self) -> Result<(), ParamsError> {
         positive("triangulate.min_disparity_px", self.min_disparity_px)?;
-        positive("triangulate.max_epipolar_px", self.max_epipolar_px)
+        positive("triangulate.max_epipolar_px", self.max_epipolar_px)?;
+        positive("triangulate.map_reach_mm", self.map_reach_mm)
     }
 }

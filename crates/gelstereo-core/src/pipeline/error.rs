@@ -4,25 +4,8 @@ use crate::contact::ContactError;
 use crate::detect::DetectError;
 use crate::label::LabelError;
 use crate::params::ParamsError;
+pub use crate::rig::View;
 use crate::triangulate::TriangulateError;
-
-/// Which camera.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum View {
-    /// The left one.
-    Left,
-    /// The right one.
-    Right,
-}
-
-impl core::fmt::Display for View {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.write_str(match self {
-            Self::Left => "left",
-            Self::Right => "right",
-        })
-    }
-}
 
 /// Why a frame gave no result. Tracks and rest surface are then as after the last good frame.
 #[derive(Clone, Debug, PartialEq)]

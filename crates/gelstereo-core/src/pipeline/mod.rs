@@ -7,14 +7,14 @@ mod view;
 pub use error::{PipelineError, View};
 pub use frame::{Frame, LabelSource, ViewEvidence};
 
-use crate::contact::{self, RestSurface};
+use crate::contact::{self, Pressure, RestSurface};
 use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, DVec3};
-use crate::params::Params;
+use crate::params::{Params, Saliency};
 use crate::rig::Rig;
-use crate::track::MarkerState;
-use crate::triangulate::{StereoPoint, Triangulator};
+use crate::track::{MarkerState, Tracks};
+use crate::triangulate::{Centres, StereoPoint, Triangulator};
 use alloc::vec::Vec;
 use view::ViewStages;
 
@@ -26,6 +26,8 @@ pub struct Pipeline {
     left: ViewStages,
     right: ViewStages,
     rest: Option<RestSurface>,
+    pressure: Pressure,
+    rest_variance_mm2: Vec<f64>,
     reference_px: Vec<DVec2>,
     stereo: Vec<StereoPoint>,
     points_mm: Vec<DVec3>,
@@ -48,6 +50,8 @@ impl Pipeline {
             left: ViewStages::new(View::Left, size(&rig.left), params),
             right: ViewStages::new(View::Right, size(&rig.right), params),
             rest: None,
+            pressure: Pressure::default(),
+            rest_variance_mm2: Vec::new(),
             reference_px: Vec::new(),
             stereo: Vec::new(),
             points_mm: Vec::new(),
@@ -133,15 +137,16 @@ impl Pipeline {
 
     /// The rest frame: here a pair that makes no point is an error.
     fn start(&mut self, out: &mut Frame) -> Result<(), PipelineError> {
-        self.left.start(&self.params)?;
-        self.right.start(&self.params)?;
+        let left_rest = self.left.start(&self.params, None)?;
+        self.right.start(&self.params, Some(&left_rest))?;
         let side = |view: &ViewStages| (view.rows, view.cols);
         if side(&self.left) != side(&self.right) {
             return Err(PipelineError::Lattices { left: side(&self.left), right: side(&self.right) });
         }
         let (left, right) = (&self.left.labelled, &self.right.labelled);
+        self.triangulator.clear_map();
         self.triangulator
-            .run(&left.positions_px, &right.positions_px, &mut self.stereo)
+            .run(centres(left), centres(right), &mut self.stereo)
             .map_err(PipelineError::Triangulate)?;
         let max_px = self.params.triangulate.max_epipolar_px;
         let mut offsets: Vec<f64> = self.stereo.iter().map(|s| s.epipolar_px.abs()).collect();
@@ -151,11 +156,19 @@ impl Pipeline {
         }
         self.points_mm.clear();
         self.points_mm.extend(self.stereo.iter().map(|s| s.point_mm));
-        let sigmas = left.covariance_px2.iter().zip(&right.covariance_px2);
-        let covariances = self.points_mm.iter().zip(sigmas);
         self.covariance_mm2.clear();
-        self.covariance_mm2.extend(covariances.map(|(&p, (l, r))| self.triangulator.covariance_mm2(p, l, r)));
-        self.rest = Some(RestSurface::new(&self.points_mm).map_err(PipelineError::Contact)?);
+        self.covariance_mm2.extend(self.stereo.iter().map(|s| s.covariance_mm2));
+        self.triangulator.fit_map(&self.points_mm);
+        let rest = RestSurface::new(&self.points_mm).map_err(PipelineError::Contact)?;
+        if self.params.contact.saliency == Saliency::Pressure {
+            let (rows, cols) = side(&self.left);
+            let decay_mm = self.params.contact.decay_mm;
+            self.pressure = Pressure::new(&rest, rows, cols, decay_mm).map_err(PipelineError::Contact)?;
+            let variances = self.covariance_mm2.iter().map(|c| contact::variance_along(c, rest.normal()));
+            self.rest_variance_mm2.clear();
+            self.rest_variance_mm2.extend(variances);
+        }
+        self.rest = Some(rest);
         copy_into(&left.positions_px, &mut self.reference_px);
         self.frames = 0;
         out.mismatched = 0;
@@ -178,11 +191,10 @@ impl Pipeline {
         let (left, right) = (&self.left.labelled, &self.right.labelled);
         for (i, point_mm) in self.points_mm.iter_mut().enumerate() {
             let mut state = left.state[i].max(right.state[i]);
-            match self.triangulator.point(i, left.positions_px[i], right.positions_px[i]) {
+            match self.triangulator.point(i, &centres(left).at(i), &centres(right).at(i)) {
                 Ok(stereo) if stereo.epipolar_px.abs() <= max_px => {
                     *point_mm = stereo.point_mm;
-                    let (l, r) = (&left.covariance_px2[i], &right.covariance_px2[i]);
-                    self.covariance_mm2[i] = self.triangulator.covariance_mm2(*point_mm, l, r);
+                    self.covariance_mm2[i] = stereo.covariance_mm2;
                 }
                 _ if state == MarkerState::Seen => {
                     state = MarkerState::Held;
@@ -204,15 +216,28 @@ impl Pipeline {
         if let Some(rest) = &self.rest {
             rest.indentation_mm(&self.points_mm, &mut out.indentation_mm).map_err(PipelineError::Contact)?;
         }
-        let contact = &self.params.contact;
-        contact::saliency(&out.indentation_mm, &out.state, contact.saliency_mm, &mut out.salient);
-        contact::patch(&out.indentation_mm, &out.salient, contact.patch_share, &mut out.patch);
+        let settings = &self.params.contact;
+        match (settings.saliency, &self.rest) {
+            (Saliency::Pressure, Some(rest)) => {
+                let now = self.covariance_mm2.iter().map(|c| contact::variance_along(c, rest.normal()));
+                let variances = now.zip(&self.rest_variance_mm2).map(|(now, rest)| now + rest);
+                self.pressure
+                    .run(&out.indentation_mm, variances, &out.state, &mut out.salient)
+                    .map_err(PipelineError::Contact)?;
+            }
+            _ => contact::saliency(&out.indentation_mm, &out.state, settings.saliency_mm, &mut out.salient),
+        }
+        contact::patch(&out.indentation_mm, &out.salient, settings.patch_share, &mut out.patch);
         out.motion_px = contact::mean_motion_px(&self.reference_px, &out.left_px, &out.state);
         out.left = self.left.evidence;
         out.right = self.right.evidence;
         self.frames += 1;
         Ok(())
     }
+}
+
+fn centres(tracks: &Tracks) -> Centres<'_> {
+    Centres { positions_px: &tracks.positions_px, covariance_px2: &tracks.covariance_px2 }
 }
 
 fn copy_into<T: Copy>(from: &[T], to: &mut Vec<T>) {

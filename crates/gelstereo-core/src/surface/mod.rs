@@ -1,8 +1,12 @@
 //! Surfaces of triangles: parts, and the gel between the markers.
 
 #[cfg(feature = "delaunay")]
+mod dense;
+#[cfg(feature = "delaunay")]
 mod markers;
 
+#[cfg(feature = "delaunay")]
+pub use dense::{DenseFrame, DenseSurface, DenseSurfaceError};
 #[cfg(feature = "delaunay")]
 pub use markers::{MarkerMesh, MarkerMeshError};
 

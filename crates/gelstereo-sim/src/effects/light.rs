@@ -3,9 +3,10 @@
 use crate::scene::SceneError;
 use alloc::vec::Vec;
 use gelstereo_core::camera::Camera;
+use gelstereo_core::math::DVec2;
 
 /// Light that falls off from one side to the other and towards the corners: a gain on every pixel, the same in
-/// both views, 1 at the image's centre.
+/// both views. `{ gain = 0.35, across = 0, down = 0, corner_loss = 0 }` is 35 % of the light everywhere.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -13,6 +14,8 @@ use gelstereo_core::camera::Camera;
     serde(default, deny_unknown_fields)
 )]
 pub struct UnevenLight {
+    /// Gain at the image's centre, which the other three are shares of. Default: `1`.
+    pub gain: f64,
     /// Change of the gain from the left edge to the right one. Default: `0.15`.
     pub across: f64,
     /// Change of the gain from the top edge to the bottom one. Default: `-0.1`.
@@ -23,12 +26,14 @@ pub struct UnevenLight {
 
 impl Default for UnevenLight {
     fn default() -> Self {
-        Self { across: 0.15, down: -0.1, corner_loss: 0.25 }
+        Self { gain: 1.0, across: 0.15, down: -0.1, corner_loss: 0.25 }
     }
 }
 
 impl UnevenLight {
     pub(super) fn validate(&self) -> Result<(), SceneError> {
+        let gain = self.gain;
+        SceneError::check((0.0..=10.0).contains(&gain), "effects.uneven_light.gain", gain, "0 to 10")?;
         let settings = [
             ("effects.uneven_light.across", self.across),
             ("effects.uneven_light.down", self.down),
@@ -37,6 +42,14 @@ impl UnevenLight {
         settings.into_iter().try_for_each(|(name, found)| {
             SceneError::check((-1.0..=1.0).contains(&found), name, found, "-1 to 1")
         })
+    }
+
+    /// The gain at a pixel of an image of that size.
+    pub(crate) fn gain(&self, at: DVec2, size: DVec2) -> f64 {
+        let DVec2 { x, y } = (at + 0.5) / size - 0.5;
+        // x² + y² is 1/2 in the corners.
+        let share = 1.0 + self.across * x + self.down * y - self.corner_loss * 2.0 * (x * x + y * y);
+        (self.gain * share).max(0.0)
     }
 }
 
@@ -47,14 +60,10 @@ pub(crate) struct Gain(Vec<f32>);
 impl Gain {
     pub(crate) fn new(light: &UnevenLight, camera: &Camera) -> Self {
         let (w, h) = (camera.width_px, camera.height_px);
-        let from_centre = |i: usize, n: usize| (i as f64 + 0.5) / n as f64 - 0.5;
-        let gain = |row, col| {
-            let (x, y) = (from_centre(col, w), from_centre(row, h));
-            // x² + y² is 1/2 in the corners.
-            1.0 + light.across * x + light.down * y - light.corner_loss * 2.0 * (x * x + y * y)
-        };
+        let size = DVec2::new(w as f64, h as f64);
+        let gain = |row, col| light.gain(DVec2::new(col as f64, row as f64), size) as f32;
         let gain = &gain;
-        Self((0..h).flat_map(|row| (0..w).map(move |col| gain(row, col).max(0.0) as f32)).collect())
+        Self((0..h).flat_map(|row| (0..w).map(move |col| gain(row, col))).collect())
     }
 
     pub(crate) fn apply(&self, image: &mut [f32]) {

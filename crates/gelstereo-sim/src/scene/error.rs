@@ -17,7 +17,7 @@ pub enum SceneError {
         /// What would be valid.
         valid: &'static str,
     },
-    /// `gel.missing` names a marker that the lattice does not have.
+    /// A list names a marker that the lattice does not have.
     NoSuchMarker {
         /// Row named.
         row: usize,
@@ -35,6 +35,15 @@ pub enum SceneError {
         /// Its column.
         col: usize,
     },
+    /// A corner of the gel's surface lies before the medium that the rig's layers call the gel.
+    BeforeGel {
+        /// The corner marker's row.
+        row: usize,
+        /// Its column.
+        col: usize,
+        /// Its distance behind the last interface.
+        within_mm: f64,
+    },
     /// Keyframes without an indenter.
     NothingMoves {
         /// Keyframes found.
@@ -42,6 +51,8 @@ pub enum SceneError {
     },
     /// A keyframe is not later than the one before, or not within a day.
     KeyframeTime {
+        /// Of which list.
+        list: &'static str,
         /// Which keyframe, from 0.
         keyframe: usize,
         /// Its time.
@@ -65,7 +76,7 @@ impl core::fmt::Display for SceneError {
             Self::Invalid { name, found, valid } => write!(f, "{name} is {found}; valid is {valid}"),
             Self::NoSuchMarker { row, col, rows, cols } => write!(
                 f,
-                "gel.missing names marker [{row}, {col}], but the lattice has {rows} rows and {cols} columns \
+                "the scene names marker [{row}, {col}], but the lattice has {rows} rows and {cols} columns \
                  (counted from 0)"
             ),
             Self::BehindCamera { row, col } => write!(
@@ -73,13 +84,18 @@ impl core::fmt::Display for SceneError {
                 "marker [{row}, {col}] can come to lie behind a camera; move gel.surface_mm away or check \
                  rig.t_right_left"
             ),
+            Self::BeforeGel { row, col, within_mm } => write!(
+                f,
+                "marker [{row}, {col}] is {within_mm} mm behind the last interface of rig.layers; valid is above 0: move \
+                 gel.surface_mm away or make the layers thinner"
+            ),
             Self::NothingMoves { keyframes } => write!(
                 f,
                 "the trajectory has {keyframes} keyframes but there is no indenter; add [indenter] or remove them"
             ),
-            Self::KeyframeTime { keyframe, time_s, after_s } => write!(
+            Self::KeyframeTime { list, keyframe, time_s, after_s } => write!(
                 f,
-                "keyframe {keyframe} is at {time_s} s; valid is later than the one before ({after_s} s), at least \
+                "keyframe {keyframe} of {list} is at {time_s} s; valid is later than the one before ({after_s} s), at least \
                  0 and at most 86400 s"
             ),
             Self::MeshNeeded { path } => {

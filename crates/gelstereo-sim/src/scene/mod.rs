@@ -1,6 +1,7 @@
 //! Scenes, as TOML and as values.
 
 mod error;
+mod presets;
 
 pub use crate::simulator::ContactState;
 pub use error::SceneError;
@@ -34,6 +35,9 @@ pub struct Scene {
     pub effects: Effects,
     /// Poses over time, interpolated; empty means that nothing touches. Default: empty.
     pub trajectory: Vec<Keyframe>,
+    /// Motion of the gel before the cameras, `[[gel_motion]]` in a file, interpolated; empty means that it stands
+    /// still. Default: empty.
+    pub gel_motion: Vec<GelKeyframe>,
 }
 
 impl Default for Scene {
@@ -46,6 +50,7 @@ impl Default for Scene {
             indenter: None,
             effects: Effects::default(),
             trajectory: Vec::new(),
+            gel_motion: Vec::new(),
         }
     }
 }
@@ -101,6 +106,21 @@ impl Default for Gel {
             bright_level: 170,
         }
     }
+}
+
+/// The gel at one time: the whole lattice shifted and turned in its plane, as when the camera shakes or the gel creeps.
+/// In a file: `{ time_s = 0.5, shift_mm = [1.2, 0], rotation_rad = 0.1 }`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
+pub struct GelKeyframe {
+    /// Time, seconds.
+    pub time_s: f64,
+    /// From `gel.centre_mm`, sensor x and y. Default: none.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub shift_mm: [f64; 2],
+    /// Beyond `gel.rotation_rad`, about the lattice's centre and from x towards y, radians. Default: `0`.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub rotation_rad: f64,
 }
 
 /// The indenter at one time.
@@ -192,20 +212,26 @@ impl Scene {
         if let Some(indenter) = &self.indenter {
             indenter.validate()?;
         }
-        self.effects.validate()?;
+        self.effects.validate(&self.gel)?;
         self.check_trajectory()
     }
 
-    /// Both cameras must see the whole depth of the gel.
+    /// Both cameras must see the whole depth of the gel, and its surface must lie behind the rig's layers.
     fn check_sight(&self) -> Result<(), SceneError> {
         let gel = &self.gel;
         let corners = [[0, 0], [0, gel.cols - 1], [gel.rows - 1, 0], [gel.rows - 1, gel.cols - 1]];
         for [row, col] in corners {
             let at = gel.marker_mm(row, col);
             for z in [gel.surface_mm, gel.surface_mm - gel.thickness_mm] {
-                if self.rig.project(DVec3::new(at.x, at.y, z)).is_none() {
+                if self.rig.project(DVec3::new(at.x, at.y, z)).is_err() {
                     return Err(SceneError::BehindCamera { row, col });
                 }
+            }
+            let Some(layers) = &self.rig.layers else { continue };
+            let plates: f64 = layers.plates.iter().map(|plate| plate.thickness_mm).sum();
+            let within_mm = layers.normal.dot(at.extend(gel.surface_mm)) - layers.gap_mm - plates;
+            if !(within_mm > 0.0) {
+                return Err(SceneError::BeforeGel { row, col, within_mm });
             }
         }
         Ok(())
@@ -217,16 +243,34 @@ impl Scene {
         if self.indenter.is_none() && !self.trajectory.is_empty() {
             return Err(SceneError::NothingMoves { keyframes: self.trajectory.len() });
         }
-        for (keyframe, k) in self.trajectory.iter().enumerate() {
-            k.contact.validate()?;
-            let after = keyframe.checked_sub(1).map_or(-1.0, |before| self.trajectory[before].time_s);
-            // A day is far more than a scene needs and keeps the number of frames countable.
-            if !(k.time_s > after && (0.0..=86_400.0).contains(&k.time_s)) {
-                return Err(SceneError::KeyframeTime { keyframe, time_s: k.time_s, after_s: after.max(0.0) });
+        self.trajectory.iter().try_for_each(|k| k.contact.validate())?;
+        check_times("trajectory", self.trajectory.iter().map(|k| k.time_s))?;
+        for k in &self.gel_motion {
+            for found in k.shift_mm {
+                SceneError::check(found.abs() <= 1e4, "gel_motion.shift_mm", found, "-10000 to 10000 mm")?;
             }
+            let turn = k.rotation_rad;
+            SceneError::check(turn.abs() <= 1e3, "gel_motion.rotation_rad", turn, "-1000 to 1000 rad")?;
         }
-        Ok(())
+        check_times("gel_motion", self.gel_motion.iter().map(|k| k.time_s))?;
+        let (span, most) = (crate::trajectory::Trajectory::new(self).frames(), 10_000_000);
+        // They are listed one by one.
+        let listed = self.effects.dropped_frames.is_none() || span <= most;
+        SceneError::check(listed, "frames of a scene with dropped_frames", span as f64, "at most 10 million")
     }
+}
+
+/// Keyframes must follow each other.
+fn check_times(list: &'static str, times_s: impl Iterator<Item = f64>) -> Result<(), SceneError> {
+    let mut after_s = -1.0;
+    for (keyframe, time_s) in times_s.enumerate() {
+        // A day is far more than a scene needs and keeps the number of frames countable.
+        if !(time_s > after_s && (0.0..=86_400.0).contains(&time_s)) {
+            return Err(SceneError::KeyframeTime { list, keyframe, time_s, after_s: after_s.max(0.0) });
+        }
+        after_s = time_s;
+    }
+    Ok(())
 }
 
 impl Gel {

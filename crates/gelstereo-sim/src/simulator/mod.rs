@@ -1,11 +1,15 @@
 //! From a scene to marker positions and images.
 
 mod press;
+mod sheet;
+mod truth;
 
-use crate::effects::{Drag, Shoulder, Spread};
+pub use truth::{DotImage, OUT_OF_SIGHT_PX, Sight, Truth};
+
+use crate::effects::{Bridge, Drag, Print, Shoulder, Speck, Spread};
 use crate::lattice::Lattice;
-use crate::render::Renderer;
-use crate::scene::{Scene, SceneError};
+use crate::render::{Dot, Exposure, Renderer};
+use crate::scene::{Gel, Scene, SceneError};
 use crate::shapes::{MeshHeight, Shape};
 use crate::trajectory::Trajectory;
 use alloc::vec::Vec;
@@ -53,38 +57,25 @@ impl ContactState {
     }
 }
 
-/// Ground truth of one moment; marker `row * cols + col` stands at that index, printed or not.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Truth {
-    /// Marker centres, sensor frame, millimetres.
-    pub points_mm: Vec<DVec3>,
-    /// Height above the rest surface, towards the camera; at most the gel's thickness.
-    pub indentation_mm: Vec<f64>,
-    /// Whether the indenter touches the gel at this marker.
-    pub in_contact: Vec<bool>,
-    /// Projections of the centres in the left image, within it or not. A dot's image has its own centre
-    /// elsewhere by up to f r² sin a cos a / Z² (tilt a): 0.016 px on the default rig.
-    pub left_px: Vec<DVec2>,
-    /// The same in the right image.
-    pub right_px: Vec<DVec2>,
-}
-
-/// Stands for the pixel of a point behind a camera; only a contact that shears the gel out of sight leads
-/// there.
-pub const OUT_OF_SIGHT_PX: DVec2 = DVec2::splat(-1e6);
-
 /// A scene made ready to run.
 #[derive(Clone, Debug)]
 pub struct Simulator {
     rig: Rig,
+    gel: Gel,
+    /// The lattice where the gel is now.
     lattice: Lattice,
     surface_mm: f64,
+    /// Markers where they are now when nothing touches.
     rest: Vec<DVec2>,
+    print: Option<Print>,
+    specks: Vec<Speck>,
     part: Option<Part>,
     shoulder: Option<Shoulder>,
     spread: Option<Spread>,
     drag: Option<Drag>,
     trajectory: Trajectory,
+    /// Frames that arrive, when some do not.
+    delivered: Option<Vec<usize>>,
     renderer: Renderer,
     scratch: Scratch,
 }
@@ -105,6 +96,7 @@ struct Scratch {
     heights: Vec<f64>,
     stuck: Vec<bool>,
     fields: [Vec<f64>; 2],
+    dots: Vec<Dot>,
 }
 
 impl Simulator {
@@ -122,33 +114,65 @@ impl Simulator {
             (_, Some(_)) => return Err(SceneError::MeshNotNeeded),
             (shape, None) => shape.clone().map(Part::Solid),
         };
-        let (gel, effects) = (&scene.gel, &scene.effects);
-        let lattice = Lattice::new(gel);
-        Ok(Self {
+        let (gel, effects, seed) = (&scene.gel, &scene.effects, scene.seed);
+        let trajectory = Trajectory::new(scene);
+        let misprint = effects.misprint.as_ref();
+        let bridges = misprint.map_or_else(Vec::new, |misprint| Bridge::all(misprint, gel.cols));
+        let mut simulator = Self {
             rig: scene.rig.clone(),
-            lattice,
+            gel: gel.clone(),
+            lattice: Lattice::new(gel),
             surface_mm: gel.surface_mm,
-            rest: lattice.rest_mm(DVec2::from_array(gel.centre_mm)),
+            rest: Vec::new(),
+            print: misprint.map(|misprint| Print::new(misprint, seed, gel.rows * gel.cols)),
+            specks: effects.specks.as_ref().map_or_else(Vec::new, |specks| Speck::all(specks, seed, gel)),
             part,
             shoulder: effects.shoulder.clone(),
             spread: effects.spread.clone(),
             drag: effects.drag.clone(),
-            trajectory: Trajectory::new(scene),
-            renderer: Renderer::new(scene),
+            delivered: effects
+                .dropped_frames
+                .as_ref()
+                .map(|drops| drops.delivered(seed, trajectory.frames())),
+            renderer: Renderer::new(scene, trajectory.span_s(), bridges),
+            trajectory,
             scratch: Scratch::default(),
-        })
+        };
+        simulator.lay(DVec2::from_array(gel.centre_mm));
+        Ok(simulator)
     }
 
-    /// Frames of the trajectory (1 when nothing moves).
+    /// Frames of the trajectory (1 when nothing moves), those included that [`Self::delivered`] skips.
     #[must_use]
     pub fn frames(&self) -> usize {
         self.trajectory.frames()
     }
 
+    /// How many frames arrive; fewer than [`Self::frames`] when the scene drops some.
+    #[must_use]
+    pub fn delivered(&self) -> usize {
+        self.delivered.as_ref().map_or_else(|| self.frames(), Vec::len)
+    }
+
+    /// Which frame of the trajectory arrives after `arrived` others; `None` after the last.
+    #[must_use]
+    pub fn frame_of(&self, arrived: usize) -> Option<usize> {
+        match &self.delivered {
+            Some(delivered) => delivered.get(arrived).copied(),
+            None => (arrived < self.frames()).then_some(arrived),
+        }
+    }
+
+    /// When a frame is taken, seconds on the keyframes' clock.
+    #[must_use]
+    pub fn time_s(&self, frame: u64) -> f64 {
+        self.trajectory.time_s(frame)
+    }
+
     /// The trajectory's contact at a frame (beyond the end: the last); `None` without keyframes.
     #[must_use]
     pub fn contact(&self, frame: usize) -> Option<ContactState> {
-        self.trajectory.contact(frame)
+        self.trajectory.contact(self.time_s(frame as u64))
     }
 
     /// The pose moved along z until the part reaches `press_mm` into the gel; `None` without an indenter.
@@ -166,9 +190,16 @@ impl Simulator {
         Some(pose)
     }
 
-    /// Marker positions for a contact (`None`, or one that [`ContactState::validate`] refuses: nothing
-    /// touches).
+    /// [`Self::moment`] of the first frame: for scenes whose gel stands still and has no smears, of any frame.
     pub fn truth(&mut self, contact: Option<&ContactState>, out: &mut Truth) {
+        self.moment(contact, 0, out);
+    }
+
+    /// Marker positions and what the cameras see of them for a contact (`None`, or one that
+    /// [`ContactState::validate`] refuses: nothing touches), with the gel and the smears of a frame.
+    pub fn moment(&mut self, contact: Option<&ContactState>, frame: u64, out: &mut Truth) {
+        let time_s = self.time_s(frame);
+        self.settle(time_s);
         self.scratch.motion.clear();
         self.scratch.motion.resize(self.rest.len(), DVec2::ZERO);
         match contact.filter(|contact| self.part.is_some() && contact.validate().is_ok()) {
@@ -180,13 +211,14 @@ impl Simulator {
                 self.scratch.stuck.resize(self.rest.len(), false);
             }
         }
-        self.write(out);
+        self.write(time_s, out);
     }
 
-    /// Renders both views of a moment, `height * width` bytes each; `frame` keys the noise. A truth that has
-    /// another number of markers shows none.
+    /// Renders both views of a moment, `height * width` bytes each; `frame` keys the noise and times the smears. A
+    /// truth that has another number of markers shows none.
     pub fn render(&mut self, truth: &Truth, frame: u64, left: &mut Vec<u8>, right: &mut Vec<u8>) {
-        self.renderer.draw(0, &truth.points_mm, frame, left);
-        self.renderer.draw(1, &truth.points_mm, frame, right);
+        let exposure = Exposure { frame, time_s: self.time_s(frame) };
+        self.renderer.draw(0, truth, exposure, left);
+        self.renderer.draw(1, truth, exposure, right);
     }
 }

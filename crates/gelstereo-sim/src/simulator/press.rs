@@ -1,6 +1,6 @@
 //! The gel under a part.
 
-use super::{OUT_OF_SIGHT_PX, Part, Simulator, Truth};
+use super::{Part, Simulator};
 use crate::effects::Grip;
 use crate::simulator::ContactState;
 use gelstereo_core::math::{DVec2, DVec3};
@@ -89,24 +89,5 @@ impl Simulator {
         scratch.stuck.clear();
         let touched = |(&height, &obstacle): (&f64, &f64)| obstacle > 0.0 && height <= obstacle;
         scratch.stuck.extend(scratch.heights.iter().zip(&scratch.obstacle).map(touched));
-    }
-
-    /// Hands the scratch over as truth.
-    pub(super) fn write(&self, out: &mut Truth) {
-        let Self { scratch, rest, rig, surface_mm, .. } = self;
-        out.indentation_mm.clear();
-        out.indentation_mm.extend_from_slice(&scratch.heights);
-        out.in_contact.clear();
-        out.in_contact.extend_from_slice(&scratch.stuck);
-        let moved = rest.iter().zip(&scratch.motion).zip(&scratch.heights);
-        out.points_mm.clear();
-        out.points_mm.extend(moved.map(|((&rest, &u), &height)| (rest + u).extend(surface_mm - height)));
-        out.left_px.clear();
-        out.right_px.clear();
-        for &point in &out.points_mm {
-            let (left, right) = rig.project(point).unwrap_or((OUT_OF_SIGHT_PX, OUT_OF_SIGHT_PX));
-            out.left_px.push(left);
-            out.right_px.push(right);
-        }
     }
 }

@@ -1,5 +1,9 @@
 //! Two cameras: what calibration produces and triangulation consumes.
 
+mod view;
+
+pub use view::{Projection, RigView, View};
+
 use crate::camera::{Camera, CameraError, Layers, LayersError};
 use crate::math::{DMat3, DVec2, DVec3, Pose, so3};
 
@@ -28,7 +32,12 @@ pub enum RigError {
     Right(CameraError),
     /// The layers before the markers are invalid.
     Layers(LayersError),
-    /// The cameras stand at the same place: depth cannot be seen.
+    /// The right camera stands behind the first interface of the layers.
+    RightCameraInLayers {
+        /// Its distance to the interface along the normal.
+        gap_mm: f64,
+    },
+    /// The cameras stand at the same place, where depth cannot be seen, or a kilometre apart.
     NoBaseline {
         /// Distance found.
         baseline_mm: f64,
@@ -46,9 +55,15 @@ impl core::fmt::Display for RigError {
             Self::Left(error) => write!(f, "left camera: {error}"),
             Self::Right(error) => write!(f, "right camera: {error}"),
             Self::Layers(error) => error.fmt(f),
+            Self::RightCameraInLayers { gap_mm } => write!(
+                f,
+                "the right camera is {gap_mm} mm before the first interface; valid is 0 or more: check layers.normal and \
+                 layers.gap_mm, which is the left camera's distance"
+            ),
             Self::NoBaseline { baseline_mm } => write!(
                 f,
-                "the cameras are {baseline_mm:e} mm apart; depth needs a baseline (is t_right_left in millimetres?)"
+                "the cameras are {baseline_mm:e} mm apart; valid is {MIN_BASELINE_MM:e} to {MAX_BASELINE_MM:e} mm (is \
+                 t_right_left in millimetres?)"
             ),
             Self::NotSideBySide { right_camera_mm: c } => write!(
                 f,
@@ -81,6 +96,9 @@ pub struct Rectification {
 /// Shortest baseline that is taken for one: below a micrometre, calibration found nothing.
 pub const MIN_BASELINE_MM: f64 = 1e-3;
 
+/// Longest baseline.
+pub const MAX_BASELINE_MM: f64 = 1e6;
+
 impl Rig {
     /// Two equal, parallel cameras without distortion, the right one `baseline_mm` towards +x.
     #[must_use]
@@ -103,14 +121,20 @@ impl Rig {
         self.left.validate().map_err(RigError::Left)?;
         self.right.validate().map_err(RigError::Right)?;
         let baseline_mm = self.baseline_mm();
-        if !(baseline_mm >= MIN_BASELINE_MM && baseline_mm.is_finite()) {
+        if !(MIN_BASELINE_MM..=MAX_BASELINE_MM).contains(&baseline_mm) {
             return Err(RigError::NoBaseline { baseline_mm });
         }
         let right_camera_mm = self.t_right_left.inverse().translation_mm;
         if right_camera_mm.x < 0.5 * baseline_mm {
             return Err(RigError::NotSideBySide { right_camera_mm });
         }
-        self.layers.as_ref().map_or(Ok(()), Layers::validate).map_err(RigError::Layers)
+        let Some(layers) = &self.layers else { return Ok(()) };
+        layers.validate().map_err(RigError::Layers)?;
+        let gap_mm = layers.gap_mm - layers.normal.dot(right_camera_mm);
+        if !(gap_mm >= 0.0) {
+            return Err(RigError::RightCameraInLayers { gap_mm });
+        }
+        Ok(())
     }
 
     /// The row-aligned virtual cameras.
@@ -143,12 +167,22 @@ impl Rig {
         })
     }
 
-    /// Pixels of a point of the sensor frame in both views, or `None` behind a camera.
+    /// One camera with all that lies before it.
     #[must_use]
-    pub fn project(&self, point_mm: DVec3) -> Option<(DVec2, DVec2)> {
-        let left = self.left.project(point_mm)?;
-        let right = self.right.project(self.t_right_left.transform_point(point_mm))?;
-        Some((left, right))
+    pub fn view(&self, view: View) -> RigView<'_> {
+        let (camera, t_camera_sensor) = match view {
+            View::Left => (&self.left, Pose::IDENTITY),
+            View::Right => (&self.right, self.t_right_left),
+        };
+        RigView::new(camera, t_camera_sensor, self.layers.as_ref())
+    }
+
+    /// Pixels of a point of the sensor frame in both views, through the layers if there are any.
+    ///
+    /// # Errors
+    /// As [`RigView::project`].
+    pub fn project(&self, point_mm: DVec3) -> Result<(DVec2, DVec2), CameraError> {
+        Ok((self.view(View::Left).project(point_mm)?, self.view(View::Right).project(point_mm)?))
     }
 }
 

@@ -1,4 +1,8 @@
-//! What touches the gel: rest surface, saliency (Eq. 4), mean marker motion and the stop triggers.
+//! What touches the gel: rest surface, saliency (Eq. 4, or by pressure), mean marker motion and the stop triggers.
+
+mod pressure;
+
+pub use pressure::Pressure;
 
 use crate::math::linalg::{Symmetric, eigen};
 use crate::math::{DVec2, DVec3, centroid};
@@ -115,6 +119,13 @@ fn check_finite(points_mm: &[DVec3]) -> Result<(), ContactError> {
         Some(index) => Err(ContactError::NotFinite { index }),
         None => Ok(()),
     }
+}
+
+/// Variance of a point's coordinate along a unit vector, mm².
+#[must_use]
+pub fn variance_along(covariance_mm2: &Symmetric<3>, direction: DVec3) -> f64 {
+    let along = |row: &[f64; 3]| DVec3::from_array(*row).dot(direction);
+    DVec3::new(along(&covariance_mm2[0]), along(&covariance_mm2[1]), along(&covariance_mm2[2])).dot(direction)
 }
 
 /// Eq. 4: a marker is salient when it was seen and its indentation exceeds the threshold.

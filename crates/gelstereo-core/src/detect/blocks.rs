@@ -1,0 +1,167 @@
+//! An image in blocks of 8 x 8 pixels: their mean and their darkest level, and from both the gel's level around each
+//! block and the markers' contrast.
+//!
+//! All levels are those of dark markers on a bright gel; the images of bright markers are inverted first.
+
+use super::blur::{FRACTION_BITS, reflect101};
+use alloc::vec::Vec;
+
+/// Side of a block, pixels: smaller than the gap between markers or not, since only means and extremes are taken.
+pub const BLOCK_PX: usize = 8;
+
+/// Blocks of an image and what was found in them.
+#[derive(Clone, Debug, Default)]
+pub struct Blocks {
+    /// Blocks in a row.
+    cols: usize,
+    /// Mean of each block, with [`FRACTION_BITS`].
+    mean: Vec<u64>,
+    /// Darkest smoothed level of each block.
+    darkest: Vec<u8>,
+    /// Gel and markers around each block, with [`FRACTION_BITS`].
+    surround: Vec<u16>,
+    columns: Columns,
+    boxes: BoxSums,
+}
+
+/// Sums and minima of the rows of blocks that is being read, column by column of pixels.
+#[derive(Clone, Debug, Default)]
+struct Columns {
+    sum: Vec<u16>,
+    darkest: Vec<u8>,
+    rows: usize,
+}
+
+impl Blocks {
+    /// Starts an image of this width.
+    pub fn start(&mut self, width: usize, height: usize) {
+        self.cols = width.div_ceil(BLOCK_PX);
+        let blocks = self.cols * height.div_ceil(BLOCK_PX);
+        self.mean.clear();
+        self.mean.reserve(blocks);
+        self.darkest.clear();
+        self.darkest.reserve(blocks);
+        self.columns.clear(width);
+    }
+
+    /// Adds the next row of pixels.
+    pub fn push(&mut self, row: &[u8]) {
+        let Columns { sum, darkest, rows } = &mut self.columns;
+        for ((sum, darkest), &level) in sum.iter_mut().zip(darkest).zip(row) {
+            *sum = sum.wrapping_add(u16::from(level)); // at most 8 x 255
+            *darkest = level.min(*darkest);
+        }
+        *rows += 1;
+        if *rows == BLOCK_PX {
+            self.close();
+        }
+    }
+
+    /// Ends the image: `surround` is then the mean of the blocks up to `radius` blocks away, mirrored at the borders.
+    pub fn finish(&mut self, radius: usize) {
+        if self.columns.rows > 0 {
+            self.close();
+        }
+        let area = (2 * radius as u64 + 1).pow(2);
+        let sums = self.boxes.run(&self.mean, self.cols, radius);
+        self.surround.clear();
+        self.surround.extend(sums.iter().map(|sum| ((sum + area / 2) / area) as u16));
+    }
+
+    /// Turns the columns read so far into blocks.
+    fn close(&mut self) {
+        let Columns { sum, darkest, rows } = &self.columns;
+        for (sum, darkest) in sum.chunks(BLOCK_PX).zip(darkest.chunks(BLOCK_PX)) {
+            let area = (sum.len() * rows) as u64;
+            let total: u64 = sum.iter().map(|&s| u64::from(s)).sum();
+            self.mean.push(((total << FRACTION_BITS) + area / 2) / area);
+            self.darkest.push(darkest.iter().fold(u8::MAX, |low, &level| low.min(level)));
+        }
+        let width = sum.len();
+        self.columns.clear(width);
+    }
+
+    /// Blocks in a row.
+    #[must_use]
+    pub const fn cols(&self) -> usize {
+        self.cols
+    }
+
+    /// The level around each block with [`FRACTION_BITS`], row by row.
+    #[must_use]
+    pub fn surround(&self) -> &[u16] {
+        &self.surround
+    }
+
+    /// How much darker than its surround each block's darkest pixel is, row by row, in 1 / 2^`bits` grey levels.
+    pub fn depths(&self, bits: u32) -> impl Iterator<Item = u64> {
+        self.surround.iter().zip(&self.darkest).map(move |(&surround, &darkest)| {
+            u64::from(surround.saturating_sub(u16::from(darkest) << FRACTION_BITS) >> (FRACTION_BITS - bits))
+        })
+    }
+
+    /// Radius, in blocks, of the square nearest to one with this side.
+    #[must_use]
+    pub const fn radius_of(kernel_px: usize) -> usize {
+        // (2 r + 1) blocks of 8 px, rounded.
+        kernel_px / (2 * BLOCK_PX)
+    }
+}
+
+impl Columns {
+    fn clear(&mut self, width: usize) {
+        self.sum.clear();
+        self.sum.resize(width, 0);
+        self.darkest.clear();
+        self.darkest.resize(width, u8::MAX);
+        self.rows = 0;
+    }
+}
+
+/// Sums over squares of blocks, mirrored at the borders.
+#[derive(Clone, Debug, Default)]
+pub struct BoxSums {
+    columns: Vec<u64>,
+    out: Vec<u64>,
+}
+
+impl BoxSums {
+    /// The sum over the blocks up to `radius` away from each, of rows of `cols` values; the total of a square must fit
+    /// 64 bits.
+    pub fn run(&mut self, values: &[u64], cols: usize, radius: usize) -> &[u64] {
+        let (rows, reach) = (values.len() / cols.max(1), radius as isize);
+        let row = |y: isize| &values[reflect101(y, rows) * cols..][..cols];
+        self.out.clear();
+        self.out.resize(values.len(), 0);
+        self.columns.clear();
+        self.columns.resize(cols, 0);
+        for y in -reach..reach {
+            for (column, value) in self.columns.iter_mut().zip(row(y)) {
+                *column += value;
+            }
+        }
+        for (y, out) in (0_isize..).zip(self.out.chunks_exact_mut(cols.max(1))) {
+            for (column, value) in self.columns.iter_mut().zip(row(y + reach)) {
+                *column += value;
+            }
+            sum_along(&self.columns, radius, out);
+            for (column, value) in self.columns.iter_mut().zip(row(y - reach)) {
+                *column -= value;
+            }
+        }
+        &self.out
+    }
+}
+
+/// Running sums over `radius` elements to both sides, mirrored at the ends.
+fn sum_along(line: &[u64], radius: usize, out: &mut [u64]) {
+    let reach = radius as isize;
+    // Folding an index divides; few need it.
+    let at = |x: isize| line.get(x as usize).copied().unwrap_or_else(|| line[reflect101(x, line.len())]);
+    let mut sum: u64 = (-reach..reach).map(at).sum();
+    for (x, out) in (0_isize..).zip(out) {
+        sum += at(x + reach);
+        *out = sum;
+        sum -= at(x - reach);
+    }
+}

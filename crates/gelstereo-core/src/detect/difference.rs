@@ -1,0 +1,158 @@
+//! Which pixels are darker (or brighter) than their surround by the threshold, row by row.
+
+use super::blocks::{BLOCK_PX, Blocks};
+use super::blur::{BoxMean, FRACTION_BITS, GaussianBlur};
+use super::noise::NoiseLevel;
+use super::smooth::Smoother;
+use super::threshold::Thresholds;
+use crate::image::GrayView;
+use crate::params::{Background, DetectParams, Polarity, Threshold};
+use alloc::vec::Vec;
+
+/// The rungs of [`Background`] and [`Threshold`], and their scratch.
+#[derive(Clone, Debug)]
+pub struct Difference {
+    polarity: Polarity,
+    threshold: Threshold,
+    threshold_levels: u8,
+    rung: Rung,
+    smoother: Smoother,
+    noise: NoiseLevel,
+    radius: usize,
+    blocks: Blocks,
+    thresholds: Thresholds,
+    /// The image smoothed to whole levels, dark markers on a bright gel.
+    smoothed: Vec<u8>,
+    /// What a pixel of the present row must be darker than, or differ by.
+    limits: Limits,
+}
+
+#[derive(Clone, Debug)]
+enum Rung {
+    /// Both filtered images at full precision, as the paper.
+    Rows { smooth: GaussianBlur, surround: Surround, smooth_row: Vec<u16>, surround_row: Vec<u16> },
+    /// The smoothed image against one level a block.
+    Blocks,
+}
+
+#[derive(Clone, Debug)]
+enum Surround {
+    Gaussian(GaussianBlur),
+    Box(BoxMean),
+}
+
+#[derive(Clone, Debug, Default)]
+struct Limits {
+    below: Vec<u8>,
+    least: Vec<u16>,
+}
+
+impl Difference {
+    /// With these settings.
+    #[must_use]
+    pub fn new(params: &DetectParams) -> Self {
+        let rows = |surround| Rung::Rows {
+            smooth: GaussianBlur::new(params.smooth_kernel_px),
+            surround,
+            smooth_row: Vec::new(),
+            surround_row: Vec::new(),
+        };
+        let kernel_px = params.background_kernel_px;
+        Self {
+            polarity: params.polarity,
+            threshold: params.threshold,
+            threshold_levels: params.threshold_levels,
+            rung: match params.background {
+                Background::Gaussian => rows(Surround::Gaussian(GaussianBlur::new(kernel_px))),
+                Background::Box => rows(Surround::Box(BoxMean::new(kernel_px))),
+                Background::Blocks => Rung::Blocks,
+            },
+            smoother: Smoother::new(params.smooth_kernel_px, params.polarity),
+            noise: NoiseLevel::default(),
+            radius: Blocks::radius_of(kernel_px),
+            blocks: Blocks::default(),
+            thresholds: Thresholds::default(),
+            smoothed: Vec::new(),
+            limits: Limits::default(),
+        }
+    }
+
+    /// Reads an image: what its thresholds are, and for blocks also its surrounds.
+    pub fn survey(&mut self, image: GrayView<'_>) {
+        let (width, height) = (image.width(), image.height());
+        if self.threshold == Threshold::Auto || matches!(self.rung, Rung::Blocks) {
+            self.smoothed.clear();
+            self.smoothed.resize(width * height, 0);
+            self.blocks.start(width, height);
+            for (y, row) in self.smoothed.chunks_exact_mut(width).enumerate() {
+                self.smoother.row(image, y, row);
+                self.blocks.push(row);
+            }
+            self.blocks.finish(self.radius);
+        }
+        match self.threshold {
+            Threshold::Fixed => self.thresholds.set_all(self.threshold_levels, width, height),
+            Threshold::Auto => {
+                let noise_levels = self.noise.sigma_levels(image) * self.smoother.noise_gain();
+                self.thresholds.derive(&self.blocks, self.radius, noise_levels);
+            }
+        }
+    }
+
+    /// Writes 255 where a pixel of row `y` of the surveyed image differs by the threshold, else 0. Row 0 starts an
+    /// image; the others must follow in order.
+    pub fn row(&mut self, image: GrayView<'_>, y: usize, mask: &mut [u8]) {
+        let width = image.width();
+        let levels = self.thresholds.row(y);
+        let Limits { below, least } = &mut self.limits;
+        match &mut self.rung {
+            Rung::Blocks => {
+                if y.is_multiple_of(BLOCK_PX) {
+                    let surround = &self.blocks.surround()[y / BLOCK_PX * levels.len()..];
+                    let limits = levels.iter().zip(surround).map(|(&least, &surround)| {
+                        // A whole level is darker by at least this when it is below the next whole one.
+                        surround.checked_sub(least).map_or(0, |limit| (limit >> FRACTION_BITS) as u8 + 1)
+                    });
+                    spread(limits, width, below);
+                }
+                darker(&self.smoothed[y * width..][..width], below, mask);
+            }
+            Rung::Rows { smooth, surround, smooth_row, surround_row } => {
+                if y.is_multiple_of(BLOCK_PX) {
+                    spread(levels.iter().copied(), width, least);
+                }
+                smooth_row.resize(width, 0);
+                surround_row.resize(width, 0);
+                smooth.row(image, y, smooth_row);
+                match surround {
+                    Surround::Gaussian(blur) => blur.row(image, y, surround_row),
+                    Surround::Box(mean) => mean.row(image, y, surround_row),
+                }
+                let (bright, dark) = match self.polarity {
+                    Polarity::Dark => (surround_row, smooth_row),
+                    Polarity::Bright => (smooth_row, surround_row),
+                };
+                differing(bright, dark, least, mask);
+            }
+        }
+    }
+}
+
+/// One value a block becomes one a pixel.
+fn spread<T: Copy>(blocks: impl Iterator<Item = T>, width: usize, out: &mut Vec<T>) {
+    out.clear();
+    out.extend(blocks.flat_map(|value| [value; BLOCK_PX]));
+    out.truncate(width);
+}
+
+fn darker(levels: &[u8], below: &[u8], mask: &mut [u8]) {
+    for ((mask, &level), &below) in mask.iter_mut().zip(levels).zip(below) {
+        *mask = if level < below { u8::MAX } else { 0 };
+    }
+}
+
+fn differing(bright: &[u16], dark: &[u16], least: &[u16], mask: &mut [u8]) {
+    for (((mask, &bright), &dark), &least) in mask.iter_mut().zip(bright).zip(dark).zip(least) {
+        *mask = if bright.saturating_sub(dark) >= least { u8::MAX } else { 0 };
+    }
+}

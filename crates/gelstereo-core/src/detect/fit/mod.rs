@@ -1,0 +1,347 @@
+//! Centres by a model of the whole marker: a blurred disc, tilted into an ellipse, on ground whose light slopes.
+//!
+//! Nine parameters per marker (centre, ellipse, contrast, ground, its two slopes), and for the whole image the blur, the
+//! noise and the grain. Gauss-Newton steps move the outline until the residuals, weighted for the image's noise along the
+//! edge, balance. In white noise that is least squares; in grain, which makes neighbouring pixels alike,
+//! least squares would be half as precise again as the bound (Kay, Estimation Theory, section 4.5: whitened residuals).
+
+mod disc;
+mod edge;
+mod lanes;
+mod noise;
+mod solve;
+
+pub use noise::Noise;
+
+use super::Markers;
+use super::centre;
+use super::components::{Blob, Run};
+use crate::image::GrayView;
+use crate::math::linalg::Symmetric;
+use crate::math::{DVec2, median, sqrt};
+use crate::params::DetectParams;
+use crate::track::grid::Grid;
+use alloc::vec::Vec;
+use disc::{Levels, Outline, Window};
+use edge::Edge;
+use noise::NoiseMeter;
+use solve::Factor;
+
+/// Gel around the outline that takes part: farther pixels say nothing of the edge and little of the light.
+const REACH_PX: f64 = 3.5;
+/// The least of it: the edge's outer half.
+const LEAST_REACH_PX: f64 = 1.0;
+/// Least search radius for neighbours.
+const LEAST_FAR_PX: f64 = 2.0 + REACH_PX + 4.0 * FIRST_BLUR_PX;
+/// Steps at most; two are the rule.
+const MOST_STEPS: usize = 8;
+/// Markers from which an image's blur is estimated, spread evenly over the list, and rounds.
+const SAMPLES: usize = 15;
+const ROUNDS: usize = 4;
+/// Blurs that are believed.
+const BLURS_PX: core::ops::RangeInclusive<f64> = 0.35..=5.0;
+/// Where the search begins: a pixel's own width and a little defocus.
+const FIRST_BLUR_PX: f64 = 0.8;
+/// Residuals larger than this times what the noise explains widen the covariance; a ratio below is chance.
+const CHANCE: f64 = 1.6;
+/// The edge is not straight and the window ends: the covariance of the weights is larger than their inverse information
+/// by this (see the tests).
+const CURVATURE: f64 = 1.07;
+
+/// Where a fit begins.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Start {
+    /// Approximate centre, pixels.
+    pub centre_px: DVec2,
+    /// Matrix whose eigenvalues are the squares of the semi-axes, px²: r² on the diagonal for a circle.
+    pub spread_px2: Symmetric<2>,
+    /// Distance to the nearest other marker's centre, pixels, or infinity.
+    pub neighbour_px: f64,
+}
+
+impl Start {
+    /// Radius of the circle of the same area, pixels.
+    #[must_use]
+    pub fn radius_px(&self) -> f64 {
+        let [[xx, xy], [_, yy]] = self.spread_px2;
+        sqrt(sqrt((xx * yy - xy * xy).max(0.0)))
+    }
+}
+
+/// A fitted marker.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fitted {
+    /// Centre of the ellipse, pixels.
+    pub centre_px: DVec2,
+    /// Its covariance, px².
+    pub covariance_px2: Symmetric<2>,
+    /// Matrix whose eigenvalues are the squares of the semi-axes, px².
+    pub spread_px2: Symmetric<2>,
+    /// Level of the dot less that of the gel, grey levels.
+    pub contrast_levels: f64,
+    /// Steps taken.
+    pub steps: usize,
+}
+
+/// The fit and its scratch.
+#[derive(Clone, Debug)]
+pub struct DiscFit {
+    given_blur_px: Option<f64>,
+    step_px: f64,
+    most_side_px: usize,
+    edge: Edge,
+    meter: NoiseMeter,
+    window: Window,
+    noise: Noise,
+    blur_px: f64,
+    /// Fitted radius less that of the start, median over the samples.
+    radius_off_px: f64,
+    starts: Vec<Start>,
+    grid: Grid,
+    centres: Vec<DVec2>,
+    samples: Vec<Sample>,
+    scratch: Vec<f64>,
+}
+
+/// A marker of which the blur is learned.
+#[derive(Clone, Copy, Debug)]
+struct Sample {
+    start: Start,
+    outline: Outline,
+    alive: bool,
+}
+
+impl DiscFit {
+    /// With these settings.
+    #[must_use]
+    pub fn new(params: &DetectParams) -> Self {
+        // A square of twice the reach beyond the largest marker's ellipse, stretched twice.
+        let most_side_px = (2.0 * sqrt(f64::from(params.max_area_px2)) + 4.0 * REACH_PX) as usize;
+        Self {
+            given_blur_px: params.fit.blur_px,
+            step_px: params.fit.step_px,
+            most_side_px,
+            edge: Edge::new(),
+            meter: NoiseMeter::default(),
+            window: Window::default(),
+            noise: Noise::default(),
+            blur_px: FIRST_BLUR_PX,
+            radius_off_px: 0.0,
+            starts: Vec::new(),
+            grid: Grid::default(),
+            centres: Vec::new(),
+            samples: Vec::new(),
+            scratch: Vec::new(),
+        }
+    }
+
+    /// Noise of the last image that was learned.
+    #[must_use]
+    pub const fn noise(&self) -> Noise {
+        self.noise
+    }
+
+    /// Standard deviation of its blur, pixels.
+    #[must_use]
+    pub const fn blur_px(&self) -> f64 {
+        self.blur_px
+    }
+
+    /// Learns noise and blur of an image from its gel (`mask` is 0 there) and some of its markers.
+    pub fn learn(&mut self, image: GrayView<'_>, mask: &[u8], starts: &[Start]) {
+        self.noise = self.meter.run(image, mask).unwrap_or_default();
+        self.blur_px = self.given_blur_px.unwrap_or(FIRST_BLUR_PX);
+        self.radius_off_px = 0.0;
+        self.edge.weigh(self.blur_px, &self.noise);
+        self.samples.clear();
+        self.samples.reserve(SAMPLES);
+        let count = starts.len().min(SAMPLES);
+        for k in 0..count {
+            let start = starts[k * starts.len() / count];
+            let Some(outline) = Outline::new(DVec2::ZERO, &start.spread_px2) else { continue };
+            self.samples.push(Sample { start, outline, alive: true });
+        }
+        for _ in 0..ROUNDS {
+            self.scratch.clear();
+            self.scratch.reserve(SAMPLES);
+            for k in 0..self.samples.len() {
+                if let Some(wider_px) = self.sample_step(image, k) {
+                    self.scratch.push(wider_px);
+                }
+            }
+            if self.given_blur_px.is_none() {
+                let wider_px = median(&mut self.scratch).unwrap_or(0.0);
+                let step_px = wider_px.clamp(-0.5 * self.blur_px, self.blur_px);
+                self.blur_px = (self.blur_px + step_px).clamp(*BLURS_PX.start(), *BLURS_PX.end());
+            }
+        }
+        self.edge.weigh(self.blur_px, &self.noise);
+        self.scratch.clear();
+        let radius = |spread_px2| Start { spread_px2, ..self.samples[0].start }.radius_px();
+        for sample in self.samples.iter().filter(|sample| sample.alive) {
+            if let Some(spread_px2) = sample.outline.spread_px2() {
+                self.scratch.push(radius(spread_px2) - sample.start.radius_px());
+            }
+        }
+        self.radius_off_px = median(&mut self.scratch).unwrap_or(0.0);
+    }
+
+    /// Moves one sample's outline and says by how much more blur would fit it better.
+    fn sample_step(&mut self, image: GrayView<'_>, k: usize) -> Option<f64> {
+        let Sample { start, mut outline, alive } = self.samples[k];
+        if !alive {
+            return None;
+        }
+        self.samples[k].alive = false;
+        self.load(image, &start)?;
+        outline.centre += start.centre_px - self.window.origin;
+        self.window.draw(&outline, self.blur_px, &self.edge);
+        let levels = self.window.levels()?;
+        let wider_px = self.window.blur_step(self.blur_px)?;
+        let factor = Factor::new(&self.window.matrix())?;
+        apply(&mut outline, &step(&factor, &self.window.pull(&levels).right, &levels)?);
+        outline.centre -= start.centre_px - self.window.origin;
+        self.samples[k].outline = outline;
+        self.samples[k].alive = plausible(&start, outline.centre, outline.spread_px2());
+        self.samples[k].alive.then_some(wider_px)
+    }
+
+    /// Fits one marker with the noise and blur last learned. `None` when the fit does not settle, or not on a disc like
+    /// the start's.
+    #[must_use]
+    pub fn run(&mut self, image: GrayView<'_>, start: &Start) -> Option<Fitted> {
+        let pixels = self.load(image, start)?;
+        let offset = start.centre_px - self.window.origin;
+        let mut outline = Outline::new(offset, &self.grown(start))?;
+        let mut factor = None;
+        for steps in 1..=MOST_STEPS {
+            self.window.draw(&outline, self.blur_px, &self.edge);
+            let levels = self.window.levels()?;
+            // The first matrix serves all steps (chord method): it decides how fast they end, not where.
+            let factor = match factor {
+                Some(factor) => factor,
+                None => *factor.insert(Factor::new(&self.window.matrix())?),
+            };
+            let pull = self.window.pull(&levels);
+            let step = step(&factor, &pull.right, &levels)?;
+            apply(&mut outline, &step);
+            if !plausible(start, outline.centre - offset, outline.spread_px2()) {
+                return None;
+            }
+            if sqrt(step[0] * step[0] + step[1] * step[1]) <= self.step_px {
+                let surprise = pull.residual2 / (pixels as f64 - 9.0) / self.noise.variance_levels2();
+                return Some(Fitted {
+                    centre_px: self.window.origin + outline.centre,
+                    covariance_px2: covariance(&factor, &levels, CURVATURE * (surprise / CHANCE).max(1.0))?,
+                    spread_px2: outline.spread_px2()?,
+                    contrast_levels: levels.contrast,
+                    steps,
+                });
+            }
+        }
+        None
+    }
+
+    /// The start's ellipse with the radius that this image's fits came to.
+    fn grown(&self, start: &Start) -> Symmetric<2> {
+        let scale = (1.0 + self.radius_off_px / start.radius_px()).clamp(0.5, 2.0);
+        start.spread_px2.map(|row| row.map(|entry| entry * scale * scale))
+    }
+
+    /// Loads the pixels that belong to this marker alone; their number, if it suffices.
+    fn load(&mut self, image: GrayView<'_>, start: &Start) -> Option<usize> {
+        let [[xx, xy], [_, yy]] = start.spread_px2;
+        let mean = 0.5 * (xx + yy);
+        let longest = sqrt(mean + sqrt((mean * mean - (xx * yy - xy * xy)).max(0.0)));
+        // A neighbour of the same size begins at its radius, with its own blur around.
+        let gap = start.neighbour_px - 2.0 * longest - 1.5 * self.blur_px;
+        let reach = (REACH_PX + self.blur_px - FIRST_BLUR_PX).max(REACH_PX).min(gap).max(LEAST_REACH_PX);
+        let radius = longest + reach;
+        if !(2.0 * radius + 1.0 <= self.most_side_px as f64 && start.centre_px.is_finite()) {
+            return None;
+        }
+        self.window.reserve(self.most_side_px);
+        Some(self.window.load(image, start.centre_px, radius)).filter(|&pixels| pixels >= 20)
+    }
+
+    /// Forgets the markers of the last image; `most` is how many there can be.
+    pub fn clear(&mut self, most: usize) {
+        self.starts.clear();
+        self.starts.reserve(most);
+    }
+
+    /// Takes note of a marker whose approximate centre is known.
+    pub fn add<'a>(&mut self, blob: &Blob, runs: impl Iterator<Item = &'a Run>, centre_px: DVec2) {
+        let spread_px2 = blob.spread_px2(runs);
+        self.starts.push(Start { centre_px, spread_px2, neighbour_px: f64::INFINITY });
+    }
+
+    /// Fits the markers noted, which `markers` lists in the same order, and replaces centre and covariance where that
+    /// succeeds. `blobs` are all components of the image's `mask`, for neighbours keep their pixels.
+    pub fn finish(&mut self, image: GrayView<'_>, mask: &[u8], blobs: &[Blob], markers: &mut Markers) {
+        self.find_neighbours(image, blobs);
+        let starts = core::mem::take(&mut self.starts);
+        self.learn(image, mask, &starts);
+        markers.unfitted = 0;
+        let found = markers.centres_px.iter_mut().zip(&mut markers.covariance_px2);
+        for (start, (centre, covariance)) in starts.iter().zip(found) {
+            match self.run(image, start) {
+                Some(fitted) => (*centre, *covariance) = (fitted.centre_px, fitted.covariance_px2),
+                None => markers.unfitted += 1,
+            }
+        }
+        self.starts = starts;
+    }
+
+    fn find_neighbours(&mut self, image: GrayView<'_>, blobs: &[Blob]) {
+        let widest = self.starts.iter().map(Start::radius_px).fold(1.0, f64::max);
+        // Beyond this a neighbour takes no pixel away.
+        let far_px = 2.0 * widest + REACH_PX + 4.0 * FIRST_BLUR_PX;
+        self.centres.clear();
+        self.centres.reserve(self.starts.capacity());
+        self.centres.extend(blobs.iter().filter(|blob| blob.area_px2 > 2).map(centre::binary));
+        self.grid.reserve(self.starts.capacity(), (image.width(), image.height()), LEAST_FAR_PX);
+        self.grid.build(&self.centres, far_px);
+        for start in &mut self.starts {
+            let at = start.centre_px;
+            let own_px = 0.5 * start.radius_px();
+            let other =
+                self.grid.nearest(&self.centres, at, far_px, |n| self.centres[n].distance(at) > own_px);
+            start.neighbour_px = other.map_or(f64::INFINITY, |n| self.centres[n].distance(at));
+        }
+    }
+}
+
+/// Solves for the outline's step.
+fn step(factor: &Factor<5>, right: &[f64; 5], levels: &Levels) -> Option<[f64; 5]> {
+    let step = factor.solve(right).map(|s| s / levels.contrast);
+    step.iter().all(|s| s.is_finite()).then_some(step)
+}
+
+fn apply(outline: &mut Outline, step: &[f64; 5]) {
+    outline.centre += DVec2::new(step[0], step[1]);
+    for (entry, change) in outline.form.iter_mut().zip(&step[2..]) {
+        *entry += change;
+    }
+}
+
+/// Whether the outline is still about where and as large as it began.
+fn plausible(start: &Start, moved: DVec2, spread_px2: Option<Symmetric<2>>) -> bool {
+    let Some([[xx, xy], [_, yy]]) = spread_px2 else { return false };
+    let (area, trace) = (sqrt(xx * yy - xy * xy), xx + yy);
+    let began = start.radius_px();
+    // Half as wide to twice as wide; the longer axis at most four times the shorter.
+    moved.length() <= 0.5 * began.max(2.0)
+        && (0.25..=4.0).contains(&(area / (began * began)))
+        && trace <= 4.25 * area
+}
+
+/// Inverse information of the centre: the outline's other parameters are unknown too.
+fn covariance(factor: &Factor<5>, levels: &Levels, inflation: f64) -> Option<Symmetric<2>> {
+    let scale = inflation / (levels.contrast * levels.contrast);
+    let column = |k: usize| factor.solve(&core::array::from_fn(|i| f64::from(u8::from(i == k))));
+    let (x, y) = (column(0), column(1));
+    let xy = 0.5 * (x[1] + y[0]) * scale;
+    let covariance = [[x[0] * scale, xy], [xy, y[1] * scale]];
+    (covariance[0][0] > 0.0 && covariance[1][1] > 0.0).then_some(covariance)
+}

@@ -1,0 +1,135 @@
+//! Noise of the image, measured on the gel between the markers.
+
+use crate::image::GrayView;
+use crate::math::{cbrt, exp, ln, median};
+use alloc::vec::Vec;
+use core::f64::consts::PI;
+
+/// Variance of rounding to whole grey levels: no image has less noise.
+const ROUNDING_LEVELS2: f64 = 1.0 / 12.0;
+/// Every which row is looked at.
+const ROW_STEP: usize = 4;
+/// Pixels between the gel that counts and a marker's pixels: out of its blurred edge.
+const CLEARANCE_PX: usize = 4;
+/// Distances at which pixels are compared.
+const LAGS: [usize; 3] = [1, 2, 4];
+
+/// White noise, and grain whose neighbouring pixels are alike: variances in squared grey levels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Noise {
+    /// Variance of the noise that differs from pixel to pixel.
+    pub white_levels2: f64,
+    /// Variance of the grain.
+    pub grain_levels2: f64,
+    /// The grain's correlation at distance d is exp(-d² / (4 l²)) with this l.
+    pub grain_size_px: f64,
+}
+
+impl Default for Noise {
+    fn default() -> Self {
+        Self { white_levels2: 1.0, grain_levels2: 0.0, grain_size_px: 1.0 }
+    }
+}
+
+impl Noise {
+    /// Power spectral density at a squared angular frequency (rad/px)².
+    #[must_use]
+    pub fn spectrum(&self, k2: f64) -> f64 {
+        let l2 = self.grain_size_px * self.grain_size_px;
+        self.white_levels2 + self.grain_levels2 * 4.0 * PI * l2 * exp(-k2 * l2)
+    }
+
+    /// Variance of one pixel.
+    #[must_use]
+    pub fn variance_levels2(&self) -> f64 {
+        self.white_levels2 + self.grain_levels2
+    }
+
+    /// From half the mean squared differences of pixels 1, 2 and 4 px apart (a variogram, which a slope of
+    /// light does not reach): with x = exp(-1 / (4 l²)) they are w + g (1 - x), w + g (1 - x^4), w + g (1 - x^16).
+    fn from_variogram([one, two, four]: [f64; 3]) -> Self {
+        let white_only = Self { white_levels2: one.max(ROUNDING_LEVELS2), ..Self::default() };
+        if !(two - one > 0.01 * one) {
+            return white_only; // less than chance
+        }
+        // (x^4 - x^16) / (x - x^4) = y (1 + y) (1 + y²) grows with y = x³ from 0 to 4.
+        let ratio = (four - two) / (two - one);
+        let (mut low, mut high) = (0.0, 0.97);
+        for _ in 0..40 {
+            let y = 0.5 * (low + high);
+            if y * (1.0 + y) * (1.0 + y * y) < ratio { low = y } else { high = y }
+        }
+        // Above x = 0.4 the grain is at least half a pixel wide; finer grain is white.
+        let y = (0.5 * (low + high)).max(0.064);
+        let x = cbrt(y);
+        let grain_levels2 = (two - one) / (x - x * y);
+        let white_levels2 = (one - grain_levels2 * (1.0 - x)).max(ROUNDING_LEVELS2);
+        Self { white_levels2, grain_levels2, grain_size_px: crate::math::sqrt(-0.25 / ln(x)) }
+    }
+}
+
+/// Measures [`Noise`], with its scratch.
+#[derive(Clone, Debug, Default)]
+pub(super) struct NoiseMeter {
+    /// Non-zero where a row's pixel is near a marker.
+    near: Vec<u8>,
+    /// One value per row and lag.
+    rows: [Vec<f64>; 3],
+}
+
+impl NoiseMeter {
+    /// From the pixels of `image` that lie [`CLEARANCE_PX`] off the set pixels of `mask`: medians over the rows, which
+    /// a scratch or a smear does not reach. `None` when there is no such gel.
+    pub fn run(&mut self, image: GrayView<'_>, mask: &[u8]) -> Option<Noise> {
+        let (width, height) = (image.width(), image.height());
+        for rows in &mut self.rows {
+            rows.clear();
+            rows.reserve(height / ROW_STEP + 1);
+        }
+        for y in (CLEARANCE_PX..height.saturating_sub(CLEARANCE_PX)).step_by(ROW_STEP) {
+            self.near.clear();
+            self.near.resize(width, 0);
+            // A marker is at least two rows high.
+            for row in (y - CLEARANCE_PX..=y + CLEARANCE_PX).step_by(2) {
+                for (near, &set) in self.near.iter_mut().zip(&mask[row * width..]) {
+                    *near |= set;
+                }
+            }
+            self.row(image.row(y));
+        }
+        let mut variogram = [0.0; 3];
+        for (value, rows) in variogram.iter_mut().zip(&mut self.rows) {
+            *value = median(rows)?;
+        }
+        Some(Noise::from_variogram(variogram))
+    }
+
+    /// Adds one row.
+    fn row(&mut self, levels: &[u8]) {
+        let (mut squares, mut count, mut end) = ([0_u64; 3], 0_usize, 0);
+        for clear in self.near.split(|&near| near != 0) {
+            let start = end;
+            end += clear.len() + 1;
+            // What is left has its farthest partner clear of the next marker.
+            if clear.len() > 2 * CLEARANCE_PX + LAGS[2] {
+                let stretch = &levels[start + CLEARANCE_PX..start + clear.len() - CLEARANCE_PX];
+                let len = stretch.len() - LAGS[2];
+                count += len;
+                for (sum, lag) in squares.iter_mut().zip(LAGS) {
+                    *sum += u64::from(squared_difference(&stretch[..len], &stretch[lag..]));
+                }
+            }
+        }
+        if count >= 16 {
+            for (rows, sum) in self.rows.iter_mut().zip(squares) {
+                rows.push(sum as f64 / (2 * count) as f64);
+            }
+        }
+    }
+}
+
+/// Σ (a - b)² over the shorter of the two; exact below 66 000 pixels.
+fn squared_difference(a: &[u8], b: &[u8]) -> u32 {
+    let square = |(&a, &b): (&u8, &u8)| u32::from(a.abs_diff(b)) * u32::from(a.abs_diff(b));
+    a.iter().zip(b).map(square).fold(0, u32::wrapping_add)
+}

@@ -1,0 +1,91 @@
+//! Which detection stands at which place, while a lattice grows.
+
+use super::found::Place;
+use crate::math::{DVec2, sqrt};
+use alloc::vec::Vec;
+
+/// Most rows or columns to either side of the seed.
+const MOST_HALF: usize = 500;
+
+/// The four neighbours: right, down, left, up, as (rows, columns).
+pub(super) const STEPS: [(i32, i32); 4] = [(0, 1), (1, 0), (0, -1), (-1, 0)];
+
+/// A square of places about the seed, and the place of each detection. Cleared at the cost of what was placed, not of
+/// its area.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Canvas {
+    half: i32,
+    /// Detection at each place, plus one; zero where there is none.
+    cells: Vec<u32>,
+    pub places: Vec<Option<Place>>,
+    /// Detections in the order in which they were placed; those that were dropped since stay in the list.
+    pub order: Vec<u32>,
+}
+
+impl Canvas {
+    pub fn reserve(&mut self, most: usize) {
+        let side = 2 * half_side(most) + 1;
+        self.clear();
+        if self.cells.len() < side * side {
+            // Zeroed by the allocator: what is never used costs no memory.
+            self.cells = alloc::vec![0; side * side];
+        }
+        self.places.reserve(most);
+        self.order.reserve(2 * most);
+    }
+
+    /// Forgets everything and makes room for so many detections.
+    pub fn start(&mut self, detections: usize) {
+        self.clear();
+        let half = half_side(detections);
+        let area = (2 * half + 1) * (2 * half + 1);
+        if self.cells.len() < area {
+            self.cells = alloc::vec![0; area];
+        }
+        self.half = half as i32;
+        self.places.resize(detections, None);
+    }
+
+    pub fn clear(&mut self) {
+        for n in 0..self.places.len() {
+            self.drop(n);
+        }
+        self.places.clear();
+        self.order.clear();
+    }
+
+    pub fn put(&mut self, place: Place, detection: usize) -> bool {
+        let Some(cell) = self.cell(place) else { return false };
+        self.cells[cell] = detection as u32 + 1;
+        self.places[detection] = Some(place);
+        self.order.push(detection as u32);
+        true
+    }
+
+    pub fn drop(&mut self, detection: usize) {
+        if let Some(place) = self.places[detection].take()
+            && let Some(cell) = self.cell(place)
+        {
+            self.cells[cell] = 0;
+        }
+    }
+
+    pub fn at(&self, place: Place) -> Option<usize> {
+        (self.cells[self.cell(place)?] as usize).checked_sub(1)
+    }
+
+    pub fn position(&self, points: &[DVec2], place: Place) -> Option<DVec2> {
+        self.at(place).map(|m| points[m])
+    }
+
+    fn cell(&self, place: Place) -> Option<usize> {
+        let (row, col, side) = (place.row + self.half, place.col + self.half, 2 * self.half + 1);
+        let inside = (0..side).contains(&row) && (0..side).contains(&col);
+        inside.then(|| row as usize * side as usize + col as usize)
+    }
+}
+
+/// Enough for a lattice 64 times as long as it is wide, grown from its end.
+fn half_side(detections: usize) -> usize {
+    ((8.0 * sqrt(detections as f64)) as usize + 8).min(MOST_HALF)
+}

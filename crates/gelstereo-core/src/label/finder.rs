@@ -1,0 +1,301 @@
+//! A lattice grown from seeds by predicted steps.
+
+use super::LabelError;
+use super::agree::{Agreement, placed};
+use super::canvas::{Canvas, STEPS};
+use super::extent::{View, mean_steps, upright_turns};
+use super::found::{FoundLattice, Place};
+use super::predict::{predict, predict_widely, steps_at};
+use super::seed::{Seed, neighbour_distance, seed_at};
+use crate::math::{DVec2, round, sqrt};
+use crate::track::grid::Grid;
+use alloc::vec::Vec;
+
+/// Farthest that a detection may lie from the origin: squares and areas stay far from overflow.
+const FARTHEST_PX: f64 = 1e6;
+
+/// Most detections of one frame.
+const MOST_DETECTIONS: usize = 1 << 20;
+
+/// Seeds looked at before the best is taken, and before all are looked at.
+const SEED_SAMPLE: usize = 48;
+
+/// Seeds grown from at most.
+const MOST_SEEDS: usize = 8;
+
+/// Detections that the distance of neighbours is the median of.
+const NEAR_SAMPLE: usize = 128;
+
+/// How far from its prediction a marker may lie, in steps, pass by pass; and how many estimates must agree.
+///
+/// Sure steps first: a speck or the middle of two merged dots, once placed, would mislead those that follow.
+const PASSES: [(f64, u32); 3] = [(0.2, 2), (0.2, 1), (0.33, 1)];
+
+/// Finds the lattice in the detections of one frame, whatever its turn and however the rows bend, without any history.
+///
+/// From a marker with regular surroundings the lattice grows along rows and columns. Each step is predicted from the
+/// steps around it, so that curved rows are followed, and taken when one detection, and no other, lies near the prediction.
+/// Then every detection left over is asked where it belongs, as seen from the nearest markers placed. At the end all
+/// neighbours must agree; a marker that does not stand where they say loses its place.
+///
+/// Cost grows linearly with the detections. After [`Self::reserve`], or a frame with as many detections, nothing is
+/// allocated.
+#[derive(Clone, Debug, Default)]
+pub struct LatticeFinder {
+    grid: Grid,
+    canvas: Canvas,
+    near_px: f64,
+    distances: Vec<f64>,
+    best: Vec<Option<Place>>,
+    /// Markers dropped and largest distance left, in steps, of the best.
+    best_evidence: (usize, f64),
+    agreement: Agreement,
+}
+
+impl LatticeFinder {
+    /// Makes room for frames of up to `size_px` (width, height) with up to so many detections.
+    pub fn reserve(&mut self, size_px: (usize, usize), most_detections: usize) {
+        let most = most_detections.min(MOST_DETECTIONS);
+        let area = (size_px.0 * size_px.1) as f64;
+        self.grid.reserve(most, size_px, sqrt(area / most.max(1) as f64).max(1.0));
+        self.canvas.reserve(most);
+        self.distances.reserve(2 * most);
+        self.best.reserve(most);
+        self.agreement.reserve(most);
+    }
+
+    /// Finds the lattice; lists of `out` are reused.
+    ///
+    /// `detected_px` are pixels in any order; `size_px` is the image's width and height, if known: without it no side of
+    /// the print can be told to end.
+    ///
+    /// # Errors
+    /// [`LabelError::NotFinite`], and [`LabelError::NoLattice`] when fewer than 3 x 3 markers are in a lattice.
+    pub fn run(
+        &mut self,
+        detected_px: &[DVec2],
+        size_px: Option<(usize, usize)>,
+        out: &mut FoundLattice,
+    ) -> Result<(), LabelError> {
+        self.find(detected_px, size_px, false, out)
+    }
+
+    /// As [`Self::run`], with outer rows and columns of which only a marker or two are seen.
+    pub(super) fn run_with_specks(
+        &mut self,
+        detected_px: &[DVec2],
+        out: &mut FoundLattice,
+    ) -> Result<(), LabelError> {
+        self.find(detected_px, None, true, out)
+    }
+
+    fn find(
+        &mut self,
+        detected_px: &[DVec2],
+        size_px: Option<(usize, usize)>,
+        with_specks: bool,
+        out: &mut FoundLattice,
+    ) -> Result<(), LabelError> {
+        let none = LabelError::NoLattice { found: detected_px.len() };
+        if let Some(index) = detected_px.iter().position(|p| !p.is_finite()) {
+            return Err(LabelError::NotFinite { index });
+        }
+        let far = detected_px.iter().any(|p| p.abs().max_element() > FARTHEST_PX);
+        if far || detected_px.len() > MOST_DETECTIONS {
+            return Err(none);
+        }
+        self.place_all(detected_px).ok_or(none.clone())?;
+        let (row_step_px, col_step_px, pitch_px) = self.turn_upright(detected_px).ok_or(none.clone())?;
+        (out.row_step_px, out.col_step_px, out.pitch_px) = (row_step_px, col_step_px, pitch_px);
+        let size_px = size_px.map(|(width, height)| DVec2::new(width as f64, height as f64) - 1.0);
+        View { points: detected_px, grid: &self.grid, size_px, pitch_px, with_specks }
+            .write(&self.canvas, out);
+        (out.dropped, out.worst_pitches) = self.best_evidence;
+        if out.placed < 9 || out.rows.min(out.cols) < 3 { Err(none) } else { Ok(()) }
+    }
+
+    /// Grows from one seed after another until one lattice holds most of the detections or enough were tried; keeps the
+    /// largest.
+    fn place_all(&mut self, points: &[DVec2]) -> Option<()> {
+        let spacing_px = self.sort_into_grid(points)?;
+        self.near_px = neighbour_distance(points, &self.grid, spacing_px, NEAR_SAMPLE, &mut self.distances)?;
+        self.best.clear();
+        self.best.resize(points.len(), None);
+        let (mut most, mut start) = (0, 0);
+        for _ in 0..MOST_SEEDS {
+            let Some(seed) = self.next_seed(points, &mut start) else { break };
+            self.canvas.start(points.len());
+            self.grow(points, &seed);
+            self.agreement.prune(points, &self.grid, &mut self.canvas);
+            let count = placed(&self.canvas).count();
+            if count > most {
+                most = count;
+                self.best.copy_from_slice(&self.canvas.places);
+                self.best_evidence = (self.agreement.dropped, self.agreement.worst);
+            }
+            if 2 * most > points.len() {
+                break;
+            }
+        }
+        (most >= 9).then_some(())
+    }
+
+    /// Puts the best places back, turned so that rows run most nearly from left to right; gives the mean steps and the pitch.
+    fn turn_upright(&mut self, points: &[DVec2]) -> Option<(DVec2, DVec2, f64)> {
+        self.put_turned(0);
+        let (row_step, col_step, _) = mean_steps(points, &self.canvas, &mut self.distances)?;
+        let turns = upright_turns(row_step, col_step);
+        if turns != 0 {
+            self.put_turned(turns);
+        }
+        mean_steps(points, &self.canvas, &mut self.distances)
+    }
+
+    fn put_turned(&mut self, turns: u8) {
+        self.canvas.start(self.best.len());
+        for (m, place) in self.best.iter().enumerate() {
+            if let Some(place) = *place {
+                self.canvas.put(place.turned(turns), m);
+            }
+        }
+    }
+
+    /// Leaves the detections in the grid; the side of the square that each would have to itself.
+    fn sort_into_grid(&mut self, points: &[DVec2]) -> Option<f64> {
+        let first = *points.first()?;
+        let (low, high) = points.iter().fold((first, first), |(l, h), &p| (l.min(p), h.max(p)));
+        let spread = high - low;
+        let side = sqrt(spread.x.max(1e-3) * spread.y.max(1e-3) / points.len() as f64);
+        self.grid.build(points, side);
+        Some(side)
+    }
+
+    /// The most regular of the next few seeds; `start` says where in the list to go on.
+    fn next_seed(&self, points: &[DVec2], start: &mut usize) -> Option<Seed> {
+        // Neighbours in the list are often neighbours in the image: a stride spreads the sample.
+        let len = points.len();
+        let stride = (len / SEED_SAMPLE).max(1) | 1;
+        let mut best: Option<Seed> = None;
+        let mut seen = 0;
+        while *start < stride * len.div_ceil(stride) {
+            let index = (*start % len.div_ceil(stride)) * stride + *start / len.div_ceil(stride);
+            *start += 1;
+            if index >= len {
+                continue;
+            }
+            seen += 1;
+            if let Some(seed) = seed_at(points, &self.grid, index, self.near_px)
+                && best.is_none_or(|b| seed.irregularity < b.irregularity)
+            {
+                best = Some(seed);
+            }
+            if best.is_some() && seen >= SEED_SAMPLE {
+                break;
+            }
+        }
+        best
+    }
+
+    /// From the seed outwards, then the detections left over.
+    fn grow(&mut self, points: &[DVec2], seed: &Seed) {
+        self.canvas.put(Place::default(), seed.centre);
+        let tolerance_px = 0.25 * seed.row_step.length().min(seed.col_step.length());
+        for row in -1..=1 {
+            for col in -1..=1 {
+                let at =
+                    points[seed.centre] + seed.row_step * f64::from(col) + seed.col_step * f64::from(row);
+                let marker = self.grid.nearest(points, at, tolerance_px, |m| self.canvas.places[m].is_none());
+                if let Some(m) = marker {
+                    self.canvas.put(Place::new(row, col), m);
+                }
+            }
+        }
+        for (tolerance, sources) in PASSES {
+            let mut before = 0;
+            while before < self.canvas.order.len() {
+                before = self.canvas.order.len();
+                self.walk(points, tolerance, sources);
+                self.ask_left_over(points, tolerance);
+            }
+        }
+    }
+
+    /// Places what lies one step from a placed marker, until nothing new is found.
+    fn walk(&mut self, points: &[DVec2], tolerance: f64, sources: u32) {
+        let mut next = 0;
+        while let Some(&from) = self.canvas.order.get(next) {
+            next += 1;
+            let Some(place) = self.canvas.places[from as usize] else { continue };
+            for step in STEPS {
+                let to = place.step(step);
+                if self.canvas.at(to).is_some() {
+                    continue;
+                }
+                let Some(predicted) = predict(&self.canvas, points, to) else { continue };
+                let length = predicted.at.distance(points[from as usize]);
+                let agree = predicted.spread2 < 0.06 * length * length;
+                if predicted.sources >= sources && agree {
+                    self.take(points, to, predicted.at, tolerance * length);
+                }
+            }
+        }
+    }
+
+    /// Gives a place to the detection near `at`, if it is the only one and has none yet.
+    fn take(&mut self, points: &[DVec2], place: Place, at: DVec2, radius_px: f64) {
+        let mut nearest = (f64::INFINITY, usize::MAX);
+        let mut second2 = f64::INFINITY;
+        self.grid.visit(at, 1.5 * radius_px, |m| {
+            let key = (points[m].distance_squared(at), m);
+            if key < nearest {
+                second2 = nearest.0;
+                nearest = key;
+            } else {
+                second2 = second2.min(key.0);
+            }
+        });
+        let (distance2, m) = nearest;
+        if distance2 < radius_px * radius_px
+            && second2 > 4.0 * distance2
+            && second2 > radius_px * radius_px
+            && self.canvas.places[m].is_none()
+        {
+            self.canvas.put(place, m);
+        }
+    }
+
+    /// Asks every detection without a place where it belongs, as seen from the nearest placed one.
+    fn ask_left_over(&mut self, points: &[DVec2], tolerance: f64) {
+        if self.canvas.order.len() == points.len() {
+            return;
+        }
+        for m in 0..points.len() {
+            if self.canvas.places[m].is_some() {
+                continue;
+            }
+            let Some((place, length)) = self.nearest_empty_place(points, m) else { continue };
+            if self.canvas.at(place).is_none()
+                && let Some(predicted) = predict_widely(&self.canvas, points, place)
+                && points[m].distance(predicted.at) < tolerance * length
+            {
+                self.take(points, place, predicted.at, tolerance * length);
+            }
+        }
+    }
+
+    fn nearest_empty_place(&self, points: &[DVec2], m: usize) -> Option<(Place, f64)> {
+        let near_px = 3.0 * self.near_px;
+        let placed = |n: usize| self.canvas.places[n].is_some();
+        let n = self.grid.nearest(points, points[m], near_px, placed)?;
+        let place = self.canvas.places[n]?;
+        let (row_step, col_step) = steps_at(&self.canvas, points, place)?;
+        let area = row_step.perp_dot(col_step);
+        let away = points[m] - points[n];
+        let (col, row) = (away.perp_dot(col_step) / area, row_step.perp_dot(away) / area);
+        if !(row.abs() < 2.5 && col.abs() < 2.5) {
+            return None;
+        }
+        let step = (round(row) as i32, round(col) as i32);
+        Some((place.step(step), row_step.length().min(col_step.length())))
+    }
+}

@@ -1,0 +1,89 @@
+//! What was found of a lattice in one frame.
+
+use crate::math::DVec2;
+use alloc::vec::Vec;
+
+/// A place in the lattice, counted from the first row and column found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Place {
+    /// Row, downwards from 0.
+    pub row: i32,
+    /// Column, to the right from 0.
+    pub col: i32,
+}
+
+impl Place {
+    pub(super) const fn new(row: i32, col: i32) -> Self {
+        Self { row, col }
+    }
+
+    pub(super) const fn step(self, (rows, cols): (i32, i32)) -> Self {
+        Self { row: self.row + rows, col: self.col + cols }
+    }
+
+    /// The place when the lattice is read with its columns as rows, so many times: what was down is then right, and what
+    /// was right is up.
+    #[must_use]
+    pub const fn turned(self, quarter_turns: u8) -> Self {
+        let Self { row, col } = self;
+        match quarter_turns % 4 {
+            0 => self,
+            1 => Self { row: -col, col: row },
+            2 => Self { row: -row, col: -col },
+            _ => Self { row: col, col: -row },
+        }
+    }
+}
+
+/// One of the four outer rows and columns of what was found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Side {
+    /// Markers placed in it.
+    pub placed: usize,
+    /// Places one step farther out that lie in the image, half a pitch from its border or more, where no marker was
+    /// found.
+    pub empty_beyond: usize,
+    /// Whether the print ends here: most of the row is there, and most of the next one would be seen if it were printed.
+    /// Otherwise the lattice may go on, out of the image or unseen.
+    pub ends: bool,
+}
+
+/// The lattice found in one frame, up to its symmetry: which of the printed rows is row 0 here, and which of the four
+/// quarter turns is the printed one, [`anchor`](super::anchor) tells. Of the four turns this is the one whose rows run most
+/// nearly from left to right.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FoundLattice {
+    /// Place of each detection; none where it belongs to no place or to none with certainty.
+    pub places: Vec<Option<Place>>,
+    /// Rows found, from the first to the last with a marker.
+    pub rows: usize,
+    /// Columns found.
+    pub cols: usize,
+    /// Detection at `row * cols + col`.
+    pub detection: Vec<Option<u32>>,
+    /// Detections with a place.
+    pub placed: usize,
+    /// Upper, right, lower and left side.
+    pub sides: [Side; 4],
+    /// Mean step from a marker to the next one of its row, pixels.
+    pub row_step_px: DVec2,
+    /// Mean step from a marker to the next one of its column, pixels.
+    pub col_step_px: DVec2,
+    /// Median distance of neighbours, pixels.
+    pub pitch_px: f64,
+    /// Largest distance of a placed marker from where its neighbours say, in pitches; one that slipped by a place is off
+    /// by half a pitch or more.
+    pub worst_pitches: f64,
+    /// Detections that lost their place because their neighbours disagreed.
+    pub dropped: usize,
+}
+
+impl FoundLattice {
+    /// The detection at a place, if one was found there.
+    #[must_use]
+    pub fn at(&self, place: Place) -> Option<usize> {
+        let (row, col) = (usize::try_from(place.row).ok()?, usize::try_from(place.col).ok()?);
+        let inside = row < self.rows && col < self.cols;
+        if inside { self.detection[row * self.cols + col].map(|m| m as usize) } else { None }
+    }
+}

@@ -1,0 +1,282 @@
+//! The rest lattice: rows and columns counted, every marker labelled, missing ones filled in.
+
+use super::fill::Partial;
+use super::found::{FoundLattice, Place};
+use super::{LabelError, LatticeFinder, RestLattice, check_regular};
+use crate::math::{DVec2, atan2};
+use crate::params::LatticeParams;
+use crate::track::grid::Grid;
+use alloc::vec::Vec;
+
+/// A border row or column of at least so many places in which one marker is seen, or one in twelve, is a row of specks. In a
+/// shorter one it may as well be what is left of a row.
+const LONG: usize = 8;
+
+/// Counts rows and columns of a frame, labels it, and fills in up to `lattice.max_missing_share` of its markers where none
+/// was detected. The frame should be undisturbed, as it is what later ones are compared with; it is labelled all the same
+/// under contact.
+///
+/// The lattice is that of [`LatticeFinder`]. A border row of which at least half is seen is a row; one with a single marker, or
+/// one in twelve, is none but specks; between the two, `lattice.rows` and `lattice.cols` decide, or the frame is refused.
+///
+/// Of the four ways to turn the labels (two where rows and columns are set and differ) the one is taken whose rows run
+/// most nearly from left to right; `lattice.missing` goes before that: a turn that finds a marker where none was printed
+/// is wrong. At 45 degrees two ways are as near: [`RestLattice::turned_like`] turns the labels of one view like those of another.
+///
+/// # Errors
+/// [`LabelError`] naming what was found: a lattice with other rows or columns than the settings say, if they do, with too
+/// many gaps, or with fewer than 3 x 3 markers.
+pub fn rest_lattice(
+    detected_px: &[DVec2],
+    lattice: &LatticeParams,
+    tolerance_pitches: f64,
+) -> Result<RestLattice, LabelError> {
+    let (mut finder, mut found) = (LatticeFinder::default(), FoundLattice::default());
+    finder.run_with_specks(detected_px, &mut found)?;
+    let window = Window::choose(&found, lattice)?;
+    let (rows, cols) = (window.rows(), window.cols());
+    let detection: Vec<Option<u32>> = window.places().map(|p| found.at(p).map(|m| m as u32)).collect();
+    let at = detection.iter().map(|d| d.map(|m| detected_px[m as usize])).collect();
+    let partial = Partial { rows, cols, at, detection };
+    let most_px = tolerance_pitches * found.pitch_px;
+    check_regular(rows, cols, most_px, |r, c| partial.get(r as isize, c as isize))?;
+    let detection = partial.detection.clone();
+    let positions_px = partial.filled().ok_or(LabelError::NoLattice { found: detected_px.len() })?;
+    check_gaps(detected_px, &positions_px, &detection, most_px, cols)?;
+    let rest = RestLattice { rows, cols, positions_px, detection, pitch_px: found.pitch_px };
+    turn_as_printed(&rest, lattice)
+}
+
+/// Quarter turns that make columns rows: rows then run from top to bottom or from bottom to top, whichever is nearer to
+/// left to right; from top to bottom where both are as near, to 5 degrees, so that noise does not decide.
+pub(super) fn sideways(row_step: DVec2, col_step: DVec2) -> u8 {
+    // Where the columns would run without shear.
+    let across = col_step.normalize_or_zero() + row_step.perp().normalize_or_zero();
+    if across.x > -0.087 * across.length() { 1 } else { 3 }
+}
+
+/// A rectangle of places, ends not included.
+#[derive(Clone, Copy, Debug)]
+struct Window {
+    top: usize,
+    bottom: usize,
+    left: usize,
+    right: usize,
+}
+
+impl Window {
+    const fn rows(&self) -> usize {
+        self.bottom - self.top
+    }
+
+    const fn cols(&self) -> usize {
+        self.right - self.left
+    }
+
+    fn places(&self) -> impl Iterator<Item = Place> {
+        let Self { top, bottom, left, right } = *self;
+        (top..bottom).flat_map(move |r| (left..right).map(move |c| Place::new(r as i32, c as i32)))
+    }
+
+    /// The rows and columns that are printed.
+    fn choose(found: &FoundLattice, lattice: &LatticeParams) -> Result<Self, LabelError> {
+        let mut whole = Self { top: 0, bottom: found.rows, left: 0, right: found.cols };
+        while let Some(side) = (0..4).find(|&side| whole.line(found, side).is_of_specks()) {
+            whole = whole.without(side);
+            if whole.rows().min(whole.cols()) < 3 {
+                return Err(whole.error(found, lattice));
+            }
+        }
+        let upright = whole.with_settings(found, lattice, [lattice.rows, lattice.cols]);
+        // Turned by a quarter, the columns are the rows.
+        upright.or_else(|error| {
+            whole.with_settings(found, lattice, [lattice.cols, lattice.rows]).map_err(|_| error)
+        })
+    }
+
+    /// Without outer rows and columns that the settings say are none, if they are known.
+    fn with_settings(
+        mut self,
+        found: &FoundLattice,
+        lattice: &LatticeParams,
+        printed: [Option<usize>; 2],
+    ) -> Result<Self, LabelError> {
+        for (axis, printed) in printed.into_iter().enumerate() {
+            while printed.is_some_and(|n| n < self.sides()[axis]) {
+                let [low, high] = [self.line(found, axis), self.line(found, axis + 2)];
+                let side = if low.seen < high.seen { axis } else { axis + 2 };
+                let (few, more) = (low.seen.min(high.seen), low.seen.max(high.seen));
+                if 2 * few >= low.length || 4 * (more - few) < low.length {
+                    return Err(self.error(found, lattice));
+                }
+                self = self.without(side);
+            }
+            if printed.is_some_and(|n| n != self.sides()[axis]) {
+                return Err(self.error(found, lattice));
+            }
+            for side in [axis, axis + 2].into_iter().filter(|_| printed.is_none()) {
+                let Line { seen, length } = self.line(found, side);
+                if 2 * seen < length {
+                    let (rows, cols) = (self.rows(), self.cols());
+                    return Err(LabelError::Border { side, seen, length, rows, cols });
+                }
+            }
+        }
+        let size = self.rows() * self.cols();
+        let labelled = self.places().filter(|&p| found.at(p).is_some()).count();
+        let enough = labelled + lattice.max_missing(size) + lattice.missing.len() >= size;
+        if self.rows().min(self.cols()) < 3 || !enough { Err(self.error(found, lattice)) } else { Ok(self) }
+    }
+
+    const fn sides(&self) -> [usize; 2] {
+        [self.rows(), self.cols()]
+    }
+
+    fn line(&self, found: &FoundLattice, side: usize) -> Line {
+        let Self { top, bottom, left, right } = *self;
+        let line = match side {
+            0 => Self { bottom: top + 1, ..*self },
+            1 => Self { right: left + 1, ..*self },
+            2 => Self { top: bottom - 1, ..*self },
+            _ => Self { left: right - 1, ..*self },
+        };
+        let seen = line.places().filter(|&p| found.at(p).is_some()).count();
+        Line { seen, length: line.rows() * line.cols() }
+    }
+
+    const fn without(mut self, side: usize) -> Self {
+        match side {
+            0 => self.top += 1,
+            1 => self.left += 1,
+            2 => self.bottom -= 1,
+            _ => self.right -= 1,
+        }
+        self
+    }
+
+    fn error(&self, found: &FoundLattice, lattice: &LatticeParams) -> LabelError {
+        let (rows, cols) = (self.rows(), self.cols());
+        LabelError::Shape {
+            rows,
+            cols,
+            labelled: self.places().filter(|&p| found.at(p).is_some()).count(),
+            expected_rows: lattice.rows,
+            expected_cols: lattice.cols,
+            max_missing: lattice.max_missing(rows * cols),
+        }
+    }
+}
+
+/// An outer row or column: upper, left, lower, right.
+struct Line {
+    seen: usize,
+    length: usize,
+}
+
+impl Line {
+    const fn is_of_specks(&self) -> bool {
+        self.seen == 0 || (self.seen == 1 && self.length >= LONG) || 12 * self.seen <= self.length
+    }
+}
+
+/// Refuses a marker that was filled in although a detection without a label lies within the tolerance of it: the labels
+/// around it have slipped. (The middle of two merged dots is half a pitch from both.)
+fn check_gaps(
+    points: &[DVec2],
+    positions_px: &[DVec2],
+    detection: &[Option<u32>],
+    most_px: f64,
+    cols: usize,
+) -> Result<(), LabelError> {
+    if detection.iter().all(Option::is_some) {
+        return Ok(());
+    }
+    let mut taken = alloc::vec![false; points.len()];
+    for &m in detection.iter().flatten() {
+        taken[m as usize] = true;
+    }
+    let mut grid = Grid::default();
+    grid.build(points, most_px);
+    for n in (0..detection.len()).filter(|&n| detection[n].is_none()) {
+        if let Some(m) = grid.nearest(points, positions_px[n], most_px, |m| !taken[m]) {
+            let off_px = positions_px[n].distance(points[m]);
+            return Err(LabelError::Irregular { row: n / cols, col: n % cols, off_px, most_px });
+        }
+    }
+    Ok(())
+}
+
+/// The turn that the settings allow and whose rows run most nearly from left to right.
+fn turn_as_printed(rest: &RestLattice, lattice: &LatticeParams) -> Result<RestLattice, LabelError> {
+    let fits = |turns: &u8| {
+        let (rows, cols) =
+            if turns.is_multiple_of(2) { (rest.rows, rest.cols) } else { (rest.cols, rest.rows) };
+        lattice.rows.is_none_or(|n| n == rows) && lattice.cols.is_none_or(|n| n == cols)
+    };
+    let [row_step, col_step] = rest.directions();
+    let aside = sideways(row_step, col_step);
+    let mut error = LabelError::NoLattice { found: rest.detection.len() };
+    for turns in [0, aside, (aside + 2) % 4, 2].iter().filter(|turns| fits(turns)) {
+        let turned = rest.turned(*turns);
+        let printed_anyway = lattice.missing.iter().find(|&&[row, col]| {
+            row >= turned.rows || col >= turned.cols || turned.detection[row * turned.cols + col].is_some()
+        });
+        match printed_anyway {
+            None => return Ok(turned),
+            Some(&[row, col]) => {
+                error = LabelError::NeverPrinted { row, col, rows: rest.rows, cols: rest.cols }
+            }
+        }
+    }
+    Err(error)
+}
+
+impl RestLattice {
+    /// The same lattice with its columns read as rows so many times: what was down is then right, what was right is up.
+    #[must_use]
+    pub fn turned(&self, quarter_turns: u8) -> Self {
+        let (rows, cols) =
+            if quarter_turns.is_multiple_of(2) { (self.rows, self.cols) } else { (self.cols, self.rows) };
+        let (last_row, last_col) = (self.rows.saturating_sub(1), self.cols.saturating_sub(1));
+        let old = |n: usize| {
+            let (row, col) = (n / cols, n % cols);
+            let (r, c) = match quarter_turns % 4 {
+                0 => (row, col),
+                1 => (col, last_col - row),
+                2 => (last_row - row, last_col - col),
+                _ => (last_row - col, row),
+            };
+            r * self.cols + c
+        };
+        let order = || (0..rows * cols).map(old);
+        Self {
+            rows,
+            cols,
+            positions_px: order().map(|n| self.positions_px[n]).collect(),
+            detection: order().map(|n| self.detection[n]).collect(),
+            pitch_px: self.pitch_px,
+        }
+    }
+
+    /// Mean direction of the rows from their first marker to their last, and of the columns; not unit vectors.
+    #[must_use]
+    pub fn directions(&self) -> [DVec2; 2] {
+        let at = |r: usize, c: usize| self.positions_px.get(r * self.cols + c).copied().unwrap_or_default();
+        let (last_row, last_col) = (self.rows.saturating_sub(1), self.cols.saturating_sub(1));
+        let row = (0..self.rows).fold(DVec2::ZERO, |sum, r| sum + at(r, last_col) - at(r, 0));
+        let col = (0..self.cols).fold(DVec2::ZERO, |sum, c| sum + at(last_row, c) - at(0, c));
+        [row, col]
+    }
+
+    /// Turned by quarters so that its rows run as nearly as they can as those of `other`: the two views of one print get the
+    /// same labels, at 45 degrees too.
+    #[must_use]
+    pub fn turned_like(&self, other: &Self) -> Self {
+        let angle = |[row, col]: [DVec2; 2]| {
+            let (a, b) = (row.normalize_or_zero(), col.normalize_or_zero());
+            atan2(a.y - b.x, a.x + b.y).to_degrees()
+        };
+        let off = angle(other.directions()) - angle(self.directions());
+        self.turned((crate::math::round(off / 90.0) as i32).rem_euclid(4) as u8)
+    }
+}

@@ -1,0 +1,122 @@
+//! Where a lattice can start: a marker with regular surroundings.
+
+use crate::math::{DVec2, median};
+use crate::track::grid::Grid;
+use alloc::vec::Vec;
+
+/// Most neighbours of a marker that are looked at.
+const AROUND: usize = 16;
+
+/// A marker and the steps to the next one of its row and of its column.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Seed {
+    pub centre: usize,
+    pub row_step: DVec2,
+    pub col_step: DVec2,
+    /// 0 for a square lattice without noise.
+    pub irregularity: f64,
+}
+
+/// Median distance to the nearest neighbour, over at most `sample` of the points.
+pub(super) fn neighbour_distance(
+    points: &[DVec2],
+    grid: &Grid,
+    spacing_px: f64,
+    sample: usize,
+    scratch: &mut Vec<f64>,
+) -> Option<f64> {
+    scratch.clear();
+    for n in (0..points.len()).step_by(points.len().div_ceil(sample).max(1)) {
+        let nearest = grid.nearest(points, points[n], 3.0 * spacing_px, |m| m != n);
+        scratch.extend(nearest.map(|m| points[n].distance(points[m])));
+    }
+    median(scratch).filter(|&d| d > 0.0 && d.is_finite())
+}
+
+/// The lattice about a point, if its surroundings are regular: the two shortest steps that lead to markers both
+/// forwards and backwards, and whose sums lead to markers as well.
+///
+/// The middle of two merged dots and a lattice of every second marker fail by the sums, or by a marker that lies within
+/// a cell.
+pub(super) fn seed_at(points: &[DVec2], grid: &Grid, centre: usize, near_px: f64) -> Option<Seed> {
+    let here = points[centre];
+    let mut around = [DVec2::ZERO; AROUND];
+    let mut count = 0;
+    grid.visit(here, 2.1 * near_px, |m| {
+        let step = points[m] - here;
+        if m != centre && count < AROUND && step.length_squared() < 4.4 * near_px * near_px {
+            around[count] = step;
+            count += 1;
+        }
+    });
+    let around = &around[..count];
+    let first = shortest_both_ways(around, |_| true)?;
+    let size2 = first.length_squared();
+    let across = |s: DVec2| first.perp_dot(s).abs() > 0.5 * first.dot(s).abs();
+    let second = shortest_both_ways(around, across)?;
+    let length_ratio2 = second.length_squared() / size2;
+    if length_ratio2 > 4.0 {
+        return None;
+    }
+    let slant = first.dot(second) / (size2 * crate::math::sqrt(length_ratio2));
+    let (row_step, col_step) = rows_to_the_right(first, second);
+    let tolerance2 = 0.04 * size2;
+    let mut irregularity = slant * slant + 0.1 * (length_ratio2 - 1.0).abs();
+    for step in [row_step + col_step, row_step - col_step, col_step - row_step, -row_step - col_step] {
+        let off2 = around.iter().map(|s| s.distance_squared(step)).fold(f64::INFINITY, f64::min);
+        if off2 > tolerance2 {
+            return None;
+        }
+        irregularity += off2 / size2;
+    }
+    for step in [row_step, col_step, -row_step, -col_step] {
+        let off2 = around.iter().map(|s| s.distance_squared(step)).fold(f64::INFINITY, f64::min);
+        irregularity += off2 / size2;
+    }
+    (irregularity < 0.5 && cells_are_empty(around, row_step, col_step)).then_some(Seed {
+        centre,
+        row_step,
+        col_step,
+        irregularity,
+    })
+}
+
+/// Half the difference of two opposite steps, the shortest that is wanted.
+fn shortest_both_ways(around: &[DVec2], wanted: impl Fn(DVec2) -> bool) -> Option<DVec2> {
+    let mut best: Option<DVec2> = None;
+    for (n, &step) in around.iter().enumerate().filter(|&(_, &step)| wanted(step)) {
+        for &other in &around[n + 1..] {
+            let mean = (step - other) * 0.5;
+            let opposite = (step + other).length_squared() < 0.09 * mean.length_squared();
+            if opposite && best.is_none_or(|b| mean.length_squared() < b.length_squared()) {
+                best = Some(mean);
+            }
+        }
+    }
+    best
+}
+
+/// Of the eight ways to name two axes, the one whose columns are a clockwise turn (y down) from the rows and whose rows run
+/// most nearly to the right.
+pub(super) fn rows_to_the_right(first: DVec2, second: DVec2) -> (DVec2, DVec2) {
+    let (mut row, mut col) = if first.perp_dot(second) > 0.0 { (first, second) } else { (first, -second) };
+    for _ in 0..3 {
+        // Rows less columns points to the upper right when neither axis is more than 45 degrees off.
+        let (a, b) = (row.normalize_or_zero(), col.normalize_or_zero());
+        if a.x + b.y >= (a.y - b.x).abs() && a.x + b.y > 0.0 {
+            break;
+        }
+        (row, col) = (col, -row);
+    }
+    (row, col)
+}
+
+/// Whether no neighbour lies well within one of the four cells or on the middle of an edge.
+fn cells_are_empty(around: &[DVec2], row_step: DVec2, col_step: DVec2) -> bool {
+    let area = row_step.perp_dot(col_step);
+    around.iter().all(|s| {
+        let (u, v) = (s.perp_dot(col_step) / area, row_step.perp_dot(*s) / area);
+        let off = |x: f64| (x - crate::math::round(x)).abs();
+        u.abs() > 1.3 || v.abs() > 1.3 || (off(u) < 0.3 && off(v) < 0.3)
+    })
+}

@@ -1,0 +1,156 @@
+//! One camera of a rig with the layers before it.
+
+use crate::camera::{Camera, CameraError, Layers, Ray, Refraction};
+use crate::math::{DVec2, DVec3, Pose};
+
+/// Which camera.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum View {
+    /// The left one.
+    Left,
+    /// The right one.
+    Right,
+}
+
+impl core::fmt::Display for View {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Left => "left",
+            Self::Right => "right",
+        })
+    }
+}
+
+/// One camera of a rig with the layers before it: from points of the sensor frame to pixels and back to rays.
+/// [`super::Rig::view`] makes it; it borrows the rig and costs next to nothing.
+#[derive(Clone, Copy, Debug)]
+pub struct RigView<'a> {
+    camera: &'a Camera,
+    t_camera_sensor: Pose,
+    t_sensor_camera: Pose,
+    refraction: Option<Refraction<'a>>,
+}
+
+/// A pixel with its derivatives.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Projection {
+    /// The pixel, px.
+    pub pixel_px: DVec2,
+    /// Rows of d pixel / d point, px/mm: gradients of column and row in the sensor frame.
+    pub jacobian: [DVec3; 2],
+    /// Slope of the light in air against the layers' normal (0 without layers); a start for a point nearby.
+    pub slope: f64,
+}
+
+impl<'a> RigView<'a> {
+    pub(super) fn new(camera: &'a Camera, t_camera_sensor: Pose, layers: Option<&'a Layers>) -> Self {
+        let t_sensor_camera = t_camera_sensor.inverse();
+        let refraction = layers.map(|layers| Refraction {
+            layers,
+            normal: t_camera_sensor.transform_vector(layers.normal),
+            gap_mm: layers.gap_mm - layers.normal.dot(t_sensor_camera.translation_mm),
+        });
+        Self { camera, t_camera_sensor, t_sensor_camera, refraction }
+    }
+
+    /// The camera itself.
+    #[must_use]
+    pub const fn camera(&self) -> &'a Camera {
+        self.camera
+    }
+
+    /// Pixel of a point of the sensor frame. A point before the first interface is seen in air, one within a plate
+    /// through the media before it.
+    ///
+    /// # Errors
+    /// [`CameraError::NotInFront`]; [`CameraError::TotalReflection`], only when the camera touches the layers.
+    pub fn project(&self, point_mm: DVec3) -> Result<DVec2, CameraError> {
+        let (local, slope) = self.local(point_mm, 0.0)?;
+        self.pixel(point_mm, self.apparent(local, slope))
+    }
+
+    /// As [`Self::project`], with the derivatives. `start` is the slope of a point nearby, to begin the search of the
+    /// light's path with; 0 always does.
+    ///
+    /// # Errors
+    /// As [`Self::project`].
+    pub fn project_with_jacobian(&self, point_mm: DVec3, start: f64) -> Result<Projection, CameraError> {
+        let (local, slope) = self.local(point_mm, start)?;
+        let apparent = self.apparent(local, slope);
+        let pixel_px = self.pixel(point_mm, apparent)?;
+        Ok(Projection { pixel_px, jacobian: self.jacobian(local, apparent, slope), slope })
+    }
+
+    /// The ray on which the points lie that this pixel shows (sensor frame): in the gel from the last interface on, or
+    /// from the camera when there are no layers.
+    ///
+    /// # Errors
+    /// [`CameraError::BeyondDistortion`], [`CameraError::PixelNotFinite`] or [`CameraError::MissesLayers`].
+    pub fn ray(&self, pixel_px: DVec2) -> Result<Ray, CameraError> {
+        let ahead = self.camera.undistort(pixel_px)?;
+        Ok(self.ray_along(ahead).ok_or(CameraError::MissesLayers { pixel_px })?.0)
+    }
+
+    /// The ray of normalised coordinates and its slope in air, or `None` when it never meets the layers.
+    pub(crate) fn ray_along(&self, normalised: DVec2) -> Option<(Ray, f64)> {
+        let direction = normalised.extend(1.0);
+        let (ray, slope) = match &self.refraction {
+            None => return Some((self.ray_in_air(normalised), 0.0)),
+            Some(refraction) => refraction.ray(direction)?,
+        };
+        let origin_mm = self.t_sensor_camera.transform_point(ray.origin_mm);
+        Some((Ray { origin_mm, direction: self.t_sensor_camera.transform_vector(ray.direction) }, slope))
+    }
+
+    /// The ray of normalised coordinates as if there were no layers.
+    pub(crate) fn ray_in_air(&self, normalised: DVec2) -> Ray {
+        Ray {
+            origin_mm: self.t_sensor_camera.translation_mm,
+            direction: self.t_sensor_camera.transform_vector(normalised.extend(1.0).normalize()),
+        }
+    }
+
+    /// Whether a point (sensor frame) lies behind the last interface, or there is none.
+    pub(crate) fn is_in_gel(&self, point_mm: DVec3) -> bool {
+        let local = self.t_camera_sensor.transform_point(point_mm);
+        self.refraction.as_ref().is_none_or(|refraction| refraction.is_in_gel(local))
+    }
+
+    /// Rows of d pixel / d point at a point of a ray of this slope (sensor frame).
+    pub(crate) fn jacobian_on_ray(&self, point_mm: DVec3, slope: f64) -> [DVec3; 2] {
+        let local = self.t_camera_sensor.transform_point(point_mm);
+        self.jacobian(local, self.apparent(local, slope), slope)
+    }
+
+    fn jacobian(&self, local: DVec3, apparent: DVec3, slope: f64) -> [DVec3; 2] {
+        let rows = self.camera.projection_jacobian(apparent);
+        let rows = match &self.refraction {
+            None => rows,
+            Some(refraction) => {
+                let gradient = refraction.lift_gradient(local, slope);
+                rows.map(|row| row + gradient * refraction.normal.dot(row))
+            }
+        };
+        rows.map(|row| self.t_sensor_camera.transform_vector(row))
+    }
+
+    /// The point in the camera's frame, and the slope of the light that reaches it.
+    fn local(&self, point_mm: DVec3, start: f64) -> Result<(DVec3, f64), CameraError> {
+        let local = self.t_camera_sensor.transform_point(point_mm);
+        if !local.is_finite() {
+            return Err(CameraError::NotInFront { point_mm });
+        }
+        let Some(refraction) = &self.refraction else { return Ok((local, 0.0)) };
+        let slope = refraction.slope(local, start);
+        Ok((local, slope.ok_or(CameraError::TotalReflection { point_mm })?))
+    }
+
+    fn apparent(&self, local: DVec3, slope: f64) -> DVec3 {
+        self.refraction.as_ref().map_or(local, |refraction| refraction.apparent(local, slope))
+    }
+
+    fn pixel(&self, point_mm: DVec3, apparent: DVec3) -> Result<DVec2, CameraError> {
+        let pixel = self.camera.project(apparent).filter(|pixel| pixel.is_finite());
+        pixel.ok_or(CameraError::NotInFront { point_mm })
+    }
+}

@@ -1,0 +1,225 @@
+//! The gel's surface on a regular grid, by natural-neighbour interpolation.
+
+use super::{MarkerMesh, MarkerMeshError};
+use crate::math::{DVec2, DVec3, ceil};
+use alloc::vec::Vec;
+use spade::{DelaunayTriangulation, FloatTriangulation, Point2, Triangulation};
+
+/// The largest grid.
+const MOST_CELLS: f64 = (1 << 22) as f64;
+
+/// Interpolates between markers on a grid over their places of rest (Sibson 1981).
+///
+/// The weight of a marker at a cell is the share of the cell's Voronoi region, were it a marker too, that it takes from that
+/// marker's. Weights are worked out once, on the rest lattice; a frame is then a weighted sum. So a cell is a spot of the gel:
+/// its point moves sideways with the markers around. The surface is continuous, smooth but at the markers, passes
+/// through them, and is exact for planes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DenseSurface {
+    mesh: MarkerMesh,
+    rows: usize,
+    cols: usize,
+    origin_mm: DVec2,
+    step_mm: f64,
+    /// Where each cell's weights end; those of a cell outside of the markers' hull are none.
+    ends: Vec<u32>,
+    weights: Vec<(u32, f64)>,
+    normals: Vec<DVec3>,
+}
+
+/// The surface at one moment; cell `row * cols + col` stands at that index. Outside of the markers' hull all is 0.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct DenseFrame {
+    /// Points of the surface, sensor frame.
+    pub points_mm: Vec<DVec3>,
+    /// Unit normals towards the camera: the markers' normals, interpolated in the same way.
+    pub normals: Vec<DVec3>,
+}
+
+/// Why there is no dense surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum DenseSurfaceError {
+    /// The markers have no mesh, or one of them no normal.
+    Mesh(MarkerMeshError),
+    /// The step is not a length, or makes a grid of more than 4 194 304 cells.
+    Step {
+        /// The step found.
+        step_mm: f64,
+        /// Cells that it makes (infinite when the step is no length).
+        cells: f64,
+    },
+    /// A coordinate of the cloud is NaN or infinite.
+    NotFinite {
+        /// Which marker.
+        marker: usize,
+    },
+    /// The interpolated normals of a cell cancel: the surface is folded.
+    NoNormal {
+        /// Which cell.
+        cell: usize,
+    },
+}
+
+impl core::fmt::Display for DenseSurfaceError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Mesh(error) => error.fmt(f),
+            Self::Step { step_mm, cells } => write!(
+                f,
+                "a step of {step_mm} mm makes {cells} cells; valid is a length above 0 that makes at most {MOST_CELLS}"
+            ),
+            Self::NotFinite { marker } => {
+                write!(f, "marker {marker} has a coordinate that is NaN or infinite")
+            }
+            Self::NoNormal { cell } => {
+                write!(f, "the normals around cell {cell} cancel; the surface is folded there")
+            }
+        }
+    }
+}
+
+impl core::error::Error for DenseSurfaceError {}
+
+impl DenseSurface {
+    /// A grid of cells `step_mm` apart over the bounding box of the rest positions, its first cell at the box's
+    /// smallest corner.
+    ///
+    /// # Errors
+    /// [`DenseSurfaceError::Step`], or [`DenseSurfaceError::Mesh`] for markers without a mesh.
+    pub fn new(rest_mm: &[DVec2], step_mm: f64) -> Result<Self, DenseSurfaceError> {
+        let mesh = MarkerMesh::new(rest_mm).map_err(DenseSurfaceError::Mesh)?;
+        let (low, high) = rest_mm.iter().fold((rest_mm[0], rest_mm[0]), |(l, h), &p| (l.min(p), h.max(p)));
+        // A side that is a whole number of steps but for round-off keeps its last cell.
+        let side = |length: f64| ceil(length / step_mm - 1e-9) + 1.0;
+        let (across, down) = (side(high.x - low.x), side(high.y - low.y));
+        if !(step_mm > 0.0 && step_mm.is_finite() && across * down <= MOST_CELLS) {
+            let cells = if step_mm > 0.0 { across * down } else { f64::INFINITY };
+            return Err(DenseSurfaceError::Step { step_mm, cells });
+        }
+        let (rows, cols) = (down as usize, across as usize);
+        let mut surface = Self {
+            mesh,
+            rows,
+            cols,
+            origin_mm: low,
+            step_mm,
+            ends: Vec::with_capacity(rows * cols),
+            weights: Vec::new(),
+            normals: Vec::new(),
+        };
+        surface.weigh(rest_mm);
+        Ok(surface)
+    }
+
+    /// Cells from top to bottom.
+    #[must_use]
+    pub const fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// Cells from left to right.
+    #[must_use]
+    pub const fn cols(&self) -> usize {
+        self.cols
+    }
+
+    /// Where a cell stands on the gel at rest.
+    #[must_use]
+    pub fn rest_mm(&self, row: usize, col: usize) -> DVec2 {
+        self.origin_mm + DVec2::new(col as f64, row as f64) * self.step_mm
+    }
+
+    /// Whether a cell lies within the markers' hull; only there the surface is known.
+    #[must_use]
+    pub fn is_known(&self, cell: usize) -> bool {
+        !self.weights_of(cell).is_empty()
+    }
+
+    /// The markers around a cell with their weights, which add up to 1.
+    #[must_use]
+    pub fn weights_of(&self, cell: usize) -> &[(u32, f64)] {
+        let start = cell.checked_sub(1).map_or(0, |before| self.ends[before]);
+        &self.weights[start as usize..self.ends[cell] as usize]
+    }
+
+    /// The surface through these points, one per marker; no allocation once `out` has held it.
+    ///
+    /// # Errors
+    /// [`DenseSurfaceError`] for a cloud that is not these markers' or has no normals; `out` is then empty.
+    pub fn run(&mut self, points_mm: &[DVec3], out: &mut DenseFrame) -> Result<(), DenseSurfaceError> {
+        out.points_mm.clear();
+        out.normals.clear();
+        if let Some(marker) = points_mm.iter().position(|p| !p.is_finite()) {
+            return Err(DenseSurfaceError::NotFinite { marker });
+        }
+        let mut normals = core::mem::take(&mut self.normals);
+        let made = self.mesh.normals(points_mm, &mut normals).map_err(DenseSurfaceError::Mesh);
+        let made = made.and_then(|()| self.fill(points_mm, &normals, out));
+        self.normals = normals;
+        if made.is_err() {
+            out.points_mm.clear();
+            out.normals.clear();
+        }
+        made
+    }
+
+    fn fill(
+        &self,
+        points_mm: &[DVec3],
+        normals: &[DVec3],
+        out: &mut DenseFrame,
+    ) -> Result<(), DenseSurfaceError> {
+        for cell in 0..self.ends.len() {
+            let weights = self.weights_of(cell);
+            let Some(&(first, _)) = weights.first() else {
+                out.points_mm.push(DVec3::ZERO);
+                out.normals.push(DVec3::ZERO);
+                continue;
+            };
+            // Relative to one of the markers, so that a far origin costs no digits of the shape.
+            let origin = points_mm[first as usize];
+            let (mut point, mut normal) = (DVec3::ZERO, DVec3::ZERO);
+            for &(marker, weight) in weights {
+                point += (points_mm[marker as usize] - origin) * weight;
+                normal += normals[marker as usize] * weight;
+            }
+            out.points_mm.push(origin + point);
+            out.normals.push(normal.try_normalize().ok_or(DenseSurfaceError::NoNormal { cell })?);
+        }
+        Ok(())
+    }
+
+    /// Weights of all cells.
+    fn weigh(&mut self, rest_mm: &[DVec2]) {
+        // About the grid's first cell, in steps: positions far away or tiny keep their digits.
+        let place = |p: DVec2| (p - self.origin_mm) / self.step_mm;
+        let mut delaunay = DelaunayTriangulation::<Point2<f64>>::new();
+        for &p in rest_mm {
+            let p = place(p);
+            // The mesh has shown that these can be inserted; one too close to an axis is set on it.
+            let tiny = |x: f64| if x.abs() < 1e-40 { 0.0 } else { x };
+            if delaunay.insert(Point2::new(tiny(p.x), tiny(p.y))).is_err() {
+                break;
+            }
+        }
+        let (natural, flat) = (delaunay.natural_neighbor(), delaunay.barycentric());
+        let mut found = Vec::new();
+        for row in 0..self.rows {
+            for col in 0..self.cols {
+                let cell = DVec2::new(col as f64, row as f64);
+                natural.get_weights(Point2::new(cell.x, cell.y), &mut found);
+                // Within round-off of the hull Voronoi regions are endless or empty: there the triangle's own weights,
+                // to which Sibson's tend, take their place.
+                let sound = |found: &[(_, f64)]| {
+                    let sum: f64 = found.iter().map(|&(_, w)| w).sum();
+                    (sum - 1.0).abs() < 1e-9 && found.iter().all(|&(_, w)| (-1e-9..=1.0 + 1e-9).contains(&w))
+                };
+                if !found.is_empty() && !sound(&found) {
+                    flat.get_weights(Point2::new(cell.x, cell.y), &mut found);
+                }
+                self.weights.extend(found.iter().map(|&(v, w)| (v.index() as u32, w)));
+                self.ends.push(self.weights.len() as u32);
+            }
+        }
+    }
+}

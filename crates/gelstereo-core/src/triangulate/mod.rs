@@ -1,0 +1,210 @@
+//! From two views of a marker to a point in millimetres, with its covariance.
+
+mod error;
+mod polynomial;
+mod q;
+mod rays;
+
+pub use error::TriangulateError;
+
+use crate::camera::CameraError;
+use crate::math::linalg::Symmetric;
+use crate::math::{DQuat, DVec2, DVec3};
+use crate::params::{TriangulateMethod, TriangulateParams};
+use crate::rig::{Rectification, Rig, RigView, View};
+use alloc::vec::Vec;
+use polynomial::Map;
+
+/// The centre of a marker in one view.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Centre {
+    /// Where it is, pixels.
+    pub at_px: DVec2,
+    /// Its covariance, px².
+    pub covariance_px2: Symmetric<2>,
+}
+
+/// The centres of all markers in one view, in the same order in every list.
+#[derive(Clone, Copy, Debug)]
+pub struct Centres<'a> {
+    /// Where they are, pixels.
+    pub positions_px: &'a [DVec2],
+    /// Their covariances, px².
+    pub covariance_px2: &'a [Symmetric<2>],
+}
+
+impl Centres<'_> {
+    /// The centre of one marker; `index` must be below the number of markers.
+    #[must_use]
+    pub fn at(&self, index: usize) -> Centre {
+        Centre { at_px: self.positions_px[index], covariance_px2: self.covariance_px2[index] }
+    }
+}
+
+/// A point of the sensor frame and how well its two centres agreed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StereoPoint {
+    /// Position in the sensor (left camera) frame, millimetres.
+    pub point_mm: DVec3,
+    /// Covariance, mm², to first order in those of the two centres, which are independent.
+    pub covariance_mm2: Symmetric<3>,
+    /// How far the centres are from being views of one point, pixels: the left row less that which belongs to the
+    /// right centre. Noise alone makes it a few tenths. Q takes the difference of the rectified rows, the exact rung
+    /// the sum of the residuals in both views.
+    pub epipolar_px: f64,
+}
+
+/// Triangulation with all that depends on the rig alone worked out once.
+#[derive(Clone, Debug)]
+pub struct Triangulator {
+    rig: Rig,
+    rectification: Rectification,
+    to_sensor: DQuat,
+    params: TriangulateParams,
+    map: Option<Map>,
+}
+
+/// Two centres with their rays.
+struct Pair<'a> {
+    centres: [&'a Centre; 2],
+    /// Undistorted normalised coordinates.
+    normalised: [DVec2; 2],
+    rectified: [DVec2; 2],
+}
+
+impl Triangulator {
+    /// For this rig.
+    ///
+    /// # Errors
+    /// [`TriangulateError::Rig`].
+    pub fn new(rig: &Rig, params: &TriangulateParams) -> Result<Self, TriangulateError> {
+        let rectification = rig.rectification().map_err(TriangulateError::Rig)?;
+        let to_sensor = DQuat::from_mat3(&rectification.r_left).conjugate().normalize();
+        Ok(Self { rig: rig.clone(), rectification, to_sensor, params: params.clone(), map: None })
+    }
+
+    /// The rig it was made for.
+    #[must_use]
+    pub const fn rig(&self) -> &Rig {
+        &self.rig
+    }
+
+    /// Fits the polynomial map around the points of the rest surface (sensor frame), when the method is
+    /// [`TriangulateMethod::Polynomial`]; until then, and where no polynomial comes within 1 um, points are exact.
+    pub fn fit_map(&mut self, rest_mm: &[DVec3]) {
+        self.map = match self.params.method {
+            TriangulateMethod::Polynomial => Map::fit(&self.views(), rest_mm, self.params.map_reach_mm),
+            TriangulateMethod::Q | TriangulateMethod::Rays => None,
+        };
+    }
+
+    /// Forgets the map: points are exact until the next [`Self::fit_map`].
+    pub fn clear_map(&mut self) {
+        self.map = None;
+    }
+
+    /// Largest distance between polynomial and exact points on a grid over the map's volume, millimetres; `None` while
+    /// there is no map.
+    #[must_use]
+    pub fn map_error_mm(&self) -> Option<f64> {
+        self.map.as_ref().map(Map::error_mm)
+    }
+
+    /// Points of corresponding centres, in order; `out` is cleared first.
+    ///
+    /// # Errors
+    /// [`TriangulateError`] for the first marker at fault; `out` then holds the points before it.
+    pub fn run(
+        &self,
+        left: Centres<'_>,
+        right: Centres<'_>,
+        out: &mut Vec<StereoPoint>,
+    ) -> Result<(), TriangulateError> {
+        out.clear();
+        let of = left.positions_px.len();
+        if of != right.positions_px.len() {
+            return Err(TriangulateError::LengthMismatch { left: of, right: right.positions_px.len() });
+        }
+        for (view, centres) in [(View::Left, left), (View::Right, right)] {
+            let covariances = centres.covariance_px2.len();
+            if covariances != of {
+                return Err(TriangulateError::CovarianceCount { view, markers: of, covariances });
+            }
+        }
+        let views = self.views();
+        for index in 0..of {
+            match self.point_between(&views, index, &left.at(index), &right.at(index)) {
+                Ok(point) => out.push(point),
+                Err(TriangulateError::Disparity { disparity_px, min_px, .. }) => {
+                    let bad = |&i: &usize| {
+                        let (left, right) = (left.at(i), right.at(i));
+                        let pair = self.pair(i, &left, &right);
+                        matches!(pair, Err(TriangulateError::Disparity { .. }))
+                    };
+                    let affected = (0..of).filter(bad).count();
+                    return Err(TriangulateError::Disparity { index, disparity_px, min_px, affected, of });
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(())
+    }
+
+    /// The point of one pair of centres; `index` is only named in errors.
+    ///
+    /// # Errors
+    /// [`TriangulateError`] but for the two that are about numbers of markers.
+    pub fn point(
+        &self,
+        index: usize,
+        left: &Centre,
+        right: &Centre,
+    ) -> Result<StereoPoint, TriangulateError> {
+        self.point_between(&self.views(), index, left, right)
+    }
+
+    fn views(&self) -> [RigView<'_>; 2] {
+        [self.rig.view(View::Left), self.rig.view(View::Right)]
+    }
+
+    fn point_between(
+        &self,
+        views: &[RigView<'_>; 2],
+        index: usize,
+        left: &Centre,
+        right: &Centre,
+    ) -> Result<StereoPoint, TriangulateError> {
+        if let Some(found) = self.map.as_ref().and_then(|map| map.point(left, right)) {
+            return Ok(found);
+        }
+        let pair = self.pair(index, left, right)?;
+        match self.params.method {
+            TriangulateMethod::Q => Ok(q::point(&self.rectification, self.to_sensor, &pair)),
+            TriangulateMethod::Polynomial | TriangulateMethod::Rays => rays::point(views, index, &pair),
+        }
+    }
+
+    /// Both centres' rays, whose disparity in the rectified views must have a meaning: in a gel, too, rays are
+    /// parallel where they are parallel in air.
+    fn pair<'a>(
+        &self,
+        index: usize,
+        left: &'a Centre,
+        right: &'a Centre,
+    ) -> Result<Pair<'a>, TriangulateError> {
+        let r = &self.rectification;
+        let one = |view, camera: &crate::camera::Camera, rotation, pixel_px: DVec2| {
+            let fail = |error| TriangulateError::Ray { index, view, error };
+            let normalised = camera.undistort(pixel_px).map_err(fail)?;
+            let rectified = r.rectify(rotation, normalised);
+            Ok((normalised, rectified.ok_or(fail(CameraError::BeyondDistortion { pixel_px }))?))
+        };
+        let (left_ray, left_px) = one(View::Left, &self.rig.left, &r.r_left, left.at_px)?;
+        let (right_ray, right_px) = one(View::Right, &self.rig.right, &r.r_right, right.at_px)?;
+        let (disparity_px, min_px) = (left_px.x - right_px.x, self.params.min_disparity_px);
+        if !(disparity_px >= min_px) {
+            return Err(TriangulateError::Disparity { index, disparity_px, min_px, affected: 1, of: 1 });
+        }
+        Ok(Pair { centres: [left, right], normalised: [left_ray, right_ray], rectified: [left_px, right_px] })
+    }
+}

@@ -1,0 +1,39 @@
+//! Frames that never arrive.
+
+use crate::scene::SceneError;
+use alloc::vec::Vec;
+use gelstereo_core::digest::Digest;
+use gelstereo_core::math::random::Stream;
+
+/// Frames that the camera took but did not deliver: the sequence skips them, and the others' indices and times tell.
+///
+/// In a file: `[effects.dropped_frames] frames = [7, 8]` or `rate = 0.05`.
+#[derive(Clone, Debug, Default, PartialEq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(default, deny_unknown_fields)
+)]
+pub struct DroppedFrames {
+    /// These frames, counted from 0. Default: none.
+    pub frames: Vec<usize>,
+    /// And every other one with this probability, but never the first. Default: `0`.
+    pub rate: f64,
+}
+
+impl DroppedFrames {
+    pub(super) fn validate(&self) -> Result<(), SceneError> {
+        let name = "effects.dropped_frames.rate";
+        SceneError::check((0.0..=0.95).contains(&self.rate), name, self.rate, "0 to 0.95")
+    }
+
+    /// The frames out of `count` that arrive.
+    pub(crate) fn delivered(&self, seed: u64, count: usize) -> Vec<usize> {
+        let mut stream = Stream::new(Digest::new().u64(seed).value(), "dropped_frames");
+        let arrives = |frame: &usize| {
+            let lost = stream.uniform() < self.rate && *frame > 0;
+            !lost && !self.frames.contains(frame)
+        };
+        (0..count).filter(arrives).collect()
+    }
+}

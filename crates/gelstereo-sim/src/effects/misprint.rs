@@ -1,0 +1,130 @@
+//! A lattice that was not printed as it was drawn.
+
+use crate::scene::{Gel, SceneError};
+use crate::simulator::DotImage;
+use alloc::vec::Vec;
+use gelstereo_core::digest::Digest;
+use gelstereo_core::math::{DVec2, cos, random::Stream, sin, sqrt};
+
+/// Dots beside their places and of other sizes, and ink between neighbours. Truth gives the centres that were printed,
+/// both of them where two are merged.
+///
+/// In a file: `[effects.misprint] shift_mm = 0.05, merged = [[3, 4, 3, 5]]`.
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(default, deny_unknown_fields)
+)]
+pub struct Misprint {
+    /// Every dot is moved to a random point, evenly within this distance of its place. Default: `0`, at most a quarter
+    /// of the pitch.
+    pub shift_mm: f64,
+    /// Every radius is changed by a random share, evenly up to this one. Default: `0`, at most 0.5.
+    pub radius_share: f64,
+    /// (row, column, row, column) of neighbours that a bar of ink joins. Default: none.
+    pub merged: Vec<[usize; 4]>,
+    /// Width of that bar over the dots' diameter. Default: `0.7`.
+    pub bridge_share: f64,
+}
+
+impl Default for Misprint {
+    fn default() -> Self {
+        Self { shift_mm: 0.0, radius_share: 0.0, merged: Vec::new(), bridge_share: 0.7 }
+    }
+}
+
+impl Misprint {
+    pub(super) fn validate(&self, gel: &Gel) -> Result<(), SceneError> {
+        let check = SceneError::check;
+        let (shift, radius, bridge) = (self.shift_mm, self.radius_share, self.bridge_share);
+        let most = 0.25 * gel.pitch_mm;
+        check(
+            (0.0..=most).contains(&shift),
+            "effects.misprint.shift_mm",
+            shift,
+            "0 to a quarter of gel.pitch_mm",
+        )?;
+        check((0.0..=0.5).contains(&radius), "effects.misprint.radius_share", radius, "0 to 0.5")?;
+        check(bridge > 0.0 && bridge <= 1.0, "effects.misprint.bridge_share", bridge, "above 0, at most 1")?;
+        for &[row, col, other_row, other_col] in &self.merged {
+            for (row, col) in [(row, col), (other_row, other_col)] {
+                if row >= gel.rows || col >= gel.cols {
+                    return Err(SceneError::NoSuchMarker { row, col, rows: gel.rows, cols: gel.cols });
+                }
+            }
+            let steps = row.abs_diff(other_row) + col.abs_diff(other_col);
+            let name = "steps between two effects.misprint.merged";
+            check(steps == 1, name, steps as f64, "1: neighbours along a row or a column")?;
+        }
+        Ok(())
+    }
+}
+
+/// What was printed, marker by marker.
+#[derive(Clone, Debug)]
+pub(crate) struct Print {
+    /// From each dot's place, along the lattice's rows and columns; empty when all are in their places.
+    shift_mm: Vec<DVec2>,
+    /// Each dot's radius over the one asked for.
+    radius: Vec<f64>,
+}
+
+/// A bar of ink between two markers.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Bridge {
+    markers: [usize; 2],
+    /// Which of a dot's two half diameters crosses the bar: 1 for two markers of one row.
+    crosswise: usize,
+    share: f64,
+}
+
+impl Print {
+    pub(crate) fn new(misprint: &Misprint, seed: u64, markers: usize) -> Self {
+        let mut stream = Stream::new(Digest::new().u64(seed).value(), "misprint");
+        let (mut shift_mm, mut radius) = (Vec::new(), Vec::new());
+        for _ in 0..markers {
+            let away = misprint.shift_mm * sqrt(stream.uniform());
+            let angle = core::f64::consts::TAU * stream.uniform();
+            if misprint.shift_mm > 0.0 {
+                shift_mm.push(DVec2::new(cos(angle), sin(angle)) * away);
+            }
+            radius.push(1.0 + misprint.radius_share * (2.0 * stream.uniform() - 1.0));
+        }
+        Self { shift_mm, radius }
+    }
+
+    /// Where the dots are, from their places along the lattice's rows and columns; `None` when they are there.
+    pub(crate) fn shift_mm(&self) -> Option<&[DVec2]> {
+        (!self.shift_mm.is_empty()).then_some(&self.shift_mm)
+    }
+
+    /// A dot's radius over the one asked for.
+    pub(crate) fn radius(&self, marker: usize) -> f64 {
+        self.radius[marker]
+    }
+}
+
+impl Bridge {
+    pub(crate) fn all(misprint: &Misprint, cols: usize) -> Vec<Self> {
+        let bridge = |&[row, col, other_row, other_col]: &[usize; 4]| Self {
+            markers: [row * cols + col, other_row * cols + other_col],
+            crosswise: usize::from(row == other_row),
+            share: misprint.bridge_share,
+        };
+        misprint.merged.iter().map(bridge).collect()
+    }
+
+    pub(crate) fn joins(&self, marker: usize) -> bool {
+        self.markers.contains(&marker)
+    }
+
+    /// The bar in the image.
+    pub(crate) fn corners(&self, dots: &[DotImage]) -> [DVec2; 4] {
+        let [(p, a), (q, b)] = self.markers.map(|marker| {
+            let outline = dots[marker].outline;
+            (outline.centre_px, outline.half_px[self.crosswise] * self.share)
+        });
+        [p - a, p + a, q + b, q - b]
+    }
+}

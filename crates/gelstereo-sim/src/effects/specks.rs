@@ -1,0 +1,83 @@
+//! Dirt on the gel.
+
+use crate::render::Dot;
+use crate::scene::{Gel, SceneError};
+use alloc::vec::Vec;
+use gelstereo_core::digest::Digest;
+use gelstereo_core::math::{DVec2, DVec3, random::Stream};
+
+/// Round specks between the dots, as dark as they are: dust that stays where it is on the gel and moves with it.
+///
+/// In a file: `[effects.specks] count = 8`. Each lies near the middle of a cell of the lattice, so that it touches no
+/// dot of ordinary size.
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(default, deny_unknown_fields)
+)]
+pub struct Specks {
+    /// How many. Default: `5`.
+    pub count: usize,
+    /// Smallest and largest radius, drawn evenly. Default: `[0.06, 0.2]` mm.
+    pub radius_mm: [f64; 2],
+}
+
+impl Default for Specks {
+    fn default() -> Self {
+        Self { count: 5, radius_mm: [0.06, 0.2] }
+    }
+}
+
+impl Specks {
+    pub(super) fn validate(&self, gel: &Gel) -> Result<(), SceneError> {
+        let check = SceneError::check;
+        let (count, [least, most]) = (self.count, self.radius_mm);
+        check(count <= 10_000, "effects.specks.count", count as f64, "0 to 10000")?;
+        let name = "effects.specks.radius_mm";
+        check(least > 0.0 && least <= most, name, least, "above 0, the smaller one first")?;
+        check(most <= 0.5 * gel.pitch_mm, name, most, "at most half of gel.pitch_mm")
+    }
+}
+
+/// Where a speck lies on the gel.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Speck {
+    /// The marker at the upper left of its cell.
+    corner: usize,
+    /// From that marker along the row and along the column, in pitches.
+    within: DVec2,
+    radius_mm: f64,
+}
+
+/// How far from its cell's middle a speck lies at most, in pitches and along each axis.
+const OFF_MIDDLE: f64 = 0.12;
+
+impl Speck {
+    pub(crate) fn all(specks: &Specks, seed: u64, gel: &Gel) -> Vec<Self> {
+        let mut stream = Stream::new(Digest::new().u64(seed).value(), "specks");
+        let speck = |_| {
+            let (row, col) = (stream.below(gel.rows - 1), stream.below(gel.cols - 1));
+            let mut within = || 0.5 + OFF_MIDDLE * (2.0 * stream.uniform() - 1.0);
+            let within = DVec2::new(within(), within());
+            let [least, most] = specks.radius_mm;
+            let radius_mm = least + (most - least) * stream.uniform();
+            Self { corner: row * gel.cols + col, within, radius_mm }
+        };
+        (0..specks.count).map(speck).collect()
+    }
+
+    /// The speck on the surface between the four markers of its cell.
+    pub(crate) fn dot(&self, points_mm: &[DVec3], gel: &Gel) -> Dot {
+        let at = |row: usize, col: usize| points_mm[self.corner + row * gel.cols + col];
+        let (s, t) = (self.within.x, self.within.y);
+        let (top, bottom) = (at(0, 1) - at(0, 0), at(1, 1) - at(1, 0));
+        let (left, right) = (at(1, 0) - at(0, 0), at(1, 1) - at(0, 1));
+        let scale = self.radius_mm / gel.pitch_mm;
+        Dot {
+            centre: at(0, 0) + top * s + left * t + (bottom - top) * (s * t),
+            along: top.lerp(bottom, t) * scale,
+            across: left.lerp(right, s) * scale,
+        }
+    }
+}

@@ -1,0 +1,157 @@
+//! What is true of one moment.
+
+use super::Simulator;
+use crate::render::{Dot, Ellipse};
+use alloc::vec::Vec;
+use gelstereo_core::math::{DVec2, DVec3, Pose};
+use gelstereo_core::rig::View;
+
+/// Ground truth of one moment; marker `row * cols + col` stands at that index, printed or not.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Truth {
+    /// Marker centres, sensor frame, millimetres.
+    pub points_mm: Vec<DVec3>,
+    /// Unit normals of the surface at the markers, towards the cameras (sensor frame).
+    pub normals: Vec<DVec3>,
+    /// Height above the rest surface, towards the camera; at most the gel's thickness.
+    pub indentation_mm: Vec<f64>,
+    /// Whether the indenter touches the gel at this marker.
+    pub in_contact: Vec<bool>,
+    /// Projections of the centres in the left image, within it or not. A dot's image has its own centre
+    /// elsewhere by up to f r² sin a cos a / Z² (tilt a): 0.016 px on the default rig.
+    pub left_px: Vec<DVec2>,
+    /// The same in the right image.
+    pub right_px: Vec<DVec2>,
+    /// How each dot looks in the left image.
+    pub left_dots: Vec<DotImage>,
+    /// The same in the right image.
+    pub right_dots: Vec<DotImage>,
+    /// What is no marker but looks like one in the left image: the scene's specks.
+    pub left_specks: Vec<Ellipse>,
+    /// The same in the right image.
+    pub right_specks: Vec<Ellipse>,
+}
+
+/// How a marker's dot looks in one image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DotImage {
+    /// Its outline before the lens blurs it.
+    pub outline: Ellipse,
+    /// Difference between dot and gel there, in this light and before the lens blurs it, grey levels.
+    pub contrast_levels: f64,
+    /// What there is to see of it.
+    pub sight: Sight,
+}
+
+/// What there is to see of a marker in one image; where several hold, the last in this list.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Sight {
+    /// All of it.
+    Whole = 0,
+    /// The image's border cuts it.
+    Cut = 1,
+    /// Ink joins it to another one.
+    Merged = 2,
+    /// A smear reaches it.
+    Covered = 3,
+    /// It lies outside the image, or behind the camera.
+    Outside = 4,
+    /// It was not printed.
+    NotPrinted = 5,
+}
+
+impl Sight {
+    /// All of them with their names.
+    pub const ALL: [(&'static str, Self); 6] = [
+        ("WHOLE", Self::Whole),
+        ("CUT", Self::Cut),
+        ("MERGED", Self::Merged),
+        ("COVERED", Self::Covered),
+        ("OUTSIDE", Self::Outside),
+        ("NOT_PRINTED", Self::NotPrinted),
+    ];
+}
+
+/// Stands for the pixel of a point behind a camera; only a contact that shears the gel out of sight leads
+/// there.
+pub const OUT_OF_SIGHT_PX: DVec2 = DVec2::splat(-1e6);
+
+const NO_OUTLINE: Ellipse = Ellipse { centre_px: OUT_OF_SIGHT_PX, half_px: [DVec2::ZERO; 2] };
+
+impl Simulator {
+    /// Hands the scratch over as truth.
+    pub(super) fn write(&mut self, time_s: f64, out: &mut Truth) {
+        let Self { scratch, rest, rig, surface_mm, .. } = &*self;
+        out.indentation_mm.clear();
+        out.indentation_mm.extend_from_slice(&scratch.heights);
+        out.in_contact.clear();
+        out.in_contact.extend_from_slice(&scratch.stuck);
+        let moved = rest.iter().zip(&scratch.motion).zip(&scratch.heights);
+        out.points_mm.clear();
+        out.points_mm.extend(moved.map(|((&rest, &u), &height)| (rest + u).extend(surface_mm - height)));
+        out.left_px.clear();
+        out.right_px.clear();
+        for &point in &out.points_mm {
+            let (left, right) = rig.project(point).unwrap_or((OUT_OF_SIGHT_PX, OUT_OF_SIGHT_PX));
+            out.left_px.push(left);
+            out.right_px.push(right);
+        }
+        self.write_dots(time_s, out);
+    }
+
+    fn write_dots(&mut self, time_s: f64, out: &mut Truth) {
+        self.scratch.dots.clear();
+        for marker in 0..out.points_mm.len() {
+            let dot = self.dot(&out.points_mm, marker);
+            self.scratch.dots.push(dot);
+        }
+        let Self { scratch, rig, renderer, specks, gel, .. } = &*self;
+        out.normals.clear();
+        let normal = |dot: &Dot| dot.across.cross(dot.along).normalize_or(DVec3::NEG_Z);
+        out.normals.extend(scratch.dots.iter().map(normal));
+        let views = [
+            (View::Left, Pose::IDENTITY, &mut out.left_dots, &mut out.left_specks),
+            (View::Right, rig.t_right_left, &mut out.right_dots, &mut out.right_specks),
+        ];
+        for (index, (view, t_camera_sensor, dots, blots)) in views.into_iter().enumerate() {
+            let view = rig.view(view);
+            let outline =
+                |dot: &Dot| dot.image(&view, &t_camera_sensor, rig.layers.is_some()).unwrap_or(NO_OUTLINE);
+            dots.clear();
+            let described = |(marker, dot)| renderer.describe(index, marker, outline(dot), time_s);
+            dots.extend(scratch.dots.iter().enumerate().map(described));
+            blots.clear();
+            blots.extend(specks.iter().map(|speck| outline(&speck.dot(&out.points_mm, gel))));
+        }
+    }
+
+    /// A marker's dot, which stretches and tilts with the surface between the neighbouring markers.
+    fn dot(&self, points_mm: &[DVec3], marker: usize) -> Dot {
+        let Self { lattice, print, gel, .. } = self;
+        let neighbours = lattice.neighbours(marker);
+        let apart = neighbours.map(|(before, after, _)| points_mm[after] - points_mm[before]);
+        let centre = points_mm[marker];
+        let radius_mm = gel.dot_radius_mm * print.as_ref().map_or(1.0, |print| print.radius(marker));
+        let Some(shift_mm) = print.as_ref().and_then(|print| print.shift_mm()) else {
+            let [along, across] = [0, 1].map(|axis| {
+                let stretch = apart[axis] / (neighbours[axis].2 * lattice.pitch_mm);
+                stretch * radius_mm
+            });
+            return Dot { centre, along, across };
+        };
+        // Neighbours that were not printed one or two pitches apart along the axes: the gradient G of the surface
+        // solves G [a b] = apart, a and b what was printed between them.
+        let axes = [DVec2::X, DVec2::Y];
+        let [a, b] = [0, 1].map(|axis| {
+            let (before, after, pitches) = neighbours[axis];
+            axes[axis] * (pitches * lattice.pitch_mm) + shift_mm[after] - shift_mm[before]
+        });
+        let scale = radius_mm / a.perp_dot(b);
+        Dot {
+            centre,
+            along: (apart[0] * b.y - apart[1] * a.y) * scale,
+            across: (apart[1] * a.x - apart[0] * b.x) * scale,
+        }
+    }
+}

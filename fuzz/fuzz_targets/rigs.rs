@@ -1,0 +1,82 @@
+//! Rigs of any numbers: refused by name, or points, pixels and covariances that are finite; what a valid rig projects, it
+//! finds again or refuses.
+#![no_main]
+
+use gelstereo_core::camera::{Camera, Layer, Layers};
+use gelstereo_core::math::{DVec2, DVec3, Pose, so3};
+use gelstereo_core::params::Params;
+use gelstereo_core::rig::Rig;
+use gelstereo_core::triangulate::Triangulator;
+use libfuzzer_sys::arbitrary::{Result, Unstructured};
+use libfuzzer_sys::fuzz_target;
+
+/// A plausible number near `usual`, or now and then any number.
+fn number(u: &mut Unstructured<'_>, usual: f64, spread: f64) -> Result<f64> {
+    Ok(match u.int_in_range(0..=31_u8)? {
+        0 => u.arbitrary()?,
+        _ => usual + spread * f64::from(u.arbitrary::<i16>()?) / 32768.0,
+    })
+}
+
+fn vector(u: &mut Unstructured<'_>, usual: DVec3, spread: f64) -> Result<DVec3> {
+    Ok(DVec3::new(number(u, usual.x, spread)?, number(u, usual.y, spread)?, number(u, usual.z, spread)?))
+}
+
+fn camera(u: &mut Unstructured<'_>) -> Result<Camera> {
+    let mut distortion = [0.0; 5];
+    if u.arbitrary()? {
+        for k in &mut distortion {
+            *k = number(u, 0.0, 0.3)?;
+        }
+    }
+    let (fx_px, fy_px) = (number(u, 600.0, 300.0)?, number(u, 600.0, 300.0)?);
+    let (cx_px, cy_px) = (number(u, 320.0, 100.0)?, number(u, 240.0, 100.0)?);
+    Ok(Camera { width_px: 640, height_px: 480, fx_px, fy_px, cx_px, cy_px, distortion })
+}
+
+fn layers(u: &mut Unstructured<'_>) -> Result<Option<Layers>> {
+    if u.arbitrary()? {
+        return Ok(None);
+    }
+    let normal = vector(u, DVec3::Z, 0.3)?.normalize_or_zero();
+    let plates = (0..u.int_in_range(0..=3)?)
+        .map(|_| Ok(Layer { thickness_mm: number(u, 2.0, 2.0)?, index: number(u, 1.5, 0.6)? }))
+        .collect::<Result<_>>()?;
+    Ok(Some(Layers { normal, gap_mm: number(u, 15.0, 15.0)?, plates, gel_index: number(u, 1.4, 0.5)? }))
+}
+
+fn run(mut u: Unstructured<'_>) -> Result<()> {
+    let (left, right) = (camera(&mut u)?, camera(&mut u)?);
+    let rotation = so3::exp(vector(&mut u, DVec3::ZERO, 0.3)?);
+    let translation_mm = vector(&mut u, DVec3::new(-8.0, 0.0, 0.0), 4.0)?;
+    let rig = Rig { left, right, t_right_left: Pose { rotation, translation_mm }, layers: layers(&mut u)? };
+    let mut params = Params::default();
+    params.triangulate.max_epipolar_px = 1.0;
+    let Ok(triangulator) = Triangulator::new(&rig, &params.triangulate) else { return Ok(()) };
+    let centre = [[0.01, 0.001], [0.001, 0.01]];
+    while !u.is_empty() {
+        let point_mm = vector(&mut u, DVec3::new(0.0, 0.0, 30.0), 15.0)?;
+        if let Ok((left_px, right_px)) = rig.project(point_mm) {
+            assert!(left_px.is_finite() && right_px.is_finite(), "{point_mm}: {left_px} {right_px}");
+            check(&triangulator, left_px, right_px, &centre);
+        }
+        let pixels = vector(&mut u, DVec3::new(320.0, 240.0, 200.0), 300.0)?;
+        check(&triangulator, pixels.truncate(), DVec2::new(pixels.z, pixels.y), &centre);
+    }
+    Ok(())
+}
+
+fn check(triangulator: &Triangulator, left_px: DVec2, right_px: DVec2, centre: &[[f64; 2]; 2]) {
+    if let Ok(found) = triangulator.point(0, left_px, right_px) {
+        assert!(
+            found.point_mm.is_finite() && found.epipolar_px.is_finite(),
+            "{left_px} {right_px}: {found:?}"
+        );
+        let covariance = triangulator.covariance_mm2(found.point_mm, centre, centre);
+        assert!((0..3).all(|i| covariance[i][i] >= 0.0), "{covariance:?}");
+    }
+}
+
+fuzz_target!(|bytes: &[u8]| {
+    let _ = run(Unstructured::new(bytes));
+});

@@ -1,0 +1,33 @@
+#!/bin/sh
+# Runs every fuzz target for so many seconds (default 10), with libFuzzer's coverage from stable rustc.
+# usage: fuzz/run.sh [SECONDS [TARGET...]]
+# What a target finds is written to fuzz/found/TARGET-*; run `fuzz/run.sh 0 TARGET` to see it again with a file there.
+set -eu
+cd "$(dirname "$0")"
+seconds=${1:-10}
+[ $# -gt 0 ] && shift
+if ! command -v c++ >/dev/null; then
+    echo "fuzzing needs a C++ compiler for libFuzzer (apt-get install g++); skipped" >&2
+    exit 0
+fi
+coverage="-Cpasses=sancov-module"
+for option in level=4 inline-8bit-counters pc-table trace-compares; do
+    coverage="$coverage -Cllvm-args=-sanitizer-coverage-$option"
+done
+# With --target, build scripts and macros of the host are built without these flags.
+host=$(rustc -vV | sed -n 's/^host: //p')
+RUSTFLAGS="$coverage --cfg fuzzing" cargo build --release --quiet --target "$host"
+[ $# -gt 0 ] || set -- $(for source in fuzz_targets/*.rs; do basename "$source" .rs; done)
+for target in "$@"; do
+    mkdir -p "corpus/$target" found
+    log=found/$target.log
+    # The seed is fixed; the clock still decides how far a run gets.
+    if "target/$host/release/$target" "corpus/$target" -max_total_time="$seconds" -seed=1 -timeout=10 -rss_limit_mb=2048 \
+        -max_len=4096 -artifact_prefix="found/$target-" -print_final_stats=1 >"$log" 2>&1; then
+        echo "$target: $(sed -n 's/^stat::number_of_executed_units: //p' "$log") inputs, nothing found"
+    else
+        tail -n 40 "$log" >&2
+        echo "$target: see fuzz/found/" >&2
+        exit 1
+    fi
+done
