@@ -157,3 +157,22 @@ def test_results_are_read_only(noisy_press: list[SimulatedFrame]) -> None:
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0
     assert found.centres_px is found.centres_px  # made once
+
+
+@pytest.mark.parametrize("background", ["box", "blocks"])
+def test_near_expected_positions_the_same_markers_are_found(
+    noisy_press: list[SimulatedFrame], background: str
+) -> None:
+    detector = Detector(
+        PAPER.replace(detect={"background": background, "threshold": "auto", "centre": "grey"})
+    )
+    image = noisy_press[-1].left
+    whole = detector.detect(image)
+    assert len(whole) == 625
+    expected = whole.centres_px + [1.5, -2.0]
+    markers, sights = detector.detect_near(image, np.vstack([expected, [[5.0, 5.0], [-50.0, 5.0]]]), 8.8)
+    assert np.array_equal(sights, [*range(625), -1, -3])
+    assert np.array_equal(markers.centres_px, whole.centres_px)
+    assert np.array_equal(markers.area_px2, whole.area_px2)
+    between = (whole.centres_px[:1] + whole.centres_px[1:2]) / 2
+    assert np.array_equal(detector.detect_near(image, between, 15.0)[1], [-2])

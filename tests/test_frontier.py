@@ -4,17 +4,26 @@ from __future__ import annotations
 
 import re
 import shutil
+from itertools import pairwise
 from pathlib import Path
 
 import gelstereo
 import numpy as np
 import pytest
 from gelstereo.cli import main
-from gelstereo.frontier.page import write_page
+from gelstereo.frontier.baseline_fast import FastBaseline
+from gelstereo.frontier.covariance import Calibration
+from gelstereo.frontier.page import SECTIONS, check_page, write_page
 from gelstereo.frontier.registering import Patch, observable_error_mm
 from gelstereo.frontier.rungs import RUNGS, rungs_of
-from gelstereo.frontier.scenes import BOARDS_MM, PARTS, Part
-from gelstereo.frontier.timing import InstructionCounter, time_side_by_side
+from gelstereo.frontier.runners import geometry_of, write_input
+from gelstereo.frontier.saliency import f1
+from gelstereo.frontier.scenes import BOARDS_MM, FORMATS, LATTICES, PARTS, VGA, Part, sphere_press
+from gelstereo.frontier.sequences import SEQUENCES
+from gelstereo.frontier.speed import Growth, Speed
+from gelstereo.frontier.table import Table, Target
+from gelstereo.frontier.timing import InstructionCounter, Stopwatch, Times, time_side_by_side
+from gelstereo.frontier.tracking import Named, score
 from gelstereo.geometry import se3_exp
 from gelstereo.reports.markdown import ReportError, replace_between, table
 
@@ -41,6 +50,7 @@ def section(page: str, name: str) -> list[list[str]]:
 
 def test_quick_run_lists_every_rung_beside_a_baseline(docs: Path) -> None:
     page = (docs / "accuracy-vs-time.md").read_text()
+    assert all(section(page, name) for name in SECTIONS if name not in ("conditions", "stages", "growth"))
     for stage in ("detect", "label", "register", "whole"):
         rows = section(page, stage)
         names = [row[0] for row in rows]
@@ -55,8 +65,28 @@ def test_quick_run_lists_every_rung_beside_a_baseline(docs: Path) -> None:
 
 def test_a_page_that_does_not_exist_is_begun(tmp_path: Path) -> None:
     page = tmp_path / "accuracy-vs-time.md"
-    write_page(page, [], [["0.4", "1"]], 3)
+    check_page(page)
+    write_page(page, [], [Table("boards", ["mm", "um"], [["0.4", "1"]])], [Target("x", 2.0, 3.0, "mm")], 3)
     assert "| 0.4 | 1 |" in page.read_text()
+    assert "| x | <= 2 mm | 3.00 mm | **no** |" in page.read_text()
+
+
+def test_a_page_without_room_is_refused_before_anything_is_measured(tmp_path: Path) -> None:
+    (tmp_path / "accuracy-vs-time.md").write_text("<!-- begin boards -->\n<!-- end boards -->\n")
+    with pytest.raises(ReportError, match="begin targets") as refused:
+        check_page(tmp_path / "accuracy-vs-time.md")
+    assert "boards" not in str(refused.value)
+
+
+def test_a_page_is_never_half_written(tmp_path: Path) -> None:
+    page = tmp_path / "accuracy-vs-time.md"
+    check_page(page)
+    before = page.read_text()
+    tables = [Table("boards", ["mm"], [["1"]]), Table("no such section", ["mm"], [["1"]])]
+    with pytest.raises(ReportError):
+        write_page(page, [], tables, [], 3)
+    assert page.read_text() == before
+    assert [path.name for path in tmp_path.iterdir()] == [page.name]
 
 
 def test_a_count_of_rounds_below_one_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
@@ -80,7 +110,10 @@ def test_quick_run_measures_the_papers_boards_within_its_bound(docs: Path) -> No
     [
         ("detect", "detect.background"),
         ("detect", "detect.centre"),
+        ("detect", "detect.threshold"),
         ("label", "label.method"),
+        ("points", "triangulate.method"),
+        ("contact", "contact.saliency"),
         ("register", "register.method"),
     ],
 )
@@ -96,6 +129,112 @@ def test_every_variant_of_every_ladder_is_measured(stage: str, ladder: str) -> N
 
 def test_every_preset_is_measured() -> None:
     assert {rung.preset for rung in rungs_of("whole")} == set(gelstereo.Params.presets())
+
+
+def test_squared_errors_of_right_covariances_lie_in_their_band() -> None:
+    random = np.random.default_rng(20211)
+    covariance = np.array([[0.04, 0.01], [0.01, 0.09]])
+    errors = random.multivariate_normal([0.0, 0.0], covariance, 20_000)
+    covariances = np.broadcast_to(covariance, (20_000, 2, 2))
+    right = Calibration.of(errors, covariances, 1)
+    assert right.calibrated and right.inside == pytest.approx(0.95, abs=0.005)
+    # Half the variance, twice the squared error.
+    promises = Calibration.of(errors, 0.5 * covariances, 1)
+    assert promises.mean == pytest.approx(2.0 * right.mean) and not promises.calibrated
+    # Of five alike, one counts: the band is wider by the root of five.
+    few = Calibration.of(errors, covariances, 5)
+    width = (few.band[1] - few.band[0]) / (right.band[1] - right.band[0])
+    assert width == pytest.approx(np.sqrt(5.0), rel=0.01)
+
+
+def test_f1_is_the_harmonic_mean_of_precision_and_recall() -> None:
+    truth = np.arange(10) < 4
+    assert f1(truth, truth) == 1.0 and f1(~truth, truth) == 0.0 and f1(truth & False, truth & False) == 1.0
+    found = np.arange(10) < 8
+    assert f1(found, truth) == pytest.approx(2.0 / (1.0 / 0.5 + 1.0 / 1.0))
+
+
+def test_growth_finds_what_times_are_made_of() -> None:
+    speeds = []
+    for size in FORMATS:
+        for markers in LATTICES:
+            ms = 0.1 + 2.0 * size.megapixels + 1e-3 * 0.3 * markers**2
+            speeds.append(Speed(size, markers, "x", {"track": Times(ms, ms)}))
+    growth = Growth.of(speeds, "track")
+    assert growth is not None
+    found = (growth.base_ms, growth.ns_per_pixel, growth.us_per_marker)
+    np.testing.assert_allclose(found, (0.1, 2.0, 0.3), rtol=1e-9)
+    assert growth.residual < 1e-9
+    assert Growth.of(speeds, "afresh") is None
+
+
+def truthful(shot):  # type: ignore[no-untyped-def]
+    """A method that knows everything, and counts from another corner."""
+    turn = np.rot90(np.arange(625).reshape(25, 25)).ravel()
+    return Named(shot.left_px[turn], shot.right_px[turn], shot.visible[turn].copy(), 25)
+
+
+@pytest.mark.parametrize("task", SEQUENCES, ids=lambda task: task.name)
+def test_a_truthful_method_has_all_names_right(task) -> None:  # type: ignore[no-untyped-def]
+    runs = task.make()
+    assert all(0 < run.calm < len(run.shots) for run in runs)
+    found = score(task, runs, lambda first: truthful)
+    assert found.switched == found.unseen == found.refused == 0
+    assert found.right == sum(int(shot.visible.sum()) for run in runs for shot in run.shots)
+    assert set(found.reacquired) == {0}
+
+
+def test_wrong_names_held_markers_and_refusals_are_told_apart() -> None:
+    task = SEQUENCES[0]
+    runs = task.make()
+    frames = len(runs[0].shots)
+
+    def mistaken(shot):  # type: ignore[no-untyped-def]
+        named = truthful(shot)
+        if shot is runs[0].shots[3]:  # two neighbours change places in one view
+            named.right_px[[40, 41]] = named.right_px[[41, 40]]
+        if shot is runs[0].shots[5]:
+            named.seen[100:110] = False
+        if shot is runs[0].shots[-3]:  # the first calm frame
+            raise gelstereo.LabelError("too hard")
+        return named
+
+    found = score(task, runs, lambda first: mistaken)
+    assert (found.switched, found.unseen, found.refused) == (2, 10 + 625, 1)
+    assert found.right == 625 * (frames - 1) - 12
+    assert found.reacquired == [1]
+
+
+def test_sequences_are_as_hard_as_they_say() -> None:
+    runs = {task.name: task.make() for task in SEQUENCES}
+    pitch_px = 0.9 * VGA.f_px / 28.7
+
+    def steps(name: str) -> list[float]:
+        """Largest motion between frames, in pitches."""
+        shots = [run.shots for run in runs[name]]
+        pairs = [(a, b) for run in shots for a, b in pairwise(run)]
+        return [float(np.linalg.norm(b.left_px - a.left_px, axis=1).max()) / pitch_px for a, b in pairs]
+
+    assert max(steps("jumps of 1.3 pitches")) == pytest.approx(1.3, rel=1e-6)
+    assert 0.5 < max(steps("two of three frames dropped")) < 0.7
+    first, *rest = (shot.left_px for shot in runs["shear to 2 pitches"][0].shots)
+    assert max(np.abs(px - first).max() for px in rest) > 1.95 * pitch_px
+    assert runs["20 % not printed"][0].shots[0].visible.sum() == 500
+    assert min(shot.visible.sum() for shot in runs["two border rows leave the view"][0].shots) <= 575
+    assert len(runs["lattice turned by 0 to 345 deg"]) == 24
+
+
+@pytest.mark.parametrize("size", FORMATS[:2], ids=lambda size: size.name)
+def test_the_fast_baseline_finds_and_follows_all_markers(size) -> None:  # type: ignore[no-untyped-def]
+    press = sphere_press(scene=size.scene())
+    fast = FastBaseline(geometry_of(size.rig()), gelstereo.Params.preset("balanced").to_dict())
+    names = (press[0].left_px, press[0].right_px)
+    for frame in press:
+        found = fast.process(frame.left, frame.right, names if frame.index == 0 else None)
+    assert found.seen.all()
+    rms_px = np.sqrt(((found.left_px - press[-1].left_px) ** 2).sum(axis=1).mean())
+    assert rms_px < 0.07  # grey centroids: 0.054 and 0.079 px were measured independently
+    assert found.salient.sum() > 30
 
 
 def ball_patch() -> Patch:
@@ -165,6 +304,27 @@ def test_instructions_are_counted_and_repeat_exactly(tmp_path: Path) -> None:
     assert first is not None and first > 80 * 60
     assert counter.count("detect", files) == first
     assert counter.count("no such stage", files) is None
+
+
+@pytest.mark.skipif(shutil.which("cargo") is None, reason="cargo is absent")
+def test_the_cores_program_times_every_stage(tmp_path: Path) -> None:
+    program = Stopwatch.program(ROOT)
+    assert program is not None
+    press = sphere_press()[:3]
+    files = write_input(tmp_path, gelstereo.Params.preset("balanced"), press, VGA.rig())
+    with Stopwatch(program, files) as watch:
+        # At least both views' differences, at most the target of the finished pipeline four times over.
+        assert 2 * 640 * 480 < watch.memory_bytes < 64 * 2**20
+        for stage in ("track", "afresh", "detect", "triangulate"):
+            times = watch.times_ns(stage, 4)
+            assert len(times) == 4 and min(times) > 0
+        assert watch.times_ns("no such stage", 1) == []
+    blank = np.full((480, 640), 170, np.uint8)
+    import cv2
+
+    cv2.imwrite(str(files[2]), blank)
+    with pytest.raises(gelstereo.Error, match="Left"):
+        Stopwatch(program, files)
 
 
 def test_counter_is_absent_without_sources(tmp_path: Path) -> None:

@@ -84,6 +84,29 @@ def test_row_34_one_thread_or_several_give_the_same_bits(
             assert digests == reference
 
 
+@pytest.mark.parametrize("preset", Params.presets())
+def test_row_34_two_views_on_two_threads_give_the_same_bits(
+    noisy_press: list[SimulatedFrame], preset: str
+) -> None:
+    reference = [frame.digest for frame in run(noisy_press, preset)]
+    pipeline = Pipeline(RIG, Params.preset(preset))
+    # The number of threads may change from frame to frame.
+    threads = (2, 2, 1, 2, 2)
+    results = [
+        pipeline.process(f.left, f.right, threads=n) for f, n in zip(noisy_press, threads, strict=True)
+    ]
+    assert [frame.digest for frame in results] == reference
+    with pytest.raises(DetectError, match="right view"):
+        pipeline.process(noisy_press[0].left, np.zeros_like(noisy_press[0].right), threads=2)
+    assert pipeline.process(noisy_press[0].left, noisy_press[0].right, threads=2).index == len(reference)
+
+
+@pytest.mark.parametrize("threads", [0, 3])
+def test_another_number_of_threads_is_refused(noisy_press: list[SimulatedFrame], threads: int) -> None:
+    with pytest.raises(ValueError, match=f"threads is {threads}; valid is 1 or 2"):
+        Pipeline(RIG).process(noisy_press[0].left, noisy_press[0].right, threads=threads)  # type: ignore[arg-type]
+
+
 def test_a_frame_is_kept_when_the_next_one_comes(noisy_press: list[SimulatedFrame]) -> None:
     pipeline = Pipeline(RIG)
     first = pipeline.process(noisy_press[0].left, noisy_press[0].right)

@@ -16,6 +16,7 @@ Every array that gelstereo returns is read-only; ``.copy()`` gives one that can 
 from gelstereo import geometry, templates
 from gelstereo._native import (
     ContactError,
+    DenseSurface,
     DetectError,
     Detector,
     Error,
@@ -53,6 +54,7 @@ from gelstereo._native import (
     adjusted_gripper,
     foresight_sort,
     localize,
+    pressure_saliency,
     rest_lattice,
     triangulate,
     triangulate_covariance,
@@ -62,6 +64,7 @@ from gelstereo.states import MarkerState, Sight
 
 __all__ = [
     "ContactError",
+    "DenseSurface",
     "DetectError",
     "Detector",
     "Error",
@@ -102,6 +105,7 @@ __all__ = [
     "foresight_sort",
     "geometry",
     "localize",
+    "pressure_saliency",
     "rest_lattice",
     "simulate",
     "templates",

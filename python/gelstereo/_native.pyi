@@ -12,6 +12,7 @@ _Path: TypeAlias = str | PathLike[str]
 
 __all__ = [
     "ContactError",
+    "DenseSurface",
     "DetectError",
     "Detector",
     "Error",
@@ -52,6 +53,7 @@ __all__ = [
     "marker_states",
     "nearest",
     "parse_toml",
+    "pressure_saliency",
     "rest_lattice",
     "rigid_fit",
     "se3_exp",
@@ -186,12 +188,19 @@ class Markers:
     def area_px2(self) -> npt.NDArray[np.uint32]: ...
     @property
     def unfitted(self) -> int: ...
+    @property
+    def cut_centres_px(self) -> _Floats: ...
+    @property
+    def cut_covariance_px2(self) -> _Floats: ...
     def __len__(self) -> int: ...
 
 @final
 class Detector:
     def __new__(cls, params: Params | None = None) -> Detector: ...
     def detect(self, image: npt.NDArray[np.uint8]) -> Markers: ...
+    def detect_near(
+        self, image: npt.NDArray[np.uint8], expected_px: npt.ArrayLike, reach_px: float
+    ) -> tuple[Markers, npt.NDArray[np.int64]]: ...
     def mask(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]: ...
 
 @final
@@ -234,6 +243,30 @@ class RestSurface:
     def centre_mm(self) -> _Floats: ...
     def indentation_mm(self, points_mm: npt.ArrayLike) -> _Floats: ...
     def __len__(self) -> int: ...
+
+def pressure_saliency(
+    rest: RestSurface,
+    indentation_mm: npt.ArrayLike,
+    variance_mm2: npt.ArrayLike,
+    *,
+    rows: int,
+    cols: int,
+    decay_mm: float,
+) -> tuple[npt.NDArray[np.bool_], _Floats]: ...
+
+@final
+class DenseSurface:
+    def __new__(cls, rest_mm: npt.ArrayLike, step_mm: float) -> DenseSurface: ...
+    @property
+    def shape(self) -> tuple[int, int]: ...
+    @property
+    def x_mm(self) -> _Floats: ...
+    @property
+    def y_mm(self) -> _Floats: ...
+    @property
+    def mask(self) -> npt.NDArray[np.bool_]: ...
+    def sample(self, values: npt.ArrayLike) -> _Floats: ...
+    def points(self, points_mm: npt.ArrayLike) -> tuple[_Floats, _Floats]: ...
 
 @final
 class ViewEvidence:

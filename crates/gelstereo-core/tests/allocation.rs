@@ -2,8 +2,10 @@
 
 mod support;
 
+use gelstereo_core::detect::near::Found;
 use gelstereo_core::detect::{Detector, Markers};
-use gelstereo_core::label::{foresight_sort, rest_lattice};
+use gelstereo_core::label::{FoundLattice, LatticeFinder, anchor, foresight_sort, rest_lattice};
+use gelstereo_core::math::DVec2;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::params::{Background, Centre, Params, Threshold};
 use gelstereo_core::track::{Tracker, Tracks};
@@ -53,7 +55,9 @@ fn detection_allocates_for_the_first_image_only() {
     let backgrounds = [Background::Gaussian, Background::Box, Background::Blocks];
     let thresholds = [Threshold::Fixed, Threshold::Auto];
     for (background, threshold) in backgrounds.into_iter().flat_map(|b| thresholds.map(|t| (b, t))) {
-        for (centre, kernel_px) in [(Centre::Binary, 1), (Centre::Grey, 1), (Centre::Grey, 5)] {
+        for (centre, kernel_px) in
+            [(Centre::Binary, 1), (Centre::Grey, 1), (Centre::Grey, 5), (Centre::Fit, 1)]
+        {
             let mut params = Params::default().detect;
             (params.background, params.threshold, params.centre) = (background, threshold, centre);
             (params.morphology_kernel_px, params.min_area_px2, params.smooth_kernel_px) = (kernel_px, 1, 1);
@@ -66,6 +70,25 @@ fn detection_allocates_for_the_first_image_only() {
                 }
             });
             assert_eq!(later, 0, "{background:?} {threshold:?} {centre:?} {kernel_px}");
+        }
+    }
+}
+
+#[test]
+fn the_search_near_positions_allocates_for_the_first_image_only() {
+    let truth = paper_lattice();
+    let few = Dots::new(640, 480, truth[..100].to_vec()).render();
+    let mut stream = Stream::new(1, "noise");
+    let noise: Vec<u8> = (0..640 * 480).map(|_| stream.next_u64() as u8).collect();
+    for background in [Background::Gaussian, Background::Box, Background::Blocks] {
+        for threshold in [Threshold::Fixed, Threshold::Auto] {
+            let mut params = Params::preset("balanced").unwrap().detect;
+            (params.background, params.threshold, params.min_area_px2) = (background, threshold, 1);
+            let (mut detector, mut found) = (Detector::new(&params), Found::default());
+            let mut search =
+                |image: &[u8]| detector.run_near(view(image, 640), &truth, 8.8, &mut found).unwrap();
+            assert!(allocations(|| search(&few)) > 0);
+            assert_eq!(allocations(|| [&noise, &few, &noise].into_iter().for_each(|i| search(i))), 0);
         }
     }
 }
@@ -91,4 +114,28 @@ fn tracks_and_sort_allocate_for_the_first_frame_only() {
     };
     frame(1.0);
     assert_eq!((2..20).map(|step| frame(f64::from(step))).sum::<usize>(), 0);
+}
+
+#[test]
+fn the_lattice_is_found_and_anchored_without_allocating_after_the_first_frame() {
+    let truth = paper_lattice();
+    let mut stream = Stream::new(2, "specks");
+    let (mut finder, mut found) = (LatticeFinder::default(), FoundLattice::default());
+    finder.reserve((640, 480), 800);
+    let mut markers = Markers::at(truth.to_vec(), 0.1);
+    let mut frame = |specks: usize| {
+        markers.centres_px.truncate(truth.len());
+        markers.area_px2.truncate(truth.len());
+        for _ in 0..specks {
+            markers.centres_px.push(DVec2::new(stream.uniform() * 640.0, stream.uniform() * 480.0));
+            markers.area_px2.push(1);
+        }
+        allocations(|| {
+            let _ = finder.run_markers(&markers, Some((640, 480)), &mut found);
+            let _ = anchor(&found, &markers.centres_px, 25, 25, &truth);
+        })
+    };
+    // Room for rows and columns of specks is made by what is found.
+    assert!(frame(20) > 0, "the counter counts");
+    assert_eq!((0..40).map(frame).sum::<usize>(), 0);
 }

@@ -60,7 +60,7 @@ proptest! {
 }
 
 #[test]
-fn a_pixel_beyond_the_monotone_range_is_refused() {
+fn row_22_a_pixel_beyond_the_monotone_range_is_refused() {
     // k1 = -0.4 folds over at r = sqrt(1 / 1.2) = 0.913, where r_d = 0.6086.
     let camera = camera([-0.4, 0.0, 0.0, 0.0, 0.0]);
     let at = |r_d: f64| camera.undistort(DVec2::new(320.0 + 560.0 * r_d, 240.0));

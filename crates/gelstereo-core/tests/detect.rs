@@ -117,6 +117,35 @@ fn row_30_markers_on_the_border_are_dropped_and_no_others() {
     assert!(cut.iter().all(|&times| times > 20), "the dots hardly touched a border: {cut:?}");
 }
 
+/// What the border cuts is listed apart, and the covariance says how far off its visible part is: across the border by no
+/// more than a standard deviation (a bound, for a straight cut), along it like any marker.
+#[test]
+fn row_30_markers_cut_by_the_border_are_listed_with_what_is_known() {
+    let inner = support::lattice(3, 3, 18.0, DVec2::new(50.1, 45.3), 0.0, 0.0);
+    let mut seen = 0;
+    for step in 0..20 {
+        let x = -2.0 + 0.3 * f64::from(step);
+        let sides = [(x, 44.0), (99.0 - x, 44.0), (48.0, x), (48.0, 89.0 - x)].map(DVec2::from);
+        for (side, at) in sides.into_iter().enumerate() {
+            let mut centres = inner.clone();
+            centres.push(at);
+            let image = Dots::new(100, 90, centres).render();
+            for params in every_rung() {
+                let found = detect(&params, &image, 100).unwrap();
+                assert!(found.cut.len() <= 1 && found.centres_px.len() + found.cut.len() <= 10);
+                for cut in &found.cut {
+                    let [across, along] = if side < 2 { [0, 1] } else { [1, 0] };
+                    let (off, covariance) = (cut.centre_px - at, cut.covariance_px2);
+                    assert!(off[across].abs() <= covariance[across][across].sqrt(), "{at} {off} {params:?}");
+                    assert!(off[along].abs() < 0.3 && (covariance[along][along].sqrt() - 0.09).abs() < 1e-12);
+                    seen += 1;
+                }
+            }
+        }
+    }
+    assert!(seen > 400, "hardly any was cut: {seen}");
+}
+
 #[test]
 fn row_30_images_without_contrast_are_refused_by_name() {
     for params in every_rung() {

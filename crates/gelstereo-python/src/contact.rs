@@ -1,9 +1,10 @@
 //! The rest surface and what rises above it.
 
-use crate::arrays::{self, Array1, Matrix, Numbers};
+use crate::arrays::{self, Array1, Count, Matrix, Numbers};
 use crate::errors::raise;
 use gelstereo_core::contact as core;
 use gelstereo_core::math::DVec3;
+use gelstereo_core::track::MarkerState;
 use pyo3::prelude::*;
 
 /// The markers when nothing touches the gel, and the plane through them.
@@ -79,4 +80,50 @@ impl RestSurface {
     fn __len__(&self) -> usize {
         self.inner.points_mm().len()
     }
+}
+
+/// Markers in contact by the pressure of the gel (`contact.saliency = "pressure"`).
+///
+/// Parameters
+/// ----------
+/// rest : RestSurface
+///     Of rows * cols markers, row by row.
+/// indentation_mm : (rows * cols,) array_like
+///     NaN for a marker that was not measured.
+/// variance_mm2 : (rows * cols,) array_like
+///     Variances of the indentations.
+/// rows, cols : int
+/// decay_mm : float
+///     Length over which the surface comes back to rest beside a contact.
+///
+/// Returns
+/// -------
+/// salient : (rows * cols,) bool
+/// pressure_mm : (rows * cols,) float64
+///     Pressure per stiffness by each marker's own differences; its noise is many times that of the indentation.
+///
+/// Raises
+/// ------
+/// ContactError
+///     If a list has not rows * cols entries, or a variance is negative or not finite.
+#[pyfunction]
+#[pyo3(signature = (rest, indentation_mm, variance_mm2, *, rows, cols, decay_mm))]
+pub fn pressure_saliency(
+    py: Python<'_>,
+    rest: &RestSurface,
+    indentation_mm: &Bound<'_, PyAny>,
+    variance_mm2: &Bound<'_, PyAny>,
+    rows: Count,
+    cols: Count,
+    decay_mm: f64,
+) -> PyResult<(Array1<bool>, Array1<f64>)> {
+    let heights = Numbers::new(indentation_mm, "indentation_mm")?;
+    let variances = Numbers::new(variance_mm2, "variance_mm2")?;
+    let heights = heights.list()?;
+    let state: Vec<MarkerState> =
+        heights.iter().map(|h| if h.is_nan() { MarkerState::Lost } else { MarkerState::Seen }).collect();
+    let mut pressure = core::Pressure::new(&rest.inner, rows.0, cols.0, decay_mm).map_err(raise)?;
+    let mut salient = Vec::new();
+    pressure.run(heights, variances.list()?.iter().copied(), &state, &mut salient).map_err(raise)?;
+    Ok((arrays::list(py, salient), arrays::list(py, pressure.pressure_mm().to_vec())))
 }

@@ -1,9 +1,11 @@
 //! Finding markers.
 
-use crate::arrays::{self, Array1, Image, Matrix};
+use crate::arrays::{self, Array1, Image, Matrix, Numbers};
 use crate::errors::raise;
 use crate::params::Params;
 use gelstereo_core::detect as core;
+use gelstereo_core::detect::near::{Found, Sight};
+use gelstereo_core::math::DVec2;
 use numpy::{PyArray2, PyArray3};
 use pyo3::prelude::*;
 use std::sync::{Mutex, PoisonError};
@@ -23,7 +25,33 @@ pub struct Markers {
     /// How many of them the model fit did not settle on, and which kept the grey centroid; 0 for other rungs.
     #[pyo3(get)]
     unfitted: usize,
+    /// (K, 2) centres of the visible parts of markers that the image's border cuts, pixels; no other list has them.
+    #[pyo3(get)]
+    cut_centres_px: Matrix,
+    /// (K, 2, 2) covariances of those about the whole markers' centres, px².
+    #[pyo3(get)]
+    cut_covariance_px2: Py<PyArray3<f64>>,
     count: usize,
+}
+
+impl Markers {
+    fn new(py: Python<'_>, found: core::Markers) -> PyResult<Self> {
+        let cut = &found.cut;
+        let cut_covariances = cut.iter().flat_map(|c| c.covariance_px2).flatten().collect();
+        Ok(Self {
+            cut_centres_px: arrays::rows::<_, 2>(py, cut.iter().map(|c| c.centre_px).collect())?,
+            cut_covariance_px2: arrays::shaped(py, cut_covariances, (cut.len(), 2, 2))?,
+            count: found.centres_px.len(),
+            unfitted: found.unfitted,
+            covariance_px2: arrays::shaped(
+                py,
+                found.covariance_px2.iter().flatten().flatten().copied().collect(),
+                (found.centres_px.len(), 2, 2),
+            )?,
+            centres_px: arrays::rows::<_, 2>(py, found.centres_px)?,
+            area_px2: arrays::list(py, found.area_px2),
+        })
+    }
 }
 
 #[pymethods]
@@ -81,18 +109,56 @@ impl Detector {
             let mut out = core::Markers::default();
             self.stage.lock().unwrap_or_else(PoisonError::into_inner).run(view, &mut out).map(|()| out)
         });
-        let found = found.map_err(raise)?;
-        Ok(Markers {
-            count: found.centres_px.len(),
-            unfitted: found.unfitted,
-            covariance_px2: arrays::shaped(
-                py,
-                found.covariance_px2.iter().flatten().flatten().copied().collect(),
-                (found.centres_px.len(), 2, 2),
-            )?,
-            centres_px: arrays::rows::<_, 2>(py, found.centres_px)?,
-            area_px2: arrays::list(py, found.area_px2),
-        })
+        Markers::new(py, found.map_err(raise)?)
+    }
+
+    /// Find one marker near each expected position.
+    ///
+    /// Parameters
+    /// ----------
+    /// image : (H, W) uint8
+    ///     Grey image, as in `detect`.
+    /// expected_px : (N, 2)
+    ///     Where markers should be, pixels.
+    /// reach_px : float
+    ///     A marker is found when all of it lies within so many pixels, in both axes; at most 31.
+    ///
+    /// Returns
+    /// -------
+    /// markers : Markers
+    ///     Those found, with the bits that `detect` gives them.
+    /// sights : (N,) int64
+    ///     Which of `markers` each position has, each at most once; -1: no marker is there, -2: several are, -3: not decided
+    ///     (parts of markers, something else, or a window outside the image).
+    ///
+    /// Raises
+    /// ------
+    /// ImageError, DetectError
+    ///     As `detect`.
+    fn detect_near(
+        &self,
+        py: Python<'_>,
+        image: &Bound<'_, PyAny>,
+        expected_px: &Bound<'_, PyAny>,
+        reach_px: f64,
+    ) -> PyResult<(Markers, Array1<i64>)> {
+        let image = Image::new(image, "image")?;
+        let view = image.view()?;
+        let expected_px = Numbers::new(expected_px, "expected_px")?.rows::<DVec2, 2>()?.to_vec();
+        let found = py.detach(|| {
+            let mut out = Found::default();
+            let mut stage = self.stage.lock().unwrap_or_else(PoisonError::into_inner);
+            stage.run_near(view, &expected_px, reach_px, &mut out).map(|()| out)
+        });
+        let found = found.map_err(raise::<core::DetectError>)?;
+        let sights = found.sights.iter().map(|sight| match sight {
+            Sight::Marker(index) => i64::from(*index),
+            Sight::Nothing => -1,
+            Sight::Several => -2,
+            Sight::Unclear => -3,
+        });
+        let sights = arrays::list(py, sights.collect());
+        Ok((Markers::new(py, found.markers)?, sights))
     }
 
     /// Which pixels of an image differ enough from their surround: what ``detect.threshold`` and

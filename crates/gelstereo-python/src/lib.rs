@@ -15,6 +15,7 @@ mod pipeline;
 mod register;
 mod rig;
 mod sim;
+mod surface;
 mod tree;
 mod triangulate;
 
@@ -24,7 +25,7 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _native {
     #[pymodule_export]
-    use crate::contact::RestSurface;
+    use crate::contact::{RestSurface, pressure_saliency};
     #[pymodule_export]
     use crate::detect::{Detector, Markers};
     #[pymodule_export]
@@ -51,6 +52,8 @@ mod _native {
     use crate::rig::{Rectification, Rig};
     #[pymodule_export]
     use crate::sim::{Scene, SimulatedDots, SimulatedFrame, Simulator, shape_mesh, sights};
+    #[pymodule_export]
+    use crate::surface::DenseSurface;
     #[pymodule_export]
     use crate::tree::parse_toml;
     #[pymodule_export]

@@ -5,8 +5,10 @@ mod common;
 
 use common::{images, press, rest, rigid, truth, with_effects, xy};
 use gelstereo_core::math::{DVec2, DVec3, cos, sin};
-use gelstereo_sim::effects::{Defocus, Drag, Grain, SensorNoise, Shoulder, Spread, UnevenLight};
-use gelstereo_sim::{ContactState, Effects, Scene, Shape};
+use gelstereo_sim::effects::{
+    Defocus, Drag, DroppedFrames, Grain, Misprint, SensorNoise, Shoulder, Smears, Specks, Spread, UnevenLight,
+};
+use gelstereo_sim::{ContactState, Effects, GelKeyframe, Scene, Shape};
 use proptest::prelude::*;
 
 const SPHERE: Shape = Shape::Sphere { radius_mm: 4.0 };
@@ -105,6 +107,27 @@ fn displaced_gel_moves_away_from_the_contact() {
     assert!((0.05..0.4).contains(&most), "{most} mm");
 }
 
+fn later() -> GelKeyframe {
+    GelKeyframe { time_s: 1.0, ..GelKeyframe::default() }
+}
+
+/// Effects draw from streams of their own: joining one changes nothing of what another one drew.
+#[test]
+fn effects_do_not_draw_from_each_other() {
+    let only = |effects: Effects| Scene { effects, ..Scene::default() };
+    let specks = Effects { specks: Some(Specks::default()), ..Effects::default() };
+    let misprint =
+        Effects { misprint: Some(Misprint { shift_mm: 0.1, ..Misprint::default() }), ..Effects::default() };
+    let both = Effects {
+        specks: specks.specks.clone(),
+        smears: Some(Smears { random: 5, ..Smears::default() }),
+        ..misprint.clone()
+    };
+    assert_eq!(rest(&only(both.clone())).points_mm, rest(&only(misprint)).points_mm);
+    let flat = Effects { misprint: Some(Misprint::default()), ..both };
+    assert_eq!(rest(&only(flat)).left_specks, rest(&only(specks)).left_specks);
+}
+
 /// Bits of a scene do not change when effects that do nothing join it: nobody draws from another's stream.
 #[test]
 fn absent_effects_leave_identical_bits() {
@@ -117,9 +140,15 @@ fn absent_effects_leave_identical_bits() {
         drag: Some(Drag::default()),
         grain: Some(Grain { sigma_levels: 0.0, size_px: 1.0 }),
         uneven_light: Some(UnevenLight { gain: 1.0, across: 0.0, down: 0.0, corner_loss: 0.0 }),
+        misprint: Some(Misprint::default()),
+        specks: Some(Specks { count: 0, ..Specks::default() }),
+        smears: Some(Smears::default()),
+        dropped_frames: Some(DroppedFrames::default()),
         ..noise.clone()
     };
     assert_eq!(images(&only(joined), 3), plain);
+    let still = Scene { gel_motion: vec![GelKeyframe::default(), later()], ..only(noise.clone()) };
+    assert_eq!(images(&still, 3), plain, "a gel that moves by nothing");
     assert_eq!(images(&only(noise), 3), plain, "and on every run");
 }
 

@@ -3,7 +3,7 @@
 use gelstereo_core::digest::Digest;
 use gelstereo_core::image::GrayView;
 use gelstereo_core::math::{DVec3, Pose};
-use gelstereo_core::params::{LabelMethod, Motion, Params};
+use gelstereo_core::params::{LabelMethod, Motion, Params, Saliency};
 use gelstereo_core::pipeline::{Frame, LabelSource, Pipeline, PipelineError, View};
 use gelstereo_core::track::MarkerState;
 use gelstereo_core::triangulate::{TriangulateError, Triangulator};
@@ -111,6 +111,22 @@ fn a_press_is_measured_to_what_the_centres_allow() {
     }
 }
 
+/// From images: the ball's contact is found by pressure, with few wrong markers at its rim, where depth takes the shoulder.
+#[test]
+fn pressure_finds_the_contact_in_images() {
+    let mut params = Params::preset("balanced").unwrap();
+    let wrong = |params: &Params| {
+        let (_, frame, truth) = run(&scene(vec![]), params, false);
+        frame.salient.iter().zip(&truth.in_contact).filter(|(found, truly)| found != truly).count()
+    };
+    let by_depth = wrong(&params);
+    params.contact.saliency = Saliency::Pressure;
+    let by_pressure = wrong(&params);
+    println!("wrong of 625: {by_depth} by depth, {by_pressure} by pressure");
+    // A circle of 2.5 mm crosses 17 markers' cells.
+    assert!(by_pressure <= 4 && by_depth > 20, "{by_depth} by depth, {by_pressure} by pressure");
+}
+
 #[test]
 fn row_16_one_missing_corner_marker_is_filled_in_and_held() {
     let (_, frame, truth) = run(&scene(vec![[0, 0]]), &Params::default(), false);
@@ -142,7 +158,7 @@ fn row_34_one_thread_or_two_and_any_repeat_give_the_same_bits() {
 /// x86-64 and aarch64, must give the same.
 #[test]
 fn row_34_the_bits_of_a_fixed_scene_are_known() {
-    let known = [("paper", 0xd9c1_21b2_6f45_c9d5), ("balanced", 0xe7a5_d5e8_c028_e68b)];
+    let known = [("paper", 0xd9c1_21b2_6f45_c9d5), ("balanced", 0x73d3_3844_c243_7ead)];
     assert_eq!(known.map(|(preset, _)| preset), Params::PRESETS, "every preset has its digest");
     let found = known.map(|(preset, _)| {
         let (digests, ..) = run(&scene(vec![[0, 0]]), &Params::preset(preset).unwrap(), false);

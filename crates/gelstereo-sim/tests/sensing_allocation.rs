@@ -6,7 +6,7 @@ mod counting;
 use counting::ALLOCATIONS;
 use gelstereo_core::image::GrayView;
 use gelstereo_core::math::{DVec3, Pose};
-use gelstereo_core::params::{LabelMethod, Params};
+use gelstereo_core::params::{LabelMethod, Params, Saliency};
 use gelstereo_core::pipeline::{Frame, LabelSource, Pipeline};
 use gelstereo_core::track::MarkerState;
 use gelstereo_sim::effects::{Effects, SensorNoise};
@@ -54,6 +54,9 @@ fn row_35_sensing_allocates_nothing_after_the_first_frames() {
         for method in [LabelMethod::Foresight, LabelMethod::Temporal, LabelMethod::Lattice] {
             let mut params = Params::preset(preset).unwrap();
             params.label.method = method;
+            if method == LabelMethod::Temporal {
+                params.contact.saliency = Saliency::Pressure;
+            }
             let mut pipeline = Pipeline::new(&rig, &params).unwrap();
             let mut frame = Frame::default();
             // The first frame fits the lattice, the second tracks and sorts for the first time.

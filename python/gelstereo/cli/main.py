@@ -15,6 +15,10 @@ from gelstereo import Error
 COMMANDS = {
     "demo": ("gelstereo.cli.demo", "press a part into a simulated sensor, locate it, and draw the picture"),
     "calibrate": ("gelstereo.calibrate.command", "stereo chessboard images to a rig file"),
+    "calibrate-layers": (
+        "gelstereo.calibrate.layers_command",
+        "images of the sensor's own markers to the pose and index of its gel",
+    ),
     "localize": ("gelstereo.cli.localize", "a point cloud or stereo images, and a template, to a pose"),
     "simulate": ("gelstereo.cli.simulate", "a scene to stereo images with their truth"),
     "view": ("gelstereo.cli.view", "a recording or a folder of stereo images to a picture"),

@@ -29,7 +29,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder for left/NNNN.png, right/NNNN.png, truth.npz, rig.toml",
     )
     parser.add_argument(
-        "--frames", type=int, nargs="+", metavar="N", help="frames to render; all if left out"
+        "--frames",
+        type=int,
+        nargs="+",
+        metavar="N",
+        help="frames to render, counted among those that arrive; all if left out",
     )
 
 
@@ -61,7 +65,7 @@ def _render(simulator: Simulator, index: int, folder: Path) -> SimulatedFrame:
 
 
 def _write_truth(path: Path, frames: list[SimulatedFrame]) -> None:
-    names = ["index", "points_mm", "indentation_mm", "in_contact", "left_px", "right_px"]
+    names = ["index", "time_s", "points_mm", "normals", "indentation_mm", "in_contact", "left_px", "right_px"]
     if all(frame.t_sensor_object is not None for frame in frames):
         names.append("t_sensor_object")
     arrays: dict[str, Any] = {name: np.stack([getattr(frame, name) for frame in frames]) for name in names}

@@ -9,10 +9,28 @@ from pathlib import Path
 
 import cv2
 
-from gelstereo.frontier.page import draw, write_page
+from gelstereo.frontier.boards import measure_boards
+from gelstereo.frontier.centres import measure_centres
+from gelstereo.frontier.covariance import measure_covariance
+from gelstereo.frontier.figures import draw_errors, draw_growth
+from gelstereo.frontier.page import check_page, write_page
 from gelstereo.frontier.registering import measure_registration
-from gelstereo.frontier.sensing import measure_boards, measure_detection, measure_labels, measure_whole
+from gelstereo.frontier.saliency import measure_saliency
+from gelstereo.frontier.scenes import LATTICES
+from gelstereo.frontier.sensing import Row, measure_detection, measure_labels, measure_whole
+from gelstereo.frontier.sequences import SEQUENCES
+from gelstereo.frontier.speed import (
+    Speed,
+    growth_table,
+    measure_speed,
+    measure_threads,
+    speed_table,
+    speed_targets,
+    stage_table,
+)
+from gelstereo.frontier.table import Report, Table, Target
 from gelstereo.frontier.timing import InstructionCounter
+from gelstereo.frontier.tracking import measure_tracking
 
 __all__ = ["EXAMPLES", "add_arguments", "run"]
 
@@ -30,7 +48,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help="few rounds and starts: figures mean little")
     parser.add_argument("--rounds", type=count, help="rounds of timing (default 200, quick 3)")
     parser.add_argument("--starts", type=count, help="starts of registration per part (default 64, quick 4)")
-    parser.add_argument("--no-instructions", action="store_true", help="do not run callgrind")
+    parser.add_argument(
+        "--no-instructions",
+        action="store_true",
+        help="run neither callgrind nor the core's own timing program",
+    )
 
 
 def count(text: str) -> int:
@@ -41,27 +63,54 @@ def count(text: str) -> int:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Measure every rung, print progress, and write the page and its figure; return the exit code."""
+    """Measure every rung, print progress, and write the page and its figures; return the exit code."""
     rounds = arguments.rounds or (3 if arguments.quick else 200)
     starts = arguments.starts or (4 if arguments.quick else 64)
-    pictures = arguments.docs / "pictures"
-    pictures.mkdir(parents=True, exist_ok=True)  # before the minutes that measuring takes
+    page, pictures = arguments.docs / "accuracy-vs-time.md", arguments.docs / "pictures"
+    pictures.mkdir(parents=True, exist_ok=True)
+    check_page(page)
     source = None if arguments.no_instructions or arguments.quick else Path.cwd()
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        counter = InstructionCounter(source)
-        rows = measure_detection(rounds, counter, _report)
-        rows += measure_labels(rounds, counter, _report)
-        rows += measure_whole(rounds, counter, _report)
-        rows += measure_registration(max(rounds // 4, 2), starts, counter, _report)
-        boards = measure_boards(1 if arguments.quick else 5, _report)
+        rows = _rows(rounds, starts, InstructionCounter(source), _report)
+        tables, targets, speeds = _tables(arguments.quick, rounds, source, _report)
     finally:
         cv2.setNumThreads(threads)
-    write_page(arguments.docs / "accuracy-vs-time.md", rows, boards, rounds)
-    draw(pictures / "accuracy-vs-time.png", rows)
-    print(f"wrote {arguments.docs / 'accuracy-vs-time.md'} and {pictures / 'accuracy-vs-time.png'}")
+    write_page(page, rows, tables, targets, rounds)
+    draw_errors(pictures / "accuracy-vs-time.png", rows)
+    draw_growth(pictures / "time-over-size.png", speeds)
+    missed = [target for target in targets if not target.met]
+    print(f"wrote {page} and its figures; {len(targets) - len(missed)} of {len(targets)} targets met")
     return 0
+
+
+def _rows(rounds: int, starts: int, counter: InstructionCounter, report: Report) -> list[Row]:
+    """Error beside time, rung by rung."""
+    rows = measure_detection(rounds, counter, report)
+    rows += measure_labels(rounds, counter, report)
+    rows += measure_whole(rounds, counter, report)
+    return rows + measure_registration(max(rounds // 4, 2), starts, counter, report)
+
+
+def _tables(
+    quick: bool, rounds: int, source: Path | None, report: Report
+) -> tuple[list[Table], list[Target], list[Speed]]:
+    """Everything else: tables, targets, and the times that are drawn."""
+    seeds = 1 if quick else 3
+    centres, targets, matches = measure_centres(seeds, report)
+    covariance, more = measure_covariance(matches, seeds, report)
+    targets += more
+    tracking, more = measure_tracking(report, SEQUENCES[:1] if quick else SEQUENCES)
+    targets += more
+    speeds = measure_speed(rounds, source, report, LATTICES[:1] if quick else LATTICES)
+    targets += speed_targets(speeds)
+    saliency, more = measure_saliency(seeds, report)
+    targets += more
+    boards, more = measure_boards(1 if quick else 5, report)
+    targets += more
+    tables = [centres, covariance, tracking, speed_table(speeds), stage_table(speeds), growth_table(speeds)]
+    return [*tables, measure_threads(rounds // 2, report), saliency, *boards], targets, speeds
 
 
 def _report(what: str) -> None:

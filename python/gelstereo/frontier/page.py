@@ -1,53 +1,84 @@
-"""The page docs/accuracy-vs-time.md: tables between markers, and the figure beside them."""
+"""The page docs/accuracy-vs-time.md: tables between markers."""
 
 from __future__ import annotations
 
 import os
 import platform
+import shutil
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-import matplotlib
-import numpy as np
-
-from gelstereo.frontier.rungs import rungs_of
 from gelstereo.frontier.scenes import CONDITIONS
 from gelstereo.frontier.sensing import Row
-from gelstereo.reports.markdown import replace_between, table
+from gelstereo.frontier.table import Table, Target
+from gelstereo.reports.markdown import ReportError, replace_between, table
 
-__all__ = ["draw", "write_page"]
+__all__ = ["SECTIONS", "check_page", "row_tables", "write_page"]
 
-_AXES = {
-    "detect": "centre error, px rms",
-    "label": "wrong labels, %",
-    "register": "pose error of successes, um rms",
-    "whole": "depth error, um rms",
-}
+#: Names of the page's markers.
+SECTIONS = (
+    "conditions",
+    "targets",
+    "centres",
+    "covariance",
+    "tracking",
+    "detect",
+    "label",
+    "whole",
+    "speed",
+    "stages",
+    "growth",
+    "threads",
+    "saliency",
+    "boards",
+    "refraction",
+    "register",
+)
 
 
-def write_page(page: Path, rows: Sequence[Row], boards: Sequence[Sequence[str]], rounds: int) -> None:
-    """Fill the page's tables; a page that does not exist yet is begun."""
+def check_page(page: Path) -> None:
+    """See that a page can be filled, before the minutes that measuring takes; begin one that does not exist.
+
+    Raises
+    ------
+    ReportError
+        A marker is missing.
+    """
     if not page.exists():
-        page.write_text(_blank(), encoding="utf-8")
-    processor = _processor()
-    replace_between(
-        page,
-        "conditions",
-        f"All figures: {CONDITIONS}. Times: one thread, {processor}, {rounds} rounds (registration a quarter) in "
-        f"which all methods take turns; {_load()}.",
-    )
+        places = [f"<!-- begin {name} -->\n<!-- end {name} -->\n" for name in SECTIONS]
+        page.write_text("\n".join(["# Accuracy versus time\n", *places]), encoding="utf-8")
+    text = page.read_text(encoding="utf-8")
+    lines = [f"<!-- {side} {name} -->" for name in SECTIONS for side in ("begin", "end")]
+    missing = [line for line in lines if text.count(line) != 1]
+    if missing:
+        raise ReportError(f"{page} must hold once each the lines {', '.join(missing)}")
+
+
+def write_page(
+    page: Path, rows: Sequence[Row], tables: Sequence[Table], targets: Sequence[Target], rounds: int
+) -> None:
+    """Fill the page's tables, all or none: a page is never left half written."""
+    with tempfile.TemporaryDirectory(dir=page.parent) as folder:
+        draft = Path(folder) / page.name
+        shutil.copy(page, draft)
+        said = (
+            f"All figures: {CONDITIONS}. Times: one thread, {_processor()}, {rounds} rounds (registration a quarter) "
+            f"in which all methods take turns; {_load()}."
+        )
+        replace_between(draft, "conditions", said)
+        head = ["what", "target", "measured", "met"]
+        replace_between(draft, "targets", table(head, [target.line() for target in targets]))
+        for part in (*row_tables(rows), *tables):
+            replace_between(draft, part.name, table(part.head, part.rows))
+        os.replace(draft, page)
+
+
+def row_tables(rows: Sequence[Row]) -> list[Table]:
+    """Make the tables of error and time, one per stage."""
     head = ["method", "error", "median ms", "p99 ms", "10^6 instructions", "baseline's time over this"]
-    for stage in _AXES:
-        lines = [_line(row) for row in rows if row.stage == stage]
-        replace_between(page, stage, table(head, lines))
-    head = ["protrusion mm", *(rung.name for rung in rungs_of("whole")), "OpenCV pipeline (baseline)"]
-    replace_between(page, "boards", table(head, boards))
-
-
-def _blank() -> str:
-    """A page with room for every table."""
-    places = [f"<!-- begin {name} -->\n<!-- end {name} -->\n" for name in ("conditions", *_AXES, "boards")]
-    return "\n".join(["# Accuracy versus time\n", *places])
+    stages = dict.fromkeys(row.stage for row in rows)
+    return [Table(stage, head, [_line(row) for row in rows if row.stage == stage]) for stage in stages]
 
 
 def _line(row: Row) -> list[str]:
@@ -81,26 +112,3 @@ def _load() -> str:
     return (
         f"{load:.1f} programs on {os.cpu_count()} processors meanwhile, which shows in the 99th percentiles"
     )
-
-
-def draw(path: Path, rows: Sequence[Row]) -> None:
-    """Draw error over time, one panel per stage."""
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, axes = plt.subplots(2, 2, figsize=(13, 8.5), layout="constrained")
-    for axis, (stage, label) in zip(axes.ravel(), _AXES.items(), strict=True):
-        shown = [row for row in rows if row.stage == stage and np.isfinite(row.value)]
-        for index, row in enumerate(shown):
-            marker = "sDPX"[index % 4] if row.baseline else "o^v<>p"[index % 6]
-            axis.plot(row.times.median_ms, row.value, marker, color=f"C{index}", markersize=9, label=row.name)
-        axis.set_xscale("log")
-        axis.set(title=stage, xlabel="median time, ms", ylabel=label)
-        axis.set_ylim(0.0, 1.5 * max(row.value for row in shown) + 1e-9)  # room for the legend
-        low, high = axis.get_xlim()
-        axis.set_xlim(low / 1.3, high * 1.3)
-        axis.grid(alpha=0.3, which="both")
-        axis.legend(fontsize=8, loc="upper center", ncols=2)
-    figure.suptitle("accuracy and time, simulated; lower left is better")
-    figure.savefig(path, dpi=110)
-    plt.close(figure)

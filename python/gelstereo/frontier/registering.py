@@ -17,13 +17,13 @@ from gelstereo.frontier import baseline_register
 from gelstereo.frontier.rungs import Rung, rungs_of
 from gelstereo.frontier.scenes import PARTS, Part, part_press
 from gelstereo.frontier.sensing import Row
+from gelstereo.frontier.table import Report
 from gelstereo.frontier.timing import InstructionCounter, time_side_by_side
 from gelstereo.geometry import se3_exp, se3_log
 
 __all__ = ["SUCCESS_MM", "Patch", "measure_registration", "observable_error_mm"]
 
 Array = npt.NDArray[np.float64]
-Report = Callable[[str], None]
 #: From a patch and a guess to a pose.
 Method = Callable[["Patch", Array], Array]
 

@@ -8,9 +8,12 @@ from typing import Any, Literal
 
 from gelstereo import Params
 
-__all__ = ["RUNGS", "Rung", "Stage", "rungs_of"]
+__all__ = ["EXACT", "FAST", "RUNGS", "Rung", "Stage", "rungs_of"]
 
-Stage = Literal["detect", "label", "register", "whole"]
+#: Names of the whole pipelines of which the targets are asked.
+FAST, EXACT = "fast rungs", "exact rungs"
+
+Stage = Literal["detect", "label", "points", "contact", "register", "whole"]
 
 
 @dataclass(frozen=True)
@@ -28,25 +31,61 @@ class Rung:
         return Params.preset(self.preset).replace({k: dict(v) for k, v in self.changes.items()})
 
 
+_FIT: dict[str, Any] = {"background": "box", "threshold": "auto", "centre": "fit"}
+#: Little of the errors of points and contacts is left to the centres.
+_POINTS: dict[str, dict[str, Any]] = {"detect": _FIT}
+
 RUNGS = (
     Rung("detect", "gaussian + binary (paper)", {"detect": {"background": "gaussian", "centre": "binary"}}),
     Rung("detect", "gaussian + grey", {"detect": {"background": "gaussian", "centre": "grey"}}),
     Rung("detect", "box + binary", {"detect": {"background": "box", "centre": "binary"}}),
     Rung("detect", "box + grey", {"detect": {"background": "box", "centre": "grey"}}),
     Rung("detect", "box + fit", {"detect": {"background": "box", "centre": "fit"}}),
-    Rung("detect", "blocks + binary", {"detect": {"background": "blocks", "threshold": "fixed", "centre": "binary"}}),
-    Rung("detect", "blocks + auto + grey", {"detect": {"background": "blocks", "threshold": "auto", "centre": "grey"}}),
+    Rung("detect", "box + auto + fit", {"detect": _FIT}),
+    Rung(
+        "detect",
+        "blocks + binary",
+        {"detect": {"background": "blocks", "threshold": "fixed", "centre": "binary"}},
+    ),
+    Rung(
+        "detect",
+        "blocks + auto + grey",
+        {"detect": {"background": "blocks", "threshold": "auto", "centre": "grey"}},
+    ),
     Rung("label", "foresight (paper)", {"label": {"method": "foresight"}}, "balanced"),
     Rung("label", "temporal", {"label": {"method": "temporal"}}, "balanced"),
     Rung(
-        "label", "lattice", {"label": {"method": "lattice"}, "track": {"motion": "constant_velocity"}}, "balanced"
+        "label",
+        "lattice",
+        {"label": {"method": "lattice"}, "track": {"motion": "constant_velocity"}},
+        "balanced",
     ),
+    Rung("points", "q (paper)", _POINTS | {"triangulate": {"method": "q"}}, "balanced"),
+    Rung("points", "polynomial", _POINTS | {"triangulate": {"method": "polynomial"}}, "balanced"),
+    Rung("points", "rays", _POINTS | {"triangulate": {"method": "rays"}}, "balanced"),
+    Rung("contact", "depth (paper)", _POINTS | {"contact": {"saliency": "depth"}}, "balanced"),
+    Rung("contact", "pressure", _POINTS | {"contact": {"saliency": "pressure"}}, "balanced"),
     Rung("register", "filterreg_point (paper)", {"register": {"method": "filterreg_point"}}),
     Rung("register", "filterreg_plane", {"register": {"method": "filterreg_plane"}}),
     Rung("register", "ransac_icp (paper's comparison)", {"register": {"method": "ransac_icp"}}),
     Rung("register", "icp_plane", {"register": {"method": "icp_plane"}}),
     Rung("whole", "preset paper"),
     Rung("whole", "preset balanced", preset="balanced"),
+    Rung(
+        "whole",
+        FAST,
+        {
+            "detect": {"background": "blocks", "threshold": "auto", "centre": "grey"},
+            "contact": {"saliency": "pressure"},
+        },
+        "balanced",
+    ),
+    Rung(
+        "whole",
+        EXACT,
+        {"detect": _FIT, "triangulate": {"method": "rays"}, "contact": {"saliency": "pressure"}},
+        "balanced",
+    ),
 )
 
 

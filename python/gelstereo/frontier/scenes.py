@@ -27,6 +27,7 @@ __all__ = [
     "board_press",
     "board_shape",
     "effects",
+    "layered_scene",
     "part_press",
     "sphere_press",
 ]
@@ -35,8 +36,8 @@ Array = npt.NDArray[np.float64]
 
 #: What the page says about all figures.
 CONDITIONS = (
-    "simulated; unless a table says otherwise 640x480 and 25x25 markers, image noise 2 grey levels, defocus 0.8 px, paint "
-    "grain, uneven light, gel shoulder and spread; fixed seeds"
+    "simulated; unless a table says otherwise 640x480 and 25x25 markers, image noise 2 grey levels, defocus 0.8 px, "
+    "paint grain, uneven light, gel shoulder and spread; fixed seeds"
 )
 
 #: Protrusions of the paper's boards (section V-A).
@@ -101,6 +102,11 @@ class Format:
         return Scene().replace({"rig": table, "gel": lattice | dict(gel or {}), "effects": effects()})
 
 
+def layered_scene() -> Scene:
+    """Look through 20 mm of air, 3 mm of acrylic and 5 mm of gel (640x480, f 600 px, baseline 10 mm)."""
+    return Scene.preset("640x480-25-refraction").replace({"effects": effects()})
+
+
 VGA = Format((640, 480), 560.0, 8.0, 22.5)
 #: 640x480 is the simulator's default; 1280x720 with f 652 px and 6.5 mm is a plausible reading of the paper.
 FORMATS = (VGA, Format((1280, 720), 652.0, 6.5, 28.0), Format((1280, 960), 1120.0, 8.0, 22.5))
@@ -123,9 +129,7 @@ def press(
     return [simulator[index] for index in range(len(simulator))]
 
 
-def sphere_press(
-    lattice_rad: float = 0.0, seed: int = 1, scene: Scene | None = None
-) -> list[SimulatedFrame]:
+def sphere_press(lattice_rad: float = 0.0, seed: int = 1, scene: Scene | None = None) -> list[SimulatedFrame]:
     """Press a ball of 5 mm radius 1.2 mm deep."""
     radius_mm, depth_mm = 5.0, 1.2
     touch_mm = SURFACE_MM + radius_mm

@@ -1,4 +1,4 @@
-"""Error and time of detection, labels and the whole sensing pipeline."""
+"""Error and time of every rung of detection and labels, and of the whole sensing pipeline."""
 
 from __future__ import annotations
 
@@ -8,26 +8,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from gelstereo import Detector, Error, Params, Pipeline, Rig, Scene, SimulatedFrame
-from gelstereo.frontier.baseline import (
-    Baseline,
-    StereoGeometry,
-    darker_than_surround,
-    simple_blobs,
-)
+from gelstereo import Detector, Error, Params, SimulatedFrame
+from gelstereo.frontier.baseline import Baseline, darker_than_surround, simple_blobs
+from gelstereo.frontier.baseline_fast import FastBaseline
 from gelstereo.frontier.rungs import Rung, rungs_of
-from gelstereo.frontier.scenes import BOARDS_MM, board_press, sphere_press
+from gelstereo.frontier.runners import Runner, geometry_of, repeat_last, write_input
+from gelstereo.frontier.scenes import VGA, sphere_press
+from gelstereo.frontier.table import Report
 from gelstereo.frontier.timing import InstructionCounter, Times, time_side_by_side
 
-__all__ = ["Row", "measure_boards", "measure_detection", "measure_labels", "measure_whole"]
+__all__ = ["Row", "measure_detection", "measure_labels", "measure_whole"]
 
 Array = npt.NDArray[np.float64]
-Report = Callable[[str], None]
 
 _MATCH_PX = 3.0
 _ROTATIONS_DEG = (0.0, 4.0, 8.0)
@@ -72,32 +68,6 @@ def _rows(
     ]
 
 
-def _geometry(rig: Rig) -> StereoGeometry:
-    return StereoGeometry(
-        rig.left_matrix,
-        rig.left_distortion,
-        rig.right_matrix,
-        rig.right_distortion,
-        rig.t_right_left[:3, :3],
-        rig.t_right_left[:3, 3],
-        rig.size_px,
-    )
-
-
-def _files(folder: Path, params: Params, frames: Sequence[SimulatedFrame], both: bool) -> list[Path]:
-    """Write settings, the rig and images for the instruction counter."""
-    params.save(folder / "params.toml")
-    files = [folder / "params.toml"]
-    if both:
-        Scene().rig.save(folder / "rig.toml")
-        files.append(folder / "rig.toml")
-    for frame in frames:
-        for view in ("left", "right") if both else ("left",):
-            files.append(folder / f"{view}{frame.index}.pgm")
-            cv2.imwrite(str(files[-1]), getattr(frame, view))
-    return files
-
-
 # Detection
 
 
@@ -110,12 +80,14 @@ def measure_detection(rounds: int, counter: InstructionCounter, report: Report) 
         detectors[rung.name] = _native_detector(rung)
         with tempfile.TemporaryDirectory() as folder:
             report(f"detect: {rung.name}")
-            files = _files(Path(folder), rung.params(), frames[-2:], both=False)
+            files = write_input(Path(folder), rung.params(), frames[-2:])
             instructions[rung.name] = counter.count("detect", files)
     yardstick = "OpenCV: gaussian + components (baseline)"
     detectors[yardstick] = _baseline_detector({})
     detectors["OpenCV: gaussian + SimpleBlobDetector"] = _blob_detector
     detectors["OpenCV: box + grey centroid"] = _baseline_detector({"background": "box", "centre": "grey"})
+    fast = FastBaseline(geometry_of(VGA.rig()), Params.preset("balanced").to_dict())
+    detectors["OpenCV: box + grey windows (fast)"] = fast.detect
     errors = []
     for name, detect in detectors.items():
         squared, missed, false = [], 0, 0
@@ -138,7 +110,7 @@ def _native_detector(rung: Rung) -> Callable[[npt.NDArray[np.uint8]], Array]:
 
 def _baseline_detector(changes: dict[str, Any]) -> Callable[[npt.NDArray[np.uint8]], Array]:
     settings = Params().replace({"detect": changes}).to_dict()
-    return Baseline(_geometry(Scene().rig), settings).detect
+    return Baseline(geometry_of(VGA.rig()), settings).detect
 
 
 def _blob_detector(image: npt.NDArray[np.uint8]) -> Array:
@@ -168,7 +140,7 @@ def measure_labels(rounds: int, counter: InstructionCounter, report: Report) -> 
         wrong: list[float | None] = []
         refusals = 0
         for press in presses:
-            runner = _Runner(params, native=name != yardstick)
+            runner = Runner(VGA.rig(), params, native=name != yardstick)
             wrong.append(_wrong_labels(runner, press))
             refusals += runner.refusals
         text = " / ".join("refused" if share is None else f"{100 * share:.1f}" for share in wrong)
@@ -178,37 +150,15 @@ def measure_labels(rounds: int, counter: InstructionCounter, report: Report) -> 
         if refusals:
             text += f"; the sort refused {refusals} of {sum(map(len, presses))} frames, labelled by tracks"
         errors.append((name, text, 100.0 * float(np.mean(known))))
-        calls[name] = _repeat_last(_Runner(params, native=name != yardstick), presses[0])
+        calls[name] = repeat_last(Runner(VGA.rig(), params, native=name != yardstick), presses[0])
         if name != yardstick:
             with tempfile.TemporaryDirectory() as folder:
-                files = _files(Path(folder), params, presses[0], both=True)
+                files = write_input(Path(folder), params, presses[0], VGA.rig())
                 instructions[name] = counter.count("frame", files)
     return _rows("label", errors, time_side_by_side(calls, rounds), yardstick, instructions)
 
 
-class _Runner:
-    """The native pipeline or the baseline behind one face."""
-
-    def __init__(self, params: Params, native: bool) -> None:
-        rig = Scene().rig
-        self._pipeline = Pipeline(rig, params) if native else None
-        self._baseline = None if native else Baseline(_geometry(rig), params.to_dict())
-        self._sorts = params.to_dict()["label"]["method"] == "foresight"
-        #: Frames whose labels come from tracks because the sort refused.
-        self.refusals = 0
-
-    def process(self, frame: SimulatedFrame) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-        """Give left pixels, points and which markers were seen."""
-        if self._pipeline is not None:
-            result = self._pipeline.process(frame.left, frame.right)
-            self.refusals += self._sorts and "tracks" in (result.left.labels, result.right.labels)
-            return result.left_px, result.points_mm, result.state == 0
-        assert self._baseline is not None
-        found = self._baseline.process(frame.left, frame.right)
-        return found.left_px, found.points_mm, found.seen
-
-
-def _wrong_labels(runner: _Runner, press: Sequence[SimulatedFrame]) -> float | None:
+def _wrong_labels(runner: Runner, press: Sequence[SimulatedFrame]) -> float | None:
     """Share of markers of the last frame that stand more than a third of a pitch from where they are."""
     try:
         for frame in press:
@@ -217,12 +167,6 @@ def _wrong_labels(runner: _Runner, press: Sequence[SimulatedFrame]) -> float | N
         return None
     pitch_px = float(np.median(cKDTree(press[0].left_px).query(press[0].left_px, k=2)[0][:, 1]))
     return float(np.mean(np.linalg.norm(left_px - press[-1].left_px, axis=1) > pitch_px / 3.0))
-
-
-def _repeat_last(runner: _Runner, press: Sequence[SimulatedFrame]) -> Callable[[int], object]:
-    for frame in press:
-        runner.process(frame)
-    return lambda turn: runner.process(press[-1 - turn % 2])
 
 
 # The whole pipeline
@@ -235,49 +179,16 @@ def measure_whole(rounds: int, counter: InstructionCounter, report: Report) -> l
     yardstick = "OpenCV pipeline (baseline)"
     for name, params in [(rung.name, rung.params()) for rung in rungs_of("whole")] + [(yardstick, Params())]:
         report(f"whole: {name}")
-        runner = _Runner(params, native=name != yardstick)
+        runner = Runner(VGA.rig(), params, native=name != yardstick)
         z_error: list[float] = []
         for frame in press:
             _, points_mm, seen = runner.process(frame)
             z_error += (points_mm - frame.points_mm)[seen, 2].tolist()
         rms_um = 1e3 * float(np.sqrt(np.mean(np.square(z_error))))
         errors.append((name, f"depth {rms_um:.1f} um rms", rms_um))
-        calls[name] = _repeat_last(_Runner(params, native=name != yardstick), press)
+        calls[name] = repeat_last(Runner(VGA.rig(), params, native=name != yardstick), press)
         if name != yardstick:
             with tempfile.TemporaryDirectory() as folder:
-                files = _files(Path(folder), params, press, both=True)
+                files = write_input(Path(folder), params, press, VGA.rig())
                 instructions[name] = counter.count("frame", files)
     return _rows("whole", errors, time_side_by_side(calls, rounds), yardstick, instructions)
-
-
-def measure_boards(presses: int, report: Report) -> list[list[str]]:
-    """Measure the heights of the paper's boards: rows of protrusion and mean error (spread) per method, um."""
-    methods = [(rung.name, rung.params(), True) for rung in rungs_of("whole")]
-    methods.append(("OpenCV pipeline (baseline)", Params(), False))
-    rows = []
-    for protrusion_mm in BOARDS_MM:
-        report(f"board of {protrusion_mm} mm")
-        row = [f"{protrusion_mm:.1f}"]
-        shots = [board_press(protrusion_mm, seed) for seed in range(1, presses + 1)]
-        for _, params, native in methods:
-            try:
-                errors_um = np.concatenate(
-                    [_board_errors_um(_Runner(params, native), shot) for shot in shots]
-                )
-                row.append(f"{errors_um.mean():+.1f} ({errors_um.std():.1f})")
-            except (Error, ValueError) as error:
-                row.append(f"refused: {error}")
-        rows.append(row)
-    return rows
-
-
-def _board_errors_um(runner: _Runner, press: Sequence[SimulatedFrame]) -> Array:
-    """Height errors of the markers on the block."""
-    rest_mm = np.empty((0, 3))
-    for frame in press:
-        _, points_mm, seen = runner.process(frame)
-        if frame.index == 0:
-            rest_mm = points_mm
-    truth_mm = press[-1].indentation_mm
-    block = seen & (truth_mm > 0.95 * truth_mm.max())
-    return np.asarray(1e3 * ((rest_mm - points_mm)[block, 2] - truth_mm[block]), np.float64)

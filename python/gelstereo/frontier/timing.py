@@ -12,7 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-__all__ = ["InstructionCounter", "Times", "time_side_by_side"]
+from gelstereo import Error
+
+__all__ = ["InstructionCounter", "Stopwatch", "Times", "time_side_by_side"]
 
 
 @dataclass(frozen=True)
@@ -21,6 +23,13 @@ class Times:
 
     median_ms: float
     p99_ms: float
+
+    @classmethod
+    def of(cls, nanoseconds: Sequence[int]) -> Times:
+        """Summarise times; not a number when there are none."""
+        if not nanoseconds:
+            return cls(float("nan"), float("nan"))
+        return cls(float(np.median(nanoseconds)) * 1e-6, float(np.percentile(nanoseconds, 99)) * 1e-6)
 
 
 def time_side_by_side(calls: Mapping[str, Callable[[int], object]], rounds: int) -> dict[str, Times]:
@@ -35,10 +44,18 @@ def time_side_by_side(calls: Mapping[str, Callable[[int], object]], rounds: int)
             call(max(turn, 0))
             if turn >= 0:
                 taken[name].append(time.perf_counter_ns() - begin)
-    return {
-        name: Times(float(np.median(ns)) * 1e-6, float(np.percentile(ns, 99)) * 1e-6)
-        for name, ns in taken.items()
-    }
+    return {name: Times.of(ns) for name, ns in taken.items()}
+
+
+def _built(source: Path | None, example: str) -> Path | None:
+    """One of the core's example programs, built when sources and cargo are here."""
+    if source is None or not (source / "crates").is_dir() or shutil.which("cargo") is None:
+        return None
+    build = ["cargo", "build", "--release", "--quiet", "--package", "gelstereo-core"]
+    build += ["--features", "serde", "--example", example]
+    if subprocess.run(build, cwd=source, check=False).returncode != 0:
+        return None
+    return source / "target" / "release" / "examples" / example
 
 
 class InstructionCounter:
@@ -48,15 +65,7 @@ class InstructionCounter:
     """
 
     def __init__(self, source: Path | None) -> None:
-        self._program: Path | None = None
-        if source is None or not (source / "crates").is_dir():
-            return
-        if shutil.which("valgrind") is None or shutil.which("cargo") is None:
-            return
-        build = ["cargo", "build", "--release", "--quiet", "--package", "gelstereo-core"]
-        build += ["--features", "serde", "--example", "rung"]
-        if subprocess.run(build, cwd=source, check=False).returncode == 0:
-            self._program = source / "target" / "release" / "examples" / "rung"
+        self._program = None if shutil.which("valgrind") is None else _built(source, "rung")
 
     @property
     def present(self) -> bool:
@@ -72,3 +81,55 @@ class InstructionCounter:
         finished = subprocess.run(command, capture_output=True, text=True, check=False)
         found = re.search(r"Collected : (\d+)", finished.stderr)
         return int(found[1]) if finished.returncode == 0 and found else None
+
+
+class Stopwatch:
+    """Times stages of one pipeline call by call, without the binding's cost, by the core's example ``time``.
+
+    The program waits for its turn, so that several, and other code, can take turns on one processor.
+    """
+
+    def __init__(self, program: Path, files: Sequence[Path]) -> None:
+        """``files``: settings, rig, and images of left and right views in turn.
+
+        Raises
+        ------
+        Error
+            The pipeline refuses a frame.
+        """
+        self._process = subprocess.Popen(
+            [str(program), *map(str, files)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        words = self._read().split()
+        if len(words) != 2 or words[0] != "memory":
+            told = self._process.communicate()[1].strip()
+            raise Error(f"the pipeline cannot be timed: {told or words}")
+        #: The most memory that pipeline, scratch and results held at one time.
+        self.memory_bytes = int(words[1])
+
+    @staticmethod
+    def program(source: Path | None) -> Path | None:
+        """Build the program; `None` without sources or cargo."""
+        return _built(source, "time")
+
+    def _read(self) -> str:
+        assert self._process.stdout is not None
+        return self._process.stdout.readline()
+
+    def times_ns(self, what: str, calls: int) -> list[int]:
+        """Times of so many calls; empty when the pipeline refuses."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(f"{what} {calls}\n")
+        self._process.stdin.flush()
+        answer = self._read()
+        return [] if answer.startswith("refused") else [int(word) for word in answer.split()]
+
+    def __enter__(self) -> Stopwatch:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.communicate()

@@ -22,11 +22,10 @@ mod pgm;
 
 use gelstereo_core::detect::{Detector, Markers};
 use gelstereo_core::image::GrayView;
-use gelstereo_core::math::DVec2;
 use gelstereo_core::params::Params;
 use gelstereo_core::pipeline::{Frame, Pipeline};
 use gelstereo_core::rig::Rig;
-use gelstereo_core::triangulate::{StereoPoint, Triangulator};
+use gelstereo_core::triangulate::{Centres, StereoPoint, Triangulator};
 use pgm::{Outcome, Pgm};
 use std::fs;
 use std::io::{BufRead, Write};
@@ -110,8 +109,11 @@ impl Bench {
 
     /// On the markers of the last frame.
     fn triangulate(&mut self) -> Outcome<u128> {
-        let (left, right): (&[DVec2], &[DVec2]) = (&self.frame.left_px, &self.frame.right_px);
-        let mut points: Vec<StereoPoint> = Vec::with_capacity(left.len());
+        let frame = &self.frame;
+        let covariance_px2 = vec![[[1e-3, 0.0], [0.0, 1e-3]]; frame.left_px.len()];
+        let view = |positions_px| Centres { positions_px, covariance_px2: &covariance_px2 };
+        let (left, right) = (view(&frame.left_px), view(&frame.right_px));
+        let mut points: Vec<StereoPoint> = Vec::with_capacity(frame.left_px.len());
         timed(|| self.triangulator.run(left, right, &mut points))
     }
 }

@@ -10,7 +10,7 @@ use crate::track::MarkerState;
 use alloc::vec::Vec;
 
 /// Why a cloud is no rest surface.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ContactError {
     /// Fewer than three points, or all on one line.
     NoPlane {
@@ -29,6 +29,11 @@ pub enum ContactError {
         /// Which marker.
         index: usize,
     },
+    /// A decay length that no gel has.
+    Decay {
+        /// The length found.
+        found_mm: f64,
+    },
 }
 
 impl core::fmt::Display for ContactError {
@@ -44,7 +49,12 @@ impl core::fmt::Display for ContactError {
                 f,
                 "the cloud has {found} markers but the rest surface {rest}; both must come from the same tracks"
             ),
-            Self::NotFinite { index } => write!(f, "marker {index} has a coordinate that is NaN or infinite"),
+            Self::NotFinite { index } => {
+                write!(f, "marker {index} has a coordinate that is NaN or infinite, or a variance below 0")
+            }
+            Self::Decay { found_mm } => {
+                write!(f, "the decay length is {found_mm} mm; valid is 0.001 to 1000 mm")
+            }
         }
     }
 }

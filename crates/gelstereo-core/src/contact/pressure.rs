@@ -65,7 +65,8 @@ impl Pressure {
     /// For this rest surface of `rows * cols` markers, row by row, and this decay length of the gel beside a contact.
     ///
     /// # Errors
-    /// [`ContactError::LengthMismatch`] when the rest surface has not `rows * cols` markers.
+    /// [`ContactError::LengthMismatch`] when the rest surface has not `rows * cols` markers, [`ContactError::Decay`] for what
+    /// is no length.
     pub fn new(rest: &RestSurface, rows: usize, cols: usize, decay_mm: f64) -> Result<Self, ContactError> {
         let points = rest.points_mm();
         if rows.checked_mul(cols) != Some(points.len()) {
@@ -73,6 +74,9 @@ impl Pressure {
                 rest: points.len(),
                 found: rows.saturating_mul(cols),
             });
+        }
+        if !(1e-3..=1e3).contains(&decay_mm) {
+            return Err(ContactError::Decay { found_mm: decay_mm });
         }
         let l2 = decay_mm * decay_mm;
         let stencil = |i: usize| {
@@ -297,6 +301,8 @@ impl Pressure {
 
     /// Takes away regions (of 8-connected markers) that could be chance.
     fn drop_unsure(&mut self, contact: &mut [bool]) {
+        self.region.clear();
+        self.region.reserve(contact.len());
         self.stale.clear();
         self.stale.resize(contact.len(), false);
         for seed in 0..contact.len() {

@@ -31,6 +31,25 @@ const LEVEL_BITS: u32 = 12;
 pub struct GreyCentre {
     /// First and last column of the grown component, row by row from `MARGIN_PX` above its top.
     spans: Vec<(i64, i64)>,
+    columns: Columns,
+}
+
+/// Column by column of the window.
+#[derive(Clone, Debug, Default)]
+struct Columns {
+    /// The plane's level in the row that is being read.
+    plane: Vec<i32>,
+    /// Weights of the rows read so far.
+    weight: Vec<u32>,
+}
+
+impl Columns {
+    fn reserve(&mut self, width: usize) {
+        self.plane.clear();
+        self.plane.reserve(width);
+        self.weight.clear();
+        self.weight.reserve(width);
+    }
 }
 
 impl GreyCentre {
@@ -45,43 +64,24 @@ impl GreyCentre {
         polarity: Polarity,
     ) -> DVec2 {
         self.spans.clear();
-        self.spans.reserve(image.height() + 2 * MARGIN_PX as usize); // the tallest there can be
+        // The tallest and widest there can be.
+        self.spans.reserve(image.height() + 2 * MARGIN_PX as usize);
+        self.columns.reserve(image.width());
         self.grow(blob, runs.clone());
         let window = Window::new(image, blob, &self.spans);
         let Some(surround) = window.surround() else {
             return binary(blob);
         };
-        let sign = match polarity {
-            Polarity::Dark => 1,
-            Polarity::Bright => -1,
-        };
-        let contrast = |x: i64, y: i64, level: u8| {
-            sign * (surround.at(window.u(x), window.v(y)) - (i64::from(level) << LEVEL_BITS))
-        };
-        let mut inside = 0_i64;
-        for run in runs {
-            let levels = &image.row(run.y as usize)[run.start as usize..run.end as usize];
-            inside += levels
-                .iter()
-                .zip(i64::from(run.start)..)
-                .map(|(&g, x)| contrast(x, run.y.into(), g))
-                .sum::<i64>();
-        }
+        let inside = window.contrast_of(&surround, blob, runs, polarity);
         let high = inside / i64::from(blob.area_px2);
         let low = high / 8;
         if low >= high {
             return binary(blob);
         }
-        let (mut weight, mut moment_u, mut moment_v) = (0_i64, 0_i64, 0_i64);
-        window.visit(|x, y, level, _| {
-            let w = contrast(x, y, level).clamp(low, high) - low;
-            weight += w;
-            moment_u += w * window.u(x);
-            moment_v += w * window.v(y);
-        });
-        if weight == 0 {
+        let moments = window.moments(&surround, (low, high), polarity, &mut self.columns);
+        let Some((weight, moment_u, moment_v)) = moments.filter(|&(weight, ..)| weight > 0) else {
             return binary(blob);
-        }
+        };
         let half = 0.5 / weight as f64;
         window.middle() + DVec2::new(moment_u as f64 * half, moment_v as f64 * half)
     }
@@ -140,33 +140,107 @@ impl<'a> Window<'a> {
         DVec2::new(self.ends.0 as f64 * 0.5, self.ends.1 as f64 * 0.5)
     }
 
-    /// Column, row, level of every pixel, and whether it is an outermost one.
-    fn visit(&self, mut see: impl FnMut(i64, i64, u8, bool)) {
+    /// Row by row of the image: its number, its first and last column within the image, and its pixels from the first
+    /// column on.
+    fn rows(&self) -> impl Iterator<Item = (i64, i64, i64, &'a [u8])> {
         let (width, height) = (self.image.width() as i64, self.image.height() as i64);
-        let last = self.top + self.spans.len() as i64 - 1;
-        for (y, &(first_x, last_x)) in (self.top..).zip(self.spans) {
-            if !(0..height).contains(&y) {
-                continue;
-            }
-            let row = self.image.row(y as usize);
-            for x in first_x.max(0)..=last_x.min(width - 1) {
-                let outermost = x == first_x || x == last_x || y == self.top || y == last;
-                see(x, y, row[x as usize], outermost);
-            }
+        let image = self.image;
+        let rows = (self.top..).zip(self.spans).filter(move |(y, _)| (0..height).contains(y));
+        rows.map(move |(y, &(first_x, last_x))| {
+            let (first, last) = (first_x.max(0), last_x.min(width - 1));
+            (y, first, last, &image.row(y as usize)[first as usize..=last as usize])
+        })
+    }
+
+    /// Sum of the contrasts of a component's own pixels.
+    fn contrast_of<'r>(
+        &self,
+        surround: &Plane,
+        blob: &Blob,
+        runs: impl Iterator<Item = &'r Run>,
+        polarity: Polarity,
+    ) -> i64 {
+        let row = |run: &Run| &self.image.row(run.y as usize)[run.start as usize..run.end as usize];
+        let levels: i64 = runs.flat_map(row).map(|&level| i64::from(level)).sum();
+        let area = i64::from(blob.area_px2);
+        let (u, v) = (2 * blob.sum_x as i64 - area * self.ends.0, 2 * blob.sum_y as i64 - area * self.ends.1);
+        let plane = surround.level * area + surround.per_u * u + surround.per_v * v;
+        sign(polarity) * (plane - (levels << LEVEL_BITS))
+    }
+
+    /// Sum of all weights, and of the weights times u and times v; `None` where the plane leaves all bounds within the
+    /// window.
+    fn moments(
+        &self,
+        surround: &Plane,
+        band: (i64, i64),
+        polarity: Polarity,
+        columns: &mut Columns,
+    ) -> Option<(i64, i64, i64)> {
+        let left = self.spans.iter().map(|span| span.0).min()?.max(0);
+        let right = self.spans.iter().map(|span| span.1).max()?.min(self.image.width() as i64 - 1);
+        let bottom = self.top + self.spans.len() as i64 - 1;
+        let sign = sign(polarity);
+        // A plane is largest in a corner. Half of the range is left for the image's levels.
+        let corner = |x: i64, y: i64| surround.at(self.u(x), self.v(y)).abs() < i64::from(i32::MAX / 2);
+        let bounded = [left, right].iter().all(|&x| corner(x, self.top) && corner(x, bottom));
+        let (low, high) = (i32::try_from(band.0).ok()?, i32::try_from(band.1).ok()?);
+        // A column of weights must fit 32 bits.
+        let tall = i64::from(high - low) * self.spans.len() as i64 > i64::from(u32::MAX);
+        if !bounded || tall {
+            return None;
         }
+        columns.weight.clear();
+        columns.weight.resize((right - left + 1) as usize, 0);
+        columns.plane.clear();
+        columns
+            .plane
+            .extend((left..=right).map(|x| (sign * surround.at(self.u(x), self.v(self.top))) as i32));
+        let step = (2 * sign * surround.per_v) as i32;
+        let mut at = self.top;
+        let mut moment_v = 0;
+        for (y, first, last, levels) in self.rows() {
+            let down = (y - at) as i32 * step;
+            at = y;
+            let part = (first - left) as usize..=(last - left) as usize;
+            columns.plane.iter_mut().for_each(|plane| *plane += down);
+            let (plane, weight) = (&columns.plane[part.clone()], &mut columns.weight[part]);
+            moment_v += weigh(levels, plane, weight, (low, high), sign as i32) * self.v(y);
+        }
+        let weight = columns.weight.iter().map(|&w| i64::from(w)).sum();
+        let moment_u = (left..).zip(&columns.weight).map(|(x, &w)| i64::from(w) * self.u(x)).sum();
+        Some((weight, moment_u, moment_v))
     }
 
     /// Least-squares plane through the outermost pixels.
     fn surround(&self) -> Option<Plane> {
+        let bottom = self.top + self.spans.len() as i64 - 1;
         let mut s = [0_i64; 9]; // 1, u, v, uu, uv, vv, g, gu, gv
-        self.visit(|x, y, level, outermost| {
-            if outermost {
-                let (u, v, g) = (self.u(x), self.v(y), i64::from(level));
-                for (sum, term) in s.iter_mut().zip([1, u, v, u * u, u * v, v * v, g, g * u, g * v]) {
+        for (y, first, last, levels) in self.rows() {
+            let mut row = [0_i64; 5]; // 1, u, uu, g, gu
+            let mut add = |x: i64, level: u8| {
+                let (u, g) = (self.u(x), i64::from(level));
+                for (sum, term) in row.iter_mut().zip([1, u, u * u, g, g * u]) {
                     *sum += term;
                 }
+            };
+            let span = self.spans[(y - self.top) as usize];
+            if y == self.top || y == bottom {
+                (first..).zip(levels).for_each(|(x, &level)| add(x, level));
+            } else {
+                // The span's ends, if they lie within the image.
+                if first == span.0 {
+                    add(first, levels[0]);
+                }
+                if last == span.1 && last > first {
+                    add(last, levels[levels.len() - 1]);
+                }
             }
-        });
+            let ([n, u, uu, g, gu], v) = (row, self.v(y));
+            for (sum, term) in s.iter_mut().zip([n, u, v * n, uu, v * u, v * v * n, g, gu, v * g]) {
+                *sum += term;
+            }
+        }
         let [n, u, v, uu, uv, vv, g, gu, gv] = s.map(|sum| sum as f64);
         let normal = DMat3::from_cols(DVec3::new(n, u, v), DVec3::new(u, uu, uv), DVec3::new(v, uv, vv));
         // Pixels on one line leave the plane's tilt open.
@@ -175,5 +249,25 @@ impl<'a> Window<'a> {
         }
         let fit = normal.inverse() * DVec3::new(g, gu, gv) * f64::from(1_u32 << LEVEL_BITS);
         Some(Plane { level: round(fit.x) as i64, per_u: round(fit.y) as i64, per_v: round(fit.z) as i64 })
+    }
+}
+
+/// Adds the weights of a row's pixels to their columns, and returns their sum.
+fn weigh(levels: &[u8], plane: &[i32], columns: &mut [u32], (low, high): (i32, i32), sign: i32) -> i64 {
+    let mut sum = 0;
+    for ((column, &plane), &level) in columns.iter_mut().zip(plane).zip(levels) {
+        let contrast = plane.wrapping_sub(sign.wrapping_mul(i32::from(level) << LEVEL_BITS));
+        let weight = contrast.clamp(low, high).wrapping_sub(low) as u32;
+        *column = column.wrapping_add(weight);
+        sum += u64::from(weight);
+    }
+    sum as i64
+}
+
+/// Of the contrast of dark markers on a bright gel.
+const fn sign(polarity: Polarity) -> i64 {
+    match polarity {
+        Polarity::Dark => 1,
+        Polarity::Bright => -1,
     }
 }

@@ -18,6 +18,13 @@ pub struct Run {
     next: u32,
 }
 
+impl Run {
+    /// Of a component that nobody joined.
+    pub(super) const fn alone(y: u32, start: u32, end: u32) -> Self {
+        Self { y, start, end, parent: 0, next: NO_RUN }
+    }
+}
+
 const NO_RUN: u32 = u32::MAX;
 
 /// An 8-connected component, with the sums from which its centroid follows.
@@ -186,7 +193,7 @@ impl Components {
 }
 
 impl Blob {
-    const fn starting_at(run: u32) -> Self {
+    pub(super) const fn starting_at(run: u32) -> Self {
         Self {
             area_px2: 0,
             sum_x: 0,
@@ -225,7 +232,16 @@ impl Blob {
         [[entry(uu, u, u) + 1.0 / 3.0, entry(uv, u, v)], [entry(uv, u, v), entry(vv, v, v) + 1.0 / 3.0]]
     }
 
-    fn add(&mut self, run: &Run) {
+    /// Whether it reaches the outermost pixels of an image of this size, across (x, y).
+    #[must_use]
+    pub const fn sides_reached(&self, size_px: (usize, usize)) -> (bool, bool) {
+        (
+            self.left == 0 || self.right as usize + 1 == size_px.0,
+            self.top == 0 || self.bottom as usize + 1 == size_px.1,
+        )
+    }
+
+    pub(super) fn add(&mut self, run: &Run) {
         let (start, end, y, len) =
             (u64::from(run.start), u64::from(run.end), u64::from(run.y), run.end - run.start);
         self.area_px2 += len;
@@ -240,7 +256,7 @@ impl Blob {
 }
 
 /// One bit of each byte of 0 or 255, the first byte's lowest.
-const fn bits(bytes: [u8; 8]) -> u32 {
+pub(super) const fn bits(bytes: [u8; 8]) -> u32 {
     // Byte n keeps its bit n; the product's highest byte is the sum of all.
     let kept = u64::from_le_bytes(bytes) & 0x8040_2010_0804_0201;
     (kept.wrapping_mul(0x0101_0101_0101_0101) >> 56) as u32

@@ -23,6 +23,8 @@ pub struct Difference {
     thresholds: Thresholds,
     /// The image smoothed to whole levels, dark markers on a bright gel.
     smoothed: Vec<u8>,
+    /// Level below which a smoothed pixel of each block belongs to a marker.
+    block_limits: Vec<u8>,
     /// What a pixel of the present row must be darker than, or differ by.
     limits: Limits,
 }
@@ -73,6 +75,7 @@ impl Difference {
             blocks: Blocks::default(),
             thresholds: Thresholds::default(),
             smoothed: Vec::new(),
+            block_limits: Vec::new(),
             limits: Limits::default(),
         }
     }
@@ -81,7 +84,6 @@ impl Difference {
     pub fn survey(&mut self, image: GrayView<'_>) {
         let (width, height) = (image.width(), image.height());
         if self.threshold == Threshold::Auto || matches!(self.rung, Rung::Blocks) {
-            self.smoothed.clear();
             self.smoothed.resize(width * height, 0);
             self.blocks.start(width, height);
             for (y, row) in self.smoothed.chunks_exact_mut(width).enumerate() {
@@ -97,6 +99,14 @@ impl Difference {
                 self.thresholds.derive(&self.blocks, self.radius, noise_levels);
             }
         }
+        if matches!(self.rung, Rung::Blocks) {
+            self.block_limits.clear();
+            let levels = self.thresholds.levels().iter().zip(self.blocks.surround());
+            self.block_limits.extend(levels.map(|(&least, &surround)| {
+                // A whole level is darker by at least this when it is below the next whole one.
+                surround.checked_sub(least).map_or(0, |limit| (limit >> FRACTION_BITS) as u8 + 1)
+            }));
+        }
     }
 
     /// Writes 255 where a pixel of row `y` of the surveyed image differs by the threshold, else 0. Row 0 starts an
@@ -108,12 +118,8 @@ impl Difference {
         match &mut self.rung {
             Rung::Blocks => {
                 if y.is_multiple_of(BLOCK_PX) {
-                    let surround = &self.blocks.surround()[y / BLOCK_PX * levels.len()..];
-                    let limits = levels.iter().zip(surround).map(|(&least, &surround)| {
-                        // A whole level is darker by at least this when it is below the next whole one.
-                        surround.checked_sub(least).map_or(0, |limit| (limit >> FRACTION_BITS) as u8 + 1)
-                    });
-                    spread(limits, width, below);
+                    let limits = &self.block_limits[y / BLOCK_PX * levels.len()..][..levels.len()];
+                    spread(limits.iter().copied(), width, below);
                 }
                 darker(&self.smoothed[y * width..][..width], below, mask);
             }

@@ -1,6 +1,7 @@
 //! Finding markers in one image (section III-A): what differs from its surround by enough, in one piece, of a
 //! plausible size, with its centre.
 
+pub mod bias;
 pub mod blocks;
 pub mod blur;
 pub mod centre;
@@ -9,7 +10,9 @@ mod difference;
 mod error;
 pub mod fit;
 pub mod morphology;
+pub mod near;
 pub mod noise;
+pub mod pieces;
 pub mod smooth;
 pub mod threshold;
 
@@ -26,6 +29,7 @@ use components::{Blob, Components};
 use difference::Difference;
 use fit::DiscFit;
 use morphology::Closing;
+use near::Search;
 
 /// Markers found in one image, in the raster order of their first pixels.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -38,6 +42,20 @@ pub struct Markers {
     pub area_px2: Vec<u32>,
     /// How many of them the model fit did not settle on, and which kept the grey centroid; 0 for other rungs.
     pub unfitted: usize,
+    /// Markers of which the image's border cuts off a part; none of the lists above has them.
+    pub cut: Vec<CutMarker>,
+}
+
+/// A marker that reaches the outermost pixels of the image: good enough for a label, not for a point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CutMarker {
+    /// Mean position of its visible pixels, pixels; the centre lies farther out.
+    pub centre_px: DVec2,
+    /// Covariance about the whole marker's centre, px²: across each border that it reaches, the share of a radius that its
+    /// area lacks.
+    pub covariance_px2: Symmetric<2>,
+    /// Visible area, square pixels.
+    pub area_px2: u32,
 }
 
 impl Markers {
@@ -47,7 +65,28 @@ impl Markers {
         let variance = sigma_px * sigma_px;
         let (covariance_px2, area_px2) =
             (vec![[[variance, 0.0], [0.0, variance]]; centres_px.len()], vec![1; centres_px.len()]);
-        Self { centres_px, covariance_px2, area_px2, unfitted: 0 }
+        Self { centres_px, covariance_px2, area_px2, cut: Vec::new(), unfitted: 0 }
+    }
+
+    fn clear(&mut self) {
+        self.centres_px.clear();
+        self.covariance_px2.clear();
+        self.area_px2.clear();
+        self.cut.clear();
+        self.unfitted = 0;
+    }
+
+    fn reserve(&mut self, markers: usize) {
+        self.centres_px.reserve(markers);
+        self.covariance_px2.reserve(markers);
+        self.area_px2.reserve(markers);
+        self.cut.reserve(markers);
+    }
+
+    fn push(&mut self, centre_px: DVec2, covariance_px2: Symmetric<2>, area_px2: u32) {
+        self.centres_px.push(centre_px);
+        self.covariance_px2.push(covariance_px2);
+        self.area_px2.push(area_px2);
     }
 }
 
@@ -63,6 +102,7 @@ pub struct Detector {
     size_px: (usize, usize),
     mask: Vec<u8>,
     areas_px2: Vec<u32>,
+    near: Search,
 }
 
 impl Detector {
@@ -79,57 +119,58 @@ impl Detector {
             size_px: (0, 0),
             mask: Vec::new(),
             areas_px2: Vec::new(),
+            near: Search::default(),
         }
     }
 
     /// Finds the markers; `out` is cleared first. No allocation after the first image of a size.
     ///
-    /// A component that reaches the outermost pixels of the image is dropped: what the border cut off is unknown, and
-    /// the centre of the rest is not the marker's. An image with contrast but without markers gives an empty list.
+    /// A component that reaches the outermost pixels of the image is listed in [`Markers::cut`]: what the border cut off is
+    /// unknown, and the centre of the rest is not the marker's. An image with contrast but without markers gives an empty list.
     ///
     /// # Errors
     /// [`DetectError`]; `out` is then empty.
     pub fn run(&mut self, image: GrayView<'_>, out: &mut Markers) -> Result<(), DetectError> {
-        out.centres_px.clear();
-        out.covariance_px2.clear();
-        out.area_px2.clear();
-        out.unfitted = 0;
+        out.clear();
         self.check(image)?;
         self.find_components(image);
         let Self { params, components, grey_centre, disc_fit, mask, areas_px2, .. } = self;
         // No two markers share pixels, so that this many are the most there can be.
         let most = image.width() * image.height() / params.min_area_px2.max(4) as usize;
-        out.centres_px.reserve(most);
-        out.covariance_px2.reserve(most);
-        out.area_px2.reserve(most);
+        out.reserve(most);
         disc_fit.clear(if params.centre == Centre::Fit { most } else { 0 });
         areas_px2.clear();
         areas_px2.reserve(most);
-        let markers = components.blobs().iter().filter(|blob| is_marker(blob, params, image));
-        let (least_px2, most_px2) = match params.threshold {
-            Threshold::Fixed => (0, u32::MAX),
-            Threshold::Auto => {
-                areas_px2.extend(markers.clone().map(|blob| blob.area_px2));
-                area_range_px2(areas_px2)
-            }
-        };
+        let size_px = (image.width(), image.height());
+        let markers = components.blobs().iter().filter(|blob| is_marker(blob, params));
+        let whole = markers.clone().filter(|blob| blob.sides_reached(size_px) == (false, false));
+        areas_px2.extend(whole.clone().map(|blob| blob.area_px2));
+        let usual_px2 = usual_area_px2(areas_px2);
+        let (least_px2, most_px2) = area_range_px2(params.threshold, usual_px2);
         let variance = params.centre_sigma_px * params.centre_sigma_px;
-        for blob in markers.filter(|blob| (least_px2..=most_px2).contains(&blob.area_px2)) {
-            out.centres_px.push(match params.centre {
+        let in_range = |blob: &&Blob| (least_px2..=most_px2).contains(&blob.area_px2);
+        for blob in whole.filter(in_range) {
+            let centre_px = match params.centre {
                 Centre::Binary => centre::binary(blob),
                 Centre::Grey | Centre::Fit => {
                     grey_centre.run(image, blob, components.runs(blob), params.polarity)
                 }
-            });
-            out.covariance_px2.push([[variance, 0.0], [0.0, variance]]);
-            out.area_px2.push(blob.area_px2);
-            if let (Centre::Fit, Some(&centre)) = (params.centre, out.centres_px.last()) {
-                disc_fit.add(blob, components.runs(blob), centre);
+            };
+            out.push(centre_px, [[variance, 0.0], [0.0, variance]], blob.area_px2);
+            if params.centre == Centre::Fit {
+                disc_fit.add(centre_px, blob.spread_px2(components.runs(blob)));
             }
         }
         if params.centre == Centre::Fit {
             fill_mask(components, self.size_px, mask);
-            disc_fit.finish(image, mask, components.blobs(), out);
+            let others = components.blobs().iter().filter(|blob| blob.area_px2 > 2);
+            disc_fit.finish(image, mask, others.map(centre::binary), out);
+        }
+        for blob in markers.filter(in_range) {
+            let reached = blob.sides_reached(size_px);
+            if reached != (false, false) && is_as_long_as_a_marker(blob, usual_px2) {
+                out.cut.push(cut_marker(blob, reached, usual_px2, variance));
+            }
         }
         Ok(())
     }
@@ -159,25 +200,33 @@ impl Detector {
     /// What differs from its surround, in pieces. Only closing needs the mask as an image.
     fn find_components(&mut self, image: GrayView<'_>) {
         let (width, height) = (image.width(), image.height());
-        let closes = self.params.morphology_kernel_px > 1;
         self.size_px = (width, height);
         self.difference.survey(image);
-        self.mask.clear();
-        self.mask.resize(width * if closes { height } else { 1 }, 0);
+        if self.closes() {
+            self.threshold_all(image);
+            self.components.run(&self.mask, width);
+            return;
+        }
+        self.mask.resize(width, 0);
         self.components.start(width, height);
         for y in 0..height {
-            let row = &mut self.mask[if closes { y * width } else { 0 }..][..width];
+            self.difference.row(image, y, &mut self.mask);
+            self.components.push(&self.mask);
+        }
+        self.components.finish();
+    }
+
+    const fn closes(&self) -> bool {
+        self.params.morphology_kernel_px > 1
+    }
+
+    fn threshold_all(&mut self, image: GrayView<'_>) {
+        let width = image.width();
+        self.mask.resize(width * image.height(), 0);
+        for (y, row) in self.mask.chunks_exact_mut(width).enumerate() {
             self.difference.row(image, y, row);
-            if !closes {
-                self.components.push(row);
-            }
         }
-        if closes {
-            self.closing.run(&mut self.mask, width);
-            self.components.run(&self.mask, width);
-        } else {
-            self.components.finish();
-        }
+        self.closing.run(&mut self.mask, width);
     }
 }
 
@@ -193,9 +242,19 @@ fn fill_mask(components: &Components, (width, height): (usize, usize), out: &mut
 /// Shares of the usual marker's area beyond which a component is a speck of paint or noise, or the edge of something.
 const SHARES_OF_AREA: (f64, f64) = (0.4, 2.0);
 
-/// Least and largest area of a marker beside others of these areas: shares of the area below which half of all pixels of
-/// markers lie. Specks may outnumber the markers, but they have few pixels.
-fn area_range_px2(areas_px2: &mut [u32]) -> (u32, u32) {
+/// Least and largest area of a marker beside others of a usual area.
+fn area_range_px2(threshold: Threshold, usual_px2: f64) -> (u32, u32) {
+    match threshold {
+        Threshold::Auto if usual_px2 > 0.0 => {
+            ((SHARES_OF_AREA.0 * usual_px2) as u32, (SHARES_OF_AREA.1 * usual_px2) as u32)
+        }
+        Threshold::Fixed | Threshold::Auto => (0, u32::MAX),
+    }
+}
+
+/// The area below which half of all pixels of markers of these areas lie; 0 for none. Specks may outnumber the markers, but
+/// they have few pixels.
+fn usual_area_px2(areas_px2: &mut [u32]) -> f64 {
     areas_px2.sort_unstable();
     let all: u64 = areas_px2.iter().map(|&area| u64::from(area)).sum();
     let mut below = 0;
@@ -203,19 +262,42 @@ fn area_range_px2(areas_px2: &mut [u32]) -> (u32, u32) {
         below += u64::from(area);
         2 * below >= all
     });
-    let usual = usual.map_or(0.0, |&area| f64::from(area));
-    ((SHARES_OF_AREA.0 * usual) as u32, (SHARES_OF_AREA.1 * usual) as u32)
+    usual.map_or(0.0, |&area| f64::from(area))
 }
 
-/// Whether a component is whole, of a plausible size and round enough.
-fn is_marker(blob: &Blob, params: &DetectParams, image: GrayView<'_>) -> bool {
-    let whole = blob.left > 0
-        && blob.top > 0
-        && (blob.right as usize) < image.width() - 1
-        && (blob.bottom as usize) < image.height() - 1;
+/// Markers differ in area: one that shows all of the usual one may still lack this share of its own.
+const AREA_SPREAD: f64 = 0.2;
+
+/// Whether what reaches the border may be a part of a marker, not a strip along the border. Without whole markers to compare
+/// with, nothing may.
+fn is_as_long_as_a_marker(blob: &Blob, usual_px2: f64) -> bool {
+    let side = f64::from((blob.right - blob.left).max(blob.bottom - blob.top) + 1);
+    // Twice the diameter, since markers need not be round.
+    side * side <= 4.0 * 4.0 * core::f64::consts::FRAC_1_PI * usual_px2
+}
+
+/// What is known of a marker whose component reaches the image's borders across (x, y).
+fn cut_marker(blob: &Blob, reached: (bool, bool), usual_px2: f64, variance: f64) -> CutMarker {
+    let area = f64::from(blob.area_px2);
+    let full = (1.0 + AREA_SPREAD) * usual_px2.max(area);
+    // As long as the border cuts straight, the visible centroid is less than the radius times the hidden share away.
+    let hidden_px = crate::math::sqrt(full * core::f64::consts::FRAC_1_PI) * (1.0 - area / full);
+    let of = |reached: bool| variance + if reached { hidden_px * hidden_px } else { 0.0 };
+    CutMarker {
+        centre_px: centre::binary(blob),
+        covariance_px2: [[of(reached.0), 0.0], [0.0, of(reached.1)]],
+        area_px2: blob.area_px2,
+    }
+}
+
+/// Whether a component is of a plausible size and round enough.
+fn is_marker(blob: &Blob, params: &DetectParams) -> bool {
+    (params.min_area_px2..=params.max_area_px2).contains(&blob.area_px2) && in_shape(blob, params)
+}
+
+/// Whether a component is round enough.
+fn in_shape(blob: &Blob, params: &DetectParams) -> bool {
     let box_area = f64::from(blob.right - blob.left + 1) * f64::from(blob.bottom - blob.top + 1);
     let ellipse_area = core::f64::consts::FRAC_PI_4 * box_area;
-    whole
-        && (params.min_area_px2..=params.max_area_px2).contains(&blob.area_px2)
-        && f64::from(blob.area_px2) >= params.min_fill * ellipse_area
+    f64::from(blob.area_px2) >= params.min_fill * ellipse_area
 }

@@ -80,6 +80,12 @@ impl Thresholds {
         }));
     }
 
+    /// Thresholds of all blocks, row by row, with [`FRACTION_BITS`].
+    #[must_use]
+    pub fn levels(&self) -> &[u16] {
+        &self.levels
+    }
+
     /// Thresholds of the blocks of pixel row `y`, with [`FRACTION_BITS`].
     #[must_use]
     pub fn row(&self, y: usize) -> &[u16] {

@@ -14,6 +14,20 @@ const MOST_OFF: f64 = 0.33;
 /// Rounds of dropping; each drops what is worst around.
 const ROUNDS: usize = 16;
 
+/// How near to a marker a detection without a place puts it in doubt, in distances of neighbours.
+const DOUBT: f64 = 2.1;
+
+/// Largest distance from where the neighbours say, in steps, and largest slant of a cell, for a regular neighbourhood.
+const REGULAR_OFF: f64 = 0.15;
+const REGULAR_SLANT: f64 = 0.35;
+
+/// How often what is left is asked again.
+const EROSIONS: usize = 8;
+
+/// Groups of markers: those in doubt, those not yet counted, and those that hang together from then on.
+const DOUBTED: u32 = 0;
+const UNSEEN: u32 = 1;
+
 /// Scratch of the checks.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Agreement {
@@ -40,7 +54,7 @@ impl Agreement {
 
     /// Drops markers until all that are left agree: each lies where its neighbours say, no cell folds over, and no empty place
     /// is seen where a marker with another place stands. Keeps the largest part in one piece.
-    pub fn prune(&mut self, points: &[DVec2], grid: &Grid, canvas: &mut Canvas) {
+    pub fn prune(&mut self, points: &[DVec2], grid: &Grid, near_px: f64, canvas: &mut Canvas) {
         self.dropped = 0;
         for _ in 0..ROUNDS {
             self.measure(points, canvas);
@@ -56,9 +70,13 @@ impl Agreement {
                 canvas.drop(m as usize);
             }
         }
-        if self.dropped > 0 {
-            self.keep_largest(canvas);
+        for _ in 0..EROSIONS {
+            let before = self.dropped;
+            self.keep_sure(points, grid, near_px, canvas);
             self.measure(points, canvas);
+            if self.dropped == before {
+                break;
+            }
         }
         self.worst = self.off.iter().copied().fold(0.0, f64::max);
     }
@@ -115,26 +133,56 @@ impl Agreement {
         }
     }
 
-    /// What hangs together by places that touch, corners included.
-    fn keep_largest(&mut self, canvas: &mut Canvas) {
+    /// Keeps the largest part that hangs together by markers beyond doubt, and the doubtful ones beside it.
+    ///
+    /// A detection without a place puts those around it in doubt unless they are regular, as around a speck: where a lattice is sheared so far that the walk slips by
+    /// a place, one is left over at each end of the slip. What hangs on the rest by doubtful markers only may have slipped as a
+    /// whole.
+    fn keep_sure(&mut self, points: &[DVec2], grid: &Grid, near_px: f64, canvas: &mut Canvas) {
         self.group.clear();
-        self.group.resize(canvas.places.len(), 0);
-        let (mut groups, mut largest) = (0, (0, 0));
-        for start in 0..canvas.places.len() {
-            if canvas.places[start].is_none() || self.group[start] != 0 {
-                continue;
-            }
-            groups += 1;
-            let size = self.flood(canvas, start, groups);
-            if size > largest.0 {
-                largest = (size, groups);
+        self.group.resize(points.len(), UNSEEN);
+        let mut left_over = false;
+        let reach = DOUBT * near_px;
+        for m in (0..points.len()).filter(|&m| canvas.places[m].is_none()) {
+            left_over = true;
+            let near = |n: usize| points[n].distance_squared(points[m]) < reach * reach;
+            let mut regular = true;
+            grid.visit(points[m], reach, |n| {
+                regular &=
+                    !near(n) || (self.off[n] < REGULAR_OFF && slant(points, canvas, n) < REGULAR_SLANT);
+            });
+            if !regular {
+                grid.visit(points[m], reach, |n| {
+                    if near(n) {
+                        self.group[n] = DOUBTED;
+                    }
+                });
             }
         }
-        for m in 0..canvas.places.len() {
-            if canvas.places[m].is_some() && self.group[m] != largest.1 {
-                canvas.drop(m);
-                self.dropped += 1;
+        if !left_over && self.dropped == 0 {
+            return;
+        }
+        let (mut groups, mut largest) = (UNSEEN, (0, UNSEEN));
+        for start in 0..points.len() {
+            if canvas.places[start].is_some() && self.group[start] == UNSEEN {
+                groups += 1;
+                let size = self.flood(canvas, start, groups);
+                if size > largest.0 {
+                    largest = (size, groups);
+                }
             }
+        }
+        self.doomed.clear();
+        for (m, place) in placed(canvas) {
+            let sure = |n: usize| self.group[n] == largest.1;
+            let beside = || STEPS.into_iter().filter_map(|step| canvas.at(place.step(step))).any(sure);
+            if !sure(m) && (self.group[m] != DOUBTED || !beside()) {
+                self.doomed.push(m as u32);
+            }
+        }
+        self.dropped += self.doomed.len();
+        for &m in &self.doomed {
+            canvas.drop(m as usize);
         }
     }
 
@@ -148,7 +196,7 @@ impl Agreement {
             let Some(place) = canvas.places[m as usize] else { continue };
             for step in (-1..=1).flat_map(|dr| (-1..=1).map(move |dc| (dr, dc))) {
                 if let Some(n) = canvas.at(place.step(step))
-                    && self.group[n] == 0
+                    && self.group[n] == UNSEEN
                 {
                     self.group[n] = group;
                     self.queue.push(n as u32);
@@ -162,6 +210,13 @@ impl Agreement {
 /// The detections with a place.
 pub(super) fn placed(canvas: &Canvas) -> impl Iterator<Item = (usize, Place)> {
     canvas.places.iter().enumerate().filter_map(|(m, place)| Some((m, (*place)?)))
+}
+
+/// How oblique the cells are at a detection: 0.5 where another diagonal would do as well for a step; 0 without a place.
+fn slant(points: &[DVec2], canvas: &Canvas, m: usize) -> f64 {
+    let Some(place) = canvas.places[m] else { return 0.0 };
+    let [row, col] = canvas.steps_at(points, m, place);
+    row.dot(col).abs() / row.length_squared().min(col.length_squared())
 }
 
 fn shortest_step2(points: &[DVec2], canvas: &Canvas, m: usize, place: Place) -> f64 {

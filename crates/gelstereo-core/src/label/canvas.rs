@@ -18,6 +18,8 @@ pub(super) struct Canvas {
     /// Detection at each place, plus one; zero where there is none.
     cells: Vec<u32>,
     pub places: Vec<Option<Place>>,
+    /// Steps to the next marker of the row and of the column, as they were known when each detection was placed.
+    steps: Vec<[DVec2; 2]>,
     /// Detections in the order in which they were placed; those that were dropped since stay in the list.
     pub order: Vec<u32>,
 }
@@ -31,6 +33,7 @@ impl Canvas {
             self.cells = alloc::vec![0; side * side];
         }
         self.places.reserve(most);
+        self.steps.reserve(most);
         self.order.reserve(2 * most);
     }
 
@@ -44,6 +47,7 @@ impl Canvas {
         }
         self.half = half as i32;
         self.places.resize(detections, None);
+        self.steps.resize(detections, [DVec2::ZERO; 2]);
     }
 
     pub fn clear(&mut self) {
@@ -51,15 +55,35 @@ impl Canvas {
             self.drop(n);
         }
         self.places.clear();
+        self.steps.clear();
         self.order.clear();
     }
 
-    pub fn put(&mut self, place: Place, detection: usize) -> bool {
-        let Some(cell) = self.cell(place) else { return false };
+    /// Places a detection, whose steps are like those given where its neighbours do not tell.
+    pub fn put(&mut self, points: &[DVec2], place: Place, detection: usize, steps: [DVec2; 2]) {
+        let Some(cell) = self.cell(place) else { return };
         self.cells[cell] = detection as u32 + 1;
         self.places[detection] = Some(place);
+        self.steps[detection] = steps;
+        self.steps[detection] = self.steps_at(points, detection, place);
         self.order.push(detection as u32);
-        true
+    }
+
+    /// Steps to the next marker of the row and of the column at a placed detection, from its neighbours as far as they are
+    /// known now.
+    pub fn steps_at(&self, points: &[DVec2], detection: usize, place: Place) -> [DVec2; 2] {
+        let here = points[detection];
+        let [row, col] = self.steps[detection];
+        let axis = |step: (i32, i32), else_step: DVec2| {
+            let before = self.position(points, place.step((-step.0, -step.1)));
+            match (before, self.position(points, place.step(step))) {
+                (Some(before), Some(after)) => (after - before) * 0.5,
+                (Some(before), None) => here - before,
+                (None, Some(after)) => after - here,
+                (None, None) => else_step,
+            }
+        };
+        [axis(STEPS[0], row), axis(STEPS[1], col)]
     }
 
     pub fn drop(&mut self, detection: usize) {

@@ -80,7 +80,8 @@ impl View<'_> {
         out.sides = [0, 1, 2, 3].map(|side| self.side(canvas, extent, side));
     }
 
-    /// Without an outer row or column in which so few markers are that they may be specks: one, or one in twelve.
+    /// Without an outer row or column in which so few markers are that they may be specks: one, or less than a quarter of
+    /// those that lie in the image.
     fn without_specks(&self, canvas: &Canvas, extent: Extent) -> Option<Extent> {
         let (rows, cols) = extent.size();
         if self.with_specks || rows == 0 || cols == 0 {
@@ -88,7 +89,7 @@ impl View<'_> {
         }
         let few = |side: usize| {
             let (seen, expected) = self.count(canvas, extent.line(side, 0));
-            seen <= 1 || 12 * seen <= expected
+            seen <= 1 || 4 * seen < expected
         };
         (0..4).find(|&side| few(side)).map(|side| extent.without(side))
     }
@@ -103,8 +104,10 @@ impl View<'_> {
             })
             .count();
         let length = extent.line(side, 0).count();
-        let ends =
-            2 * placed >= expected && 2 * placed >= length && empty_beyond >= 3 && 2 * empty_beyond >= length;
+        let ends = 2 * placed >= expected
+            && 2 * placed >= length
+            && empty_beyond >= 3
+            && 5 * empty_beyond >= 2 * length;
         Side { placed, empty_beyond, ends }
     }
 
@@ -114,7 +117,9 @@ impl View<'_> {
         for place in line {
             if canvas.at(place).is_some() {
                 (seen, expected) = (seen + 1, expected + 1);
-            } else if predict(canvas, self.points, place).is_none_or(|p| self.is_inside(p.at)) {
+            } else if predict(canvas, self.points, place)
+                .map_or(self.size_px.is_none(), |p| self.is_inside(p.at))
+            {
                 expected += 1;
             }
         }

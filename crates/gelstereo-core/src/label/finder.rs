@@ -5,8 +5,9 @@ use super::agree::{Agreement, placed};
 use super::canvas::{Canvas, STEPS};
 use super::extent::{View, mean_steps, upright_turns};
 use super::found::{FoundLattice, Place};
-use super::predict::{predict, predict_widely, steps_at};
+use super::predict::predict;
 use super::seed::{Seed, neighbour_distance, seed_at};
+use crate::detect::Markers;
 use crate::math::{DVec2, round, sqrt};
 use crate::track::grid::Grid;
 use alloc::vec::Vec;
@@ -16,6 +17,9 @@ const FARTHEST_PX: f64 = 1e6;
 
 /// Most detections of one frame.
 const MOST_DETECTIONS: usize = 1 << 20;
+
+/// Largest share of detections that may lose their place again: beyond it nothing is certain.
+const MOST_DROPPED: f64 = 0.1;
 
 /// Seeds looked at before the best is taken, and before all are looked at.
 const SEED_SAMPLE: usize = 48;
@@ -31,6 +35,12 @@ const NEAR_SAMPLE: usize = 128;
 /// Sure steps first: a speck or the middle of two merged dots, once placed, would mislead those that follow.
 const PASSES: [(f64, u32); 3] = [(0.2, 2), (0.2, 1), (0.33, 1)];
 
+/// Largest area of a marker, in areas of its neighbour.
+const MOST_AREA: f64 = 1.7;
+
+/// Largest mean squared distance of the estimates from their mean, in steps.
+const MOST_SPREAD2: f64 = 0.06;
+
 /// Finds the lattice in the detections of one frame, whatever its turn and however the rows bend, without any history.
 ///
 /// From a marker with regular surroundings the lattice grows along rows and columns. Each step is predicted from the
@@ -45,6 +55,8 @@ pub struct LatticeFinder {
     grid: Grid,
     canvas: Canvas,
     near_px: f64,
+    /// Area of each detection, or empty.
+    areas_px2: Vec<u32>,
     distances: Vec<f64>,
     best: Vec<Option<Place>>,
     /// Markers dropped and largest distance left, in steps, of the best.
@@ -59,6 +71,7 @@ impl LatticeFinder {
         let area = (size_px.0 * size_px.1) as f64;
         self.grid.reserve(most, size_px, sqrt(area / most.max(1) as f64).max(1.0));
         self.canvas.reserve(most);
+        self.areas_px2.reserve(most);
         self.distances.reserve(2 * most);
         self.best.reserve(most);
         self.agreement.reserve(most);
@@ -70,14 +83,31 @@ impl LatticeFinder {
     /// the print can be told to end.
     ///
     /// # Errors
-    /// [`LabelError::NotFinite`], and [`LabelError::NoLattice`] when fewer than 3 x 3 markers are in a lattice.
+    /// [`LabelError::NotFinite`], [`LabelError::NoLattice`] when fewer than 3 x 3 markers are in a lattice, and
+    /// [`LabelError::Torn`] when so many neighbours disagree that nothing is certain.
     pub fn run(
         &mut self,
         detected_px: &[DVec2],
         size_px: Option<(usize, usize)>,
         out: &mut FoundLattice,
     ) -> Result<(), LabelError> {
+        self.areas_px2.clear();
         self.find(detected_px, size_px, false, out)
+    }
+
+    /// As [`Self::run`] for detected markers: one with more than 1.7 times the area of its neighbour is two that touch, or a
+    /// smear, and gets no place.
+    ///
+    /// # Errors
+    /// As [`Self::run`].
+    pub fn run_markers(
+        &mut self,
+        detected: &Markers,
+        size_px: Option<(usize, usize)>,
+        out: &mut FoundLattice,
+    ) -> Result<(), LabelError> {
+        self.areas_px2.clone_from(&detected.area_px2);
+        self.find(&detected.centres_px, size_px, false, out)
     }
 
     /// As [`Self::run`], with outer rows and columns of which only a marker or two are seen.
@@ -86,6 +116,7 @@ impl LatticeFinder {
         detected_px: &[DVec2],
         out: &mut FoundLattice,
     ) -> Result<(), LabelError> {
+        self.areas_px2.clear();
         self.find(detected_px, None, true, out)
     }
 
@@ -111,6 +142,9 @@ impl LatticeFinder {
         View { points: detected_px, grid: &self.grid, size_px, pitch_px, with_specks }
             .write(&self.canvas, out);
         (out.dropped, out.worst_pitches) = self.best_evidence;
+        if out.dropped as f64 > MOST_DROPPED * detected_px.len() as f64 {
+            return Err(LabelError::Torn { placed: out.placed, dropped: out.dropped });
+        }
         if out.placed < 9 || out.rows.min(out.cols) < 3 { Err(none) } else { Ok(()) }
     }
 
@@ -126,14 +160,14 @@ impl LatticeFinder {
             let Some(seed) = self.next_seed(points, &mut start) else { break };
             self.canvas.start(points.len());
             self.grow(points, &seed);
-            self.agreement.prune(points, &self.grid, &mut self.canvas);
+            self.agreement.prune(points, &self.grid, self.near_px, &mut self.canvas);
             let count = placed(&self.canvas).count();
             if count > most {
                 most = count;
                 self.best.copy_from_slice(&self.canvas.places);
                 self.best_evidence = (self.agreement.dropped, self.agreement.worst);
             }
-            if 2 * most > points.len() {
+            if 4 * most > 3 * points.len() {
                 break;
             }
         }
@@ -142,20 +176,20 @@ impl LatticeFinder {
 
     /// Puts the best places back, turned so that rows run most nearly from left to right; gives the mean steps and the pitch.
     fn turn_upright(&mut self, points: &[DVec2]) -> Option<(DVec2, DVec2, f64)> {
-        self.put_turned(0);
+        self.put_turned(points, 0);
         let (row_step, col_step, _) = mean_steps(points, &self.canvas, &mut self.distances)?;
         let turns = upright_turns(row_step, col_step);
         if turns != 0 {
-            self.put_turned(turns);
+            self.put_turned(points, turns);
         }
         mean_steps(points, &self.canvas, &mut self.distances)
     }
 
-    fn put_turned(&mut self, turns: u8) {
+    fn put_turned(&mut self, points: &[DVec2], turns: u8) {
         self.canvas.start(self.best.len());
         for (m, place) in self.best.iter().enumerate() {
             if let Some(place) = *place {
-                self.canvas.put(place.turned(turns), m);
+                self.canvas.put(points, place.turned(turns), m, [DVec2::ZERO; 2]);
             }
         }
     }
@@ -180,7 +214,7 @@ impl LatticeFinder {
         while *start < stride * len.div_ceil(stride) {
             let index = (*start % len.div_ceil(stride)) * stride + *start / len.div_ceil(stride);
             *start += 1;
-            if index >= len {
+            if index >= len || self.best[index].is_some() {
                 continue;
             }
             seen += 1;
@@ -198,7 +232,8 @@ impl LatticeFinder {
 
     /// From the seed outwards, then the detections left over.
     fn grow(&mut self, points: &[DVec2], seed: &Seed) {
-        self.canvas.put(Place::default(), seed.centre);
+        let steps = [seed.row_step, seed.col_step];
+        self.canvas.put(points, Place::default(), seed.centre, steps);
         let tolerance_px = 0.25 * seed.row_step.length().min(seed.col_step.length());
         for row in -1..=1 {
             for col in -1..=1 {
@@ -206,7 +241,7 @@ impl LatticeFinder {
                     points[seed.centre] + seed.row_step * f64::from(col) + seed.col_step * f64::from(row);
                 let marker = self.grid.nearest(points, at, tolerance_px, |m| self.canvas.places[m].is_none());
                 if let Some(m) = marker {
-                    self.canvas.put(Place::new(row, col), m);
+                    self.canvas.put(points, Place::new(row, col), m, steps);
                 }
             }
         }
@@ -225,27 +260,28 @@ impl LatticeFinder {
         let mut next = 0;
         while let Some(&from) = self.canvas.order.get(next) {
             next += 1;
-            let Some(place) = self.canvas.places[from as usize] else { continue };
+            let from = from as usize;
+            let Some(place) = self.canvas.places[from] else { continue };
             for step in STEPS {
                 let to = place.step(step);
                 if self.canvas.at(to).is_some() {
                     continue;
                 }
                 let Some(predicted) = predict(&self.canvas, points, to) else { continue };
-                let length = predicted.at.distance(points[from as usize]);
-                let agree = predicted.spread2 < 0.06 * length * length;
+                let length = predicted.at.distance(points[from]);
+                let agree = predicted.spread2 < MOST_SPREAD2 * length * length;
                 if predicted.sources >= sources && agree {
-                    self.take(points, to, predicted.at, tolerance * length);
+                    self.take(points, from, to, predicted.at, tolerance * length);
                 }
             }
         }
     }
 
     /// Gives a place to the detection near `at`, if it is the only one and has none yet.
-    fn take(&mut self, points: &[DVec2], place: Place, at: DVec2, radius_px: f64) {
+    fn take(&mut self, points: &[DVec2], from: usize, to: Place, at: DVec2, radius_px: f64) {
         let mut nearest = (f64::INFINITY, usize::MAX);
         let mut second2 = f64::INFINITY;
-        self.grid.visit(at, 1.5 * radius_px, |m| {
+        self.grid.visit(at, radius_px, |m| {
             let key = (points[m].distance_squared(at), m);
             if key < nearest {
                 second2 = nearest.0;
@@ -255,13 +291,19 @@ impl LatticeFinder {
             }
         });
         let (distance2, m) = nearest;
-        if distance2 < radius_px * radius_px
-            && second2 > 4.0 * distance2
-            && second2 > radius_px * radius_px
-            && self.canvas.places[m].is_none()
-        {
-            self.canvas.put(place, m);
+        let alone = second2 > radius_px * radius_px;
+        let near = distance2 < radius_px * radius_px && alone;
+        if near && self.canvas.places[m].is_none() && self.is_like(from, m) {
+            let Some(place) = self.canvas.places[from] else { return };
+            let steps = self.canvas.steps_at(points, from, place);
+            self.canvas.put(points, to, m, steps);
         }
+    }
+
+    /// Whether a detection is not much larger than a neighbour, if areas are known.
+    fn is_like(&self, neighbour: usize, m: usize) -> bool {
+        let area = |n: usize| self.areas_px2.get(n).copied().map(f64::from);
+        area(neighbour).zip(area(m)).is_none_or(|(one, other)| other <= MOST_AREA * one)
     }
 
     /// Asks every detection without a place where it belongs, as seen from the nearest placed one.
@@ -270,32 +312,35 @@ impl LatticeFinder {
             return;
         }
         for m in 0..points.len() {
-            if self.canvas.places[m].is_some() {
-                continue;
-            }
-            let Some((place, length)) = self.nearest_empty_place(points, m) else { continue };
-            if self.canvas.at(place).is_none()
-                && let Some(predicted) = predict_widely(&self.canvas, points, place)
-                && points[m].distance(predicted.at) < tolerance * length
+            if self.canvas.places[m].is_none()
+                && let Some((from, to, length, at)) = self.place_from_nearest(points, m)
+                && points[m].distance(at) < tolerance * length
             {
-                self.take(points, place, predicted.at, tolerance * length);
+                self.take(points, from, to, at, tolerance * length);
             }
         }
     }
 
-    fn nearest_empty_place(&self, points: &[DVec2], m: usize) -> Option<(Place, f64)> {
-        let near_px = 3.0 * self.near_px;
-        let placed = |n: usize| self.canvas.places[n].is_some();
-        let n = self.grid.nearest(points, points[m], near_px, placed)?;
-        let place = self.canvas.places[n]?;
-        let (row_step, col_step) = steps_at(&self.canvas, points, place)?;
+    /// The empty place of a detection as seen from the nearest placed one: that one, the place, the length of a step and where
+    /// the place should be.
+    fn place_from_nearest(&self, points: &[DVec2], m: usize) -> Option<(usize, Place, f64, DVec2)> {
+        let from =
+            self.grid.nearest(points, points[m], 2.5 * self.near_px, |n| self.canvas.places[n].is_some())?;
+        let place = self.canvas.places[from]?;
+        let [row_step, col_step] = self.canvas.steps_at(points, from, place);
         let area = row_step.perp_dot(col_step);
-        let away = points[m] - points[n];
+        let away = points[m] - points[from];
         let (col, row) = (away.perp_dot(col_step) / area, row_step.perp_dot(away) / area);
         if !(row.abs() < 2.5 && col.abs() < 2.5) {
             return None;
         }
-        let step = (round(row) as i32, round(col) as i32);
-        Some((place.step(step), row_step.length().min(col_step.length())))
+        let (row, col) = (round(row), round(col));
+        let to = place.step((row as i32, col as i32));
+        let at = match predict(&self.canvas, points, to) {
+            Some(predicted) => predicted.at,
+            None => points[from] + row_step * col + col_step * row,
+        };
+        let length = row_step.length().min(col_step.length());
+        self.canvas.at(to).is_none().then_some((from, to, length, at))
     }
 }

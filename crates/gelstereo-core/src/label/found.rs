@@ -43,7 +43,8 @@ pub struct Side {
     /// Places one step farther out that lie in the image, half a pitch from its border or more, where no marker was
     /// found.
     pub empty_beyond: usize,
-    /// Whether the print ends here: most of the row is there, and most of the next one would be seen if it were printed.
+    /// Whether the print ends here: at least half of the row is there, and two fifths of the next one would be seen if it were
+    /// printed.
     /// Otherwise the lattice may go on, out of the image or unseen.
     pub ends: bool,
 }

@@ -70,6 +70,13 @@ pub enum LabelError {
         /// How many markers may be missing.
         max_missing: usize,
     },
+    /// Neighbours disagree in many places.
+    Torn {
+        /// Markers whose neighbours agree.
+        placed: usize,
+        /// Markers that lost their place.
+        dropped: usize,
+    },
     /// A border row or column that may be printed or not.
     Border {
         /// Upper row, left column, lower row, right column.
@@ -126,6 +133,11 @@ impl core::fmt::Display for LabelError {
                 f,
                 "none of the {found} markers found has four neighbours as in a lattice; check detect.threshold_levels \
                  and detect.polarity"
+            ),
+            Self::Torn { placed, dropped } => write!(
+                f,
+                "{dropped} markers do not stand where their neighbours say, and {placed} do: at most a tenth may disagree; \
+                 the gel is folded, or much is detected that is no marker"
             ),
             Self::Border { side, seen, length, rows, cols } => write!(
                 f,

@@ -7,6 +7,10 @@ use alloc::vec::Vec;
 /// Most neighbours of a marker that are looked at.
 const AROUND: usize = 16;
 
+/// Longest shorter step, in distances to the nearest neighbour: less than the diagonal of a square, so that every second marker
+/// is not taken for the lattice.
+const LONGEST: f64 = 1.3;
+
 /// A marker and the steps to the next one of its row and of its column.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Seed {
@@ -52,6 +56,9 @@ pub(super) fn seed_at(points: &[DVec2], grid: &Grid, centre: usize, near_px: f64
     let around = &around[..count];
     let first = shortest_both_ways(around, |_| true)?;
     let size2 = first.length_squared();
+    if size2 > LONGEST * LONGEST * near_px * near_px {
+        return None;
+    }
     let across = |s: DVec2| first.perp_dot(s).abs() > 0.5 * first.dot(s).abs();
     let second = shortest_both_ways(around, across)?;
     let length_ratio2 = second.length_squared() / size2;

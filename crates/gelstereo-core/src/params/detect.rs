@@ -49,7 +49,8 @@ pub enum Centre {
     Binary,
     /// Mean position weighted by contrast over the component and its border: about 0.05 px rms.
     Grey,
-    /// Fit of a blurred ellipse, in the noise and grain of the image: about 0.035 px rms, 1.1 times the bound.
+    /// Fit of a blurred ellipse, in the noise and grain of the image: 0.034 px rms, 1.1 times the Cramér-Rao bound of the
+    /// same scene (0.031), with a covariance per marker; about 6 µs a marker.
     Fit,
 }
 

@@ -14,7 +14,8 @@ pub enum TriangulateMethod {
     /// surface and within 1 um of it there. A marker beyond its reach, and the rest frame itself, get
     /// [`Self::Rays`].
     Polynomial,
-    /// The most likely point given both centres and their covariances, with rays traced through the layers.
+    /// The most likely point given both centres and their covariances, with rays traced through the layers, to a
+    /// thousandth of its standard deviation.
     Rays,
 }
 

@@ -163,6 +163,25 @@ impl DenseSurface {
         made
     }
 
+    /// Values of the markers, interpolated; 0 at cells that are not known. No allocation once `out` has held them.
+    ///
+    /// # Errors
+    /// [`DenseSurfaceError::Mesh`] when there are not as many values as markers, [`DenseSurfaceError::NotFinite`]; `out` is
+    /// then empty.
+    pub fn sample(&self, values: &[f64], out: &mut Vec<f64>) -> Result<(), DenseSurfaceError> {
+        out.clear();
+        let (points, markers) = (values.len(), self.mesh.markers());
+        if points != markers {
+            return Err(DenseSurfaceError::Mesh(MarkerMeshError::LengthMismatch { points, markers }));
+        }
+        if let Some(marker) = values.iter().position(|v| !v.is_finite()) {
+            return Err(DenseSurfaceError::NotFinite { marker });
+        }
+        let value = |cell| self.weights_of(cell).iter().map(|&(i, w)| values[i as usize] * w).sum::<f64>();
+        out.extend((0..self.ends.len()).map(value));
+        Ok(())
+    }
+
     fn fill(
         &self,
         points_mm: &[DVec3],

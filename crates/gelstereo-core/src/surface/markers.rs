@@ -104,6 +104,12 @@ impl MarkerMesh {
         Ok(Self { markers: rest.len(), triangles: delaunay.inner_faces().map(corners).collect() })
     }
 
+    /// Markers that the mesh joins.
+    #[must_use]
+    pub const fn markers(&self) -> usize {
+        self.markers
+    }
+
     /// Triples of marker indices, counter-clockwise seen from the camera.
     #[must_use]
     pub fn triangles(&self) -> &[[u32; 3]] {

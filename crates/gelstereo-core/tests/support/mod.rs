@@ -39,6 +39,15 @@ impl Dots {
         }
     }
 
+    /// As [`Self::render`], without noise and rounding.
+    pub fn render_levels(&self) -> Vec<f64> {
+        let mut coverage = vec![0.0_f64; self.width * self.height];
+        for &centre in &self.centres_px {
+            self.add_disc(&mut coverage, centre);
+        }
+        coverage.iter().map(|share| self.ground + self.contrast * share.min(1.0)).collect()
+    }
+
     /// Area coverage by 16 x 16 samples a pixel: an edge is right to 1/256 of the contrast, a centre to 1e-3 px.
     pub fn render(&self) -> Vec<u8> {
         let mut coverage = vec![0.0_f64; self.width * self.height];

@@ -242,7 +242,7 @@ mod tests {
             if let Some(layers) = &mut rig.layers {
                 layers.normal = DVec3::new(slant, 0.3 * slant, 1.0).normalize();
             }
-            check(&rig, &dot(x, y, z, 0.2, [a, b], [along, across]), 1e-4)?;
+            check(&rig, &dot(x, y, z, 0.2, [a, b], [along, across]), 1e-5)?;
         }
 
         #[test]
@@ -252,7 +252,7 @@ mod tests {
             let mut rig = Scene::default_rig();
             rig.left.distortion = [k1, k2, 0.002, -0.001, 0.0];
             rig.right.distortion = [k1, 0.0, -0.002, 0.001, 0.01];
-            check(&rig, &dot(x, y, 28.0, 0.22, [a, b], [1.1, 0.9]), 1e-4)?;
+            check(&rig, &dot(x, y, 28.0, 0.22, [a, b], [1.1, 0.9]), 1e-5)?;
         }
 
         /// The closed form is exact; 4000 corners lose 4e-7 of the area.

@@ -110,7 +110,7 @@ impl Default for Gel {
 
 /// The gel at one time: the whole lattice shifted and turned in its plane, as when the camera shakes or the gel creeps.
 /// In a file: `{ time_s = 0.5, shift_mm = [1.2, 0], rotation_rad = 0.1 }`.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
 pub struct GelKeyframe {
     /// Time, seconds.

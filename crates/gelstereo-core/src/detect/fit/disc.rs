@@ -223,8 +223,8 @@ impl Window {
         self.places.iter().zip(&self.levels).zip(&self.model)
     }
 
-    /// Least-squares levels.
-    pub fn levels(&self) -> Option<Levels> {
+    /// Least-squares levels, and the factor of their normal matrix (ground, slopes, contrast).
+    pub fn levels(&self) -> Option<(Levels, Factor<4>)> {
         let mut sums = [Lanes::default(); 5];
         for ((p, &level), Model { inside, .. }) in self.seen() {
             for (sum, term) in sums.iter_mut().zip([*inside, p.one, p.x, p.y, level]) {
@@ -233,15 +233,15 @@ impl Window {
         }
         let [square, one, x, y, right] = sums.map(Lanes::sum);
         let [ground, along, across] = self.ground;
-        let matrix = [
+        let factor = Factor::new(&[
             [ground[0], 0.0, 0.0, 0.0],
             [along[0], along[1], 0.0, 0.0],
             [across[0], across[1], across[2], 0.0],
             [one, x, y, square],
-        ];
+        ])?;
         let [level, level_x, level_y] = self.ground_right;
-        let [ground, x, y, contrast] = Factor::new(&matrix)?.solve(&[level, level_x, level_y, right]);
-        Some(Levels { contrast, ground, slope: DVec2::new(x, y) })
+        let [ground, x, y, contrast] = factor.solve(&[level, level_x, level_y, right]);
+        Some((Levels { contrast, ground, slope: DVec2::new(x, y) }, factor))
     }
 
     /// By how much the blur should grow, by least squares together with the levels.
@@ -266,19 +266,36 @@ impl Window {
         step_px.is_finite().then_some(step_px)
     }
 
-    /// The normal matrix of the outline's step.
-    pub fn matrix(&self) -> Matrix {
+    /// The normal matrix of the outline's step, less what the levels take up when they follow it (variable projection).
+    pub fn matrix(&self, levels: &Factor<4>) -> Matrix {
         let mut sums = [[Lanes::default(); 5]; 5];
-        for b in &self.model {
-            let product = b.weight * b.slope;
-            for (i, row) in sums.iter_mut().enumerate() {
-                let scaled = product * b.basis[i];
-                for (sum, &other) in row[..=i].iter_mut().zip(&b.basis) {
-                    *sum = *sum + scaled * other;
+        let mut with_weight = [[Lanes::default(); 4]; 5];
+        let mut with_slope = [[Lanes::default(); 4]; 5];
+        for (p, b) in self.places.iter().zip(&self.model) {
+            let slope = b.slope * p.one;
+            for i in 0..5 {
+                let (weighted, sloped) = (b.weight * b.basis[i], slope * b.basis[i]);
+                for j in 0..=i {
+                    sums[i][j] = sums[i][j] + weighted * slope * b.basis[j];
+                }
+                let terms = [p.one, p.x, p.y, b.inside];
+                for k in 0..4 {
+                    with_weight[i][k] = with_weight[i][k] + weighted * terms[k];
+                    with_slope[i][k] = with_slope[i][k] + sloped * terms[k];
                 }
             }
         }
-        sums.map(|row| row.map(Lanes::sum))
+        let mut matrix = sums.map(|row| row.map(Lanes::sum));
+        let with_weight = with_weight.map(|row| row.map(Lanes::sum));
+        let followed = with_slope.map(|row| levels.solve(&row.map(Lanes::sum)));
+        let dot = |a: &[f64; 4], b: &[f64; 4]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        for i in 0..5 {
+            for j in 0..=i {
+                let taken = dot(&with_weight[i], &followed[j]) + dot(&with_weight[j], &followed[i]);
+                matrix[i][j] -= 0.5 * taken;
+            }
+        }
+        matrix
     }
 
     /// The weighted residuals at these levels.

@@ -14,8 +14,6 @@ mod solve;
 pub use noise::Noise;
 
 use super::Markers;
-use super::centre;
-use super::components::{Blob, Run};
 use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, median, sqrt};
@@ -42,11 +40,18 @@ const ROUNDS: usize = 4;
 const BLURS_PX: core::ops::RangeInclusive<f64> = 0.35..=5.0;
 /// Where the search begins: a pixel's own width and a little defocus.
 const FIRST_BLUR_PX: f64 = 0.8;
-/// Residuals larger than this times what the noise explains widen the covariance; a ratio below is chance.
-const CHANCE: f64 = 1.6;
-/// The edge is not straight and the window ends: the covariance of the weights is larger than their inverse information
-/// by this (see the tests).
-const CURVATURE: f64 = 1.07;
+/// Residuals larger than this times what the noise explains widen the covariance: below, it is chance and the profile's
+/// small faults, which cost the centre nothing.
+const CHANCE: f64 = 3.0;
+/// In grain alone the covariance is larger than the inverse information by this share, for the weights are those of a
+/// straight edge without end. Measured on simulated presses.
+const CURVATURE: f64 = 0.21;
+/// A step of the outline that is shorter leaves the model's slopes as they are.
+const SAME_SLOPES_PX: f64 = 0.25;
+/// Longest step.
+const MOST_PX: f64 = 0.6;
+/// Standard deviation of a grey centroid over the bound, where the fit did not settle.
+const UNFITTED: f64 = 4.0;
 
 /// Where a fit begins.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -96,6 +101,8 @@ pub struct DiscFit {
     blur_px: f64,
     /// Fitted radius less that of the start, median over the samples.
     radius_off_px: f64,
+    /// Contrast of the samples, grey levels.
+    contrast: f64,
     starts: Vec<Start>,
     grid: Grid,
     centres: Vec<DVec2>,
@@ -108,6 +115,7 @@ pub struct DiscFit {
 struct Sample {
     start: Start,
     outline: Outline,
+    contrast: f64,
     alive: bool,
 }
 
@@ -127,6 +135,7 @@ impl DiscFit {
             noise: Noise::default(),
             blur_px: FIRST_BLUR_PX,
             radius_off_px: 0.0,
+            contrast: 0.0,
             starts: Vec::new(),
             grid: Grid::default(),
             centres: Vec::new(),
@@ -159,7 +168,7 @@ impl DiscFit {
         for k in 0..count {
             let start = starts[k * starts.len() / count];
             let Some(outline) = Outline::new(DVec2::ZERO, &start.spread_px2) else { continue };
-            self.samples.push(Sample { start, outline, alive: true });
+            self.samples.push(Sample { start, outline, contrast: 0.0, alive: true });
         }
         for _ in 0..ROUNDS {
             self.scratch.clear();
@@ -184,11 +193,14 @@ impl DiscFit {
             }
         }
         self.radius_off_px = median(&mut self.scratch).unwrap_or(0.0);
+        self.scratch.clear();
+        self.scratch.extend(self.samples.iter().filter(|s| s.alive).map(|s| s.contrast));
+        self.contrast = median(&mut self.scratch).unwrap_or(0.0);
     }
 
     /// Moves one sample's outline and says by how much more blur would fit it better.
     fn sample_step(&mut self, image: GrayView<'_>, k: usize) -> Option<f64> {
-        let Sample { start, mut outline, alive } = self.samples[k];
+        let Sample { start, mut outline, alive, .. } = self.samples[k];
         if !alive {
             return None;
         }
@@ -196,12 +208,13 @@ impl DiscFit {
         self.load(image, &start)?;
         outline.centre += start.centre_px - self.window.origin;
         self.window.draw(&outline, self.blur_px, &self.edge);
-        let levels = self.window.levels()?;
+        let (levels, follow) = self.window.levels()?;
         let wider_px = self.window.blur_step(self.blur_px)?;
-        let factor = Factor::new(&self.window.matrix())?;
+        let factor = Factor::new(&self.window.matrix(&follow))?;
         apply(&mut outline, &step(&factor, &self.window.pull(&levels).right, &levels)?);
         outline.centre -= start.centre_px - self.window.origin;
         self.samples[k].outline = outline;
+        self.samples[k].contrast = levels.contrast;
         self.samples[k].alive = plausible(&start, outline.centre, outline.spread_px2());
         self.samples[k].alive.then_some(wider_px)
     }
@@ -213,18 +226,19 @@ impl DiscFit {
         let pixels = self.load(image, start)?;
         let offset = start.centre_px - self.window.origin;
         let mut outline = Outline::new(offset, &self.grown(start))?;
-        let mut factor = None;
+        let mut last = None;
         for steps in 1..=MOST_STEPS {
             self.window.draw(&outline, self.blur_px, &self.edge);
-            let levels = self.window.levels()?;
-            // The first matrix serves all steps (chord method): it decides how fast they end, not where.
-            let factor = match factor {
-                Some(factor) => factor,
-                None => *factor.insert(Factor::new(&self.window.matrix())?),
+            let (levels, follow) = self.window.levels()?;
+            // A matrix serves until the outline has moved much (chord method): it decides how fast the steps end, not
+            // where.
+            let factor = match last.filter(|(_, moved)| *moved <= SAME_SLOPES_PX) {
+                Some((factor, _)) => factor,
+                None => Factor::new(&self.window.matrix(&follow))?,
             };
             let pull = self.window.pull(&levels);
             let step = step(&factor, &pull.right, &levels)?;
-            apply(&mut outline, &step);
+            last = Some((factor, apply(&mut outline, &step)));
             if !plausible(start, outline.centre - offset, outline.spread_px2()) {
                 return None;
             }
@@ -232,7 +246,11 @@ impl DiscFit {
                 let surprise = pull.residual2 / (pixels as f64 - 9.0) / self.noise.variance_levels2();
                 return Some(Fitted {
                     centre_px: self.window.origin + outline.centre,
-                    covariance_px2: covariance(&factor, &levels, CURVATURE * (surprise / CHANCE).max(1.0))?,
+                    covariance_px2: covariance(
+                        &factor,
+                        &levels,
+                        self.coloured() * (surprise / CHANCE).max(1.0),
+                    )?,
                     spread_px2: outline.spread_px2()?,
                     contrast_levels: levels.contrast,
                     steps,
@@ -240,6 +258,19 @@ impl DiscFit {
             }
         }
         None
+    }
+
+    /// By how much more the covariance is than the inverse information.
+    fn coloured(&self) -> f64 {
+        let white = self.noise.white_levels2;
+        1.0 + CURVATURE * (1.0 - white / self.noise.spectrum(0.0))
+    }
+
+    /// Least variance of a coordinate, px², for the marker that did not fit.
+    fn unfitted_variance_px2(&self, start: &Start) -> f64 {
+        // (sigma / C)² 2 b / (sqrt(pi) r) for white noise.
+        let per_contrast2 = self.noise.variance_levels2() / (self.contrast * self.contrast).max(1.0);
+        UNFITTED * UNFITTED * per_contrast2 * 1.13 * self.blur_px / start.radius_px().max(1.0)
     }
 
     /// The start's ellipse with the radius that this image's fits came to.
@@ -270,16 +301,22 @@ impl DiscFit {
         self.starts.reserve(most);
     }
 
-    /// Takes note of a marker whose approximate centre is known.
-    pub fn add<'a>(&mut self, blob: &Blob, runs: impl Iterator<Item = &'a Run>, centre_px: DVec2) {
-        let spread_px2 = blob.spread_px2(runs);
+    /// Takes note of a marker whose approximate centre and spread ([`Blob::spread_px2`](super::components::Blob::spread_px2))
+    /// are known.
+    pub fn add(&mut self, centre_px: DVec2, spread_px2: Symmetric<2>) {
         self.starts.push(Start { centre_px, spread_px2, neighbour_px: f64::INFINITY });
     }
 
     /// Fits the markers noted, which `markers` lists in the same order, and replaces centre and covariance where that
-    /// succeeds. `blobs` are all components of the image's `mask`, for neighbours keep their pixels.
-    pub fn finish(&mut self, image: GrayView<'_>, mask: &[u8], blobs: &[Blob], markers: &mut Markers) {
-        self.find_neighbours(image, blobs);
+    /// succeeds. `others_px` are the centres of all components of the image's `mask`, for neighbours keep their pixels.
+    pub fn finish(
+        &mut self,
+        image: GrayView<'_>,
+        mask: &[u8],
+        others_px: impl Iterator<Item = DVec2>,
+        markers: &mut Markers,
+    ) {
+        self.find_neighbours(image, others_px);
         let starts = core::mem::take(&mut self.starts);
         self.learn(image, mask, &starts);
         markers.unfitted = 0;
@@ -287,19 +324,24 @@ impl DiscFit {
         for (start, (centre, covariance)) in starts.iter().zip(found) {
             match self.run(image, start) {
                 Some(fitted) => (*centre, *covariance) = (fitted.centre_px, fitted.covariance_px2),
-                None => markers.unfitted += 1,
+                None => {
+                    markers.unfitted += 1;
+                    let variance = self.unfitted_variance_px2(start);
+                    covariance[0][0] = covariance[0][0].max(variance);
+                    covariance[1][1] = covariance[1][1].max(variance);
+                }
             }
         }
         self.starts = starts;
     }
 
-    fn find_neighbours(&mut self, image: GrayView<'_>, blobs: &[Blob]) {
+    fn find_neighbours(&mut self, image: GrayView<'_>, others_px: impl Iterator<Item = DVec2>) {
         let widest = self.starts.iter().map(Start::radius_px).fold(1.0, f64::max);
         // Beyond this a neighbour takes no pixel away.
         let far_px = 2.0 * widest + REACH_PX + 4.0 * FIRST_BLUR_PX;
         self.centres.clear();
         self.centres.reserve(self.starts.capacity());
-        self.centres.extend(blobs.iter().filter(|blob| blob.area_px2 > 2).map(centre::binary));
+        self.centres.extend(others_px);
         self.grid.reserve(self.starts.capacity(), (image.width(), image.height()), LEAST_FAR_PX);
         self.grid.build(&self.centres, far_px);
         for start in &mut self.starts {
@@ -318,11 +360,21 @@ fn step(factor: &Factor<5>, right: &[f64; 5], levels: &Levels) -> Option<[f64; 5
     step.iter().all(|s| s.is_finite()).then_some(step)
 }
 
-fn apply(outline: &mut Outline, step: &[f64; 5]) {
-    outline.centre += DVec2::new(step[0], step[1]);
-    for (entry, change) in outline.form.iter_mut().zip(&step[2..]) {
-        *entry += change;
+/// Takes the step, or as much of it as keeps the model's slopes good for something; how far the outline moves, px.
+fn apply(outline: &mut Outline, step: &[f64; 5]) -> f64 {
+    let [x, y, form @ ..] = *step;
+    let [xx, xy, yy] = outline.form;
+    // r moves by r/2 for each part of A that is added to it, and r² is 2 / trace A for a circle.
+    let [changed_xx, changed_xy, changed_yy] = form;
+    let changed = sqrt(changed_xx * changed_xx + 2.0 * changed_xy * changed_xy + changed_yy * changed_yy);
+    let part = changed / sqrt(xx * xx + 2.0 * xy * xy + yy * yy);
+    let moved_px = sqrt(x * x + y * y) + 0.5 * part * sqrt(2.0 / (xx + yy));
+    let share = (MOST_PX / moved_px).min(1.0);
+    outline.centre += DVec2::new(x, y) * share;
+    for (entry, change) in outline.form.iter_mut().zip(form) {
+        *entry += change * share;
     }
+    moved_px * share
 }
 
 /// Whether the outline is still about where and as large as it began.

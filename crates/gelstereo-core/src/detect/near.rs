@@ -1,0 +1,218 @@
+//! Markers near expected positions: what a tracker asks for.
+
+use super::pieces::Pieces;
+use super::{DetectError, Detector, Markers, area_range_px2, centre, in_shape, usual_area_px2};
+use crate::image::GrayView;
+use crate::math::DVec2;
+use crate::math::linalg::Symmetric;
+use crate::params::Centre;
+use alloc::vec::Vec;
+
+/// What the window around one expected position shows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Sight {
+    /// One whole marker: that of this index in [`Found::markers`]. No two positions are given the same one.
+    Marker(u32),
+    /// Gel, and specks smaller than any marker: there is no marker.
+    #[default]
+    Nothing,
+    /// Several whole markers.
+    Several,
+    /// Not decided: only parts of markers, something that is no marker, a marker that is nearer to another position, or a
+    /// window outside the image.
+    Unclear,
+}
+
+/// Markers found near expected positions.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Found {
+    /// Each once, in the order of the positions.
+    pub markers: Markers,
+    /// What was seen at each position.
+    pub sights: Vec<Sight>,
+}
+
+/// Most columns and rows of a window.
+pub const MOST_SIDE_PX: usize = 64;
+
+/// Part of an image around an expected position: columns and rows from the first to one past the last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Window {
+    /// First column and row.
+    pub first: (usize, usize),
+    /// One past the last column and row.
+    pub end: (usize, usize),
+}
+
+impl Window {
+    /// The pixels up to `reach_px` away from a position in each axis, as far as they lie within an image of this size; `None`
+    /// if none do.
+    #[must_use]
+    pub fn around(position_px: DVec2, reach_px: f64, size_px: (usize, usize)) -> Option<Self> {
+        if !position_px.is_finite() || !(reach_px >= 0.0) {
+            return None;
+        }
+        let reach_px = reach_px.min((MOST_SIDE_PX / 2 - 1) as f64);
+        let side = |at: f64, size: usize| {
+            let first = crate::math::ceil(at - reach_px).max(0.0);
+            let end = (crate::math::floor(at + reach_px) + 1.0).min(size as f64);
+            (first < end).then_some((first as usize, end as usize))
+        };
+        let (x, y) = (side(position_px.x, size_px.0)?, side(position_px.y, size_px.1)?);
+        Some(Self { first: (x.0, y.0), end: (x.1, y.1) })
+    }
+}
+
+/// A whole piece in the window of one position.
+#[derive(Clone, Copy, Debug)]
+struct Candidate {
+    position: u32,
+    /// Row and column of its first pixel: no two pieces of an image share it.
+    key: (u32, u32),
+    centre_px: DVec2,
+    area_px2: u32,
+    spread_px2: Symmetric<2>,
+}
+
+/// Whole pieces of one window that are kept; a window with more is not clear anyway.
+const MOST_CANDIDATES: usize = 4;
+
+/// Scratch of the search.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Search {
+    pieces: Pieces,
+    candidates: Vec<Candidate>,
+    areas_px2: Vec<u32>,
+}
+
+impl Search {
+    fn start(&mut self, positions: usize) {
+        self.pieces.reserve();
+        self.candidates.clear();
+        self.candidates.reserve(MOST_CANDIDATES * positions);
+        self.areas_px2.clear();
+        self.areas_px2.reserve(MOST_CANDIDATES * positions);
+    }
+}
+
+impl Detector {
+    /// Looks for one marker within `reach_px` of each expected position, in both axes; a marker is found when all of it
+    /// lies in that window, `reach_px` being at most 31 px. `out` is cleared first.
+    ///
+    /// It is one of those that [`Self::run`] finds, with the same bits: background and threshold are taken from the
+    /// whole image. (Only the model fit may differ by a fraction of its covariance: it learns the blur from what was found.) A marker farther away than the reach is never taken for the expected one. No allocation after the first image with as many
+    /// positions.
+    ///
+    /// # Errors
+    /// [`DetectError`]; `out` is then empty.
+    pub fn run_near(
+        &mut self,
+        image: GrayView<'_>,
+        expected_px: &[DVec2],
+        reach_px: f64,
+        out: &mut Found,
+    ) -> Result<(), DetectError> {
+        out.markers.clear();
+        out.sights.clear();
+        self.check(image)?;
+        self.difference.survey(image);
+        self.threshold_all(image);
+        self.near.start(expected_px.len());
+        out.markers.reserve(expected_px.len());
+        out.sights.resize(expected_px.len(), Sight::Nothing);
+        let size_px = (image.width(), image.height());
+        for (position, &at) in expected_px.iter().enumerate() {
+            out.sights[position] = match Window::around(at, reach_px, size_px) {
+                Some(window) => self.look(image, position, &window),
+                None => Sight::Unclear,
+            };
+        }
+        self.decide(expected_px, out);
+        if self.params.centre == Centre::Fit {
+            let Self { near, disc_fit, mask, .. } = self;
+            disc_fit.clear(expected_px.len());
+            near.candidates.iter().for_each(|c| disc_fit.add(c.centre_px, c.spread_px2));
+            let others = near.candidates.iter().map(|c| c.centre_px);
+            disc_fit.finish(image, mask, others, &mut out.markers);
+        }
+        Ok(())
+    }
+
+    /// Adds the window's whole pieces to the candidates; `Unclear` if there are others that matter.
+    fn look(&mut self, image: GrayView<'_>, position: usize, window: &Window) -> Sight {
+        let Search { pieces, candidates, .. } = &mut self.near;
+        let (params, width) = (&self.params, image.width());
+        pieces.start();
+        for y in window.first.1..window.end.1 {
+            pieces.push(&self.mask[y * width..][window.first.0..window.end.0]);
+        }
+        let (mut sight, most) = (Sight::Nothing, candidates.len() + MOST_CANDIDATES);
+        while let Some((blob, partial)) = pieces.next(window) {
+            if blob.area_px2 < params.min_area_px2 {
+                continue;
+            }
+            if partial || blob.area_px2 > params.max_area_px2 || !in_shape(&blob, params) {
+                sight = Sight::Unclear;
+                continue;
+            }
+            if candidates.len() == most {
+                return Sight::Several;
+            }
+            let runs = pieces.runs();
+            candidates.push(Candidate {
+                position: position as u32,
+                key: (runs[0].y, runs[0].start),
+                centre_px: match params.centre {
+                    Centre::Binary => centre::binary(&blob),
+                    Centre::Grey | Centre::Fit => {
+                        self.grey_centre.run(image, &blob, runs.iter(), params.polarity)
+                    }
+                },
+                area_px2: blob.area_px2,
+                spread_px2: blob.spread_px2(runs.iter()),
+            });
+        }
+        sight
+    }
+
+    /// Gives each position its only candidate, and each candidate to the nearest position only.
+    fn decide(&mut self, expected_px: &[DVec2], out: &mut Found) {
+        let Search { candidates, areas_px2, .. } = &mut self.near;
+        areas_px2.clear();
+        areas_px2.extend(candidates.iter().map(|c| c.area_px2));
+        let (least_px2, most_px2) = area_range_px2(self.params.threshold, usual_area_px2(areas_px2));
+        for candidate in candidates.iter().filter(|c| c.area_px2 > most_px2) {
+            out.sights[candidate.position as usize] = Sight::Unclear;
+        }
+        candidates.retain(|c| (least_px2..=most_px2).contains(&c.area_px2));
+        // Several in one window: none. They stand in the order of the positions.
+        let mut previous = None;
+        for c in candidates.iter() {
+            if previous.replace(c.position) == Some(c.position) {
+                out.sights[c.position as usize] = Sight::Several;
+            }
+        }
+        candidates.retain(|c| out.sights[c.position as usize] != Sight::Several);
+        let distance = |c: &Candidate| c.centre_px.distance_squared(expected_px[c.position as usize]);
+        candidates.sort_unstable_by(|a, b| {
+            a.key.cmp(&b.key).then(distance(a).total_cmp(&distance(b))).then(a.position.cmp(&b.position))
+        });
+        let mut last = None;
+        candidates.retain(|c| {
+            let again = last.replace(c.key) == Some(c.key);
+            if again {
+                out.sights[c.position as usize] = Sight::Unclear;
+            }
+            !again
+        });
+        candidates.sort_unstable_by_key(|c| c.position);
+        let variance = self.params.centre_sigma_px * self.params.centre_sigma_px;
+        for c in candidates.iter() {
+            out.sights[c.position as usize] = Sight::Marker(out.markers.centres_px.len() as u32);
+            out.markers.push(c.centre_px, [[variance, 0.0], [0.0, variance]], c.area_px2);
+        }
+        if self.params.centre == Centre::Fit {
+            out.markers.unfitted = out.markers.centres_px.len();
+        }
+    }
+}

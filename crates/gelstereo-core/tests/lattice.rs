@@ -1,0 +1,454 @@
+//! The lattice of a single frame: every place right, whatever the disturbance, and how many are found.
+
+mod support;
+
+use gelstereo_core::detect::Markers;
+use gelstereo_core::label::{Anchor, FoundLattice, LabelError, LatticeFinder, Place, anchor, rest_lattice};
+use gelstereo_core::math::random::Stream;
+use gelstereo_core::math::{DVec2, cos, sin};
+use gelstereo_core::params::LatticeParams;
+use proptest::prelude::*;
+use support::lattice;
+
+const PITCH: f64 = 17.56;
+const SIZE: (usize, usize) = (640, 480);
+const MIDDLE: DVec2 = DVec2::new(319.5, 239.5);
+const SEEDS: u64 = 200;
+
+/// Detections and the label of each; none for specks and merged dots.
+#[derive(Clone, Debug, Default)]
+struct Scene {
+    points: Vec<DVec2>,
+    labels: Vec<Option<usize>>,
+    /// Where all markers are, detected or not.
+    truth: Vec<DVec2>,
+    rows: usize,
+    cols: usize,
+    smear: Option<DVec2>,
+}
+
+impl Scene {
+    fn new(rows: usize, cols: usize, turn_deg: f64) -> Self {
+        // At 45 degrees a lattice of 19 markers a side fits into the image.
+        let truth = lattice(rows, cols, PITCH, MIDDLE, turn_deg, 0.0);
+        Self {
+            points: truth.clone(),
+            labels: (0..rows * cols).map(Some).collect(),
+            truth,
+            rows,
+            cols,
+            smear: None,
+        }
+    }
+
+    fn moved(mut self, by: impl Fn(DVec2) -> DVec2) -> Self {
+        for p in self.points.iter_mut().chain(&mut self.truth) {
+            *p = by(*p - MIDDLE) + MIDDLE;
+        }
+        self
+    }
+
+    fn shaken(mut self, sigma_px: f64, stream: &mut Stream) -> Self {
+        for p in &mut self.points {
+            let (x, y) = stream.normal_pair();
+            *p += DVec2::new(x, y) * sigma_px;
+        }
+        self
+    }
+
+    /// Without a share of the markers that `may` go.
+    fn thinned(mut self, share: f64, stream: &mut Stream, may: impl Fn(usize, usize) -> bool) -> Self {
+        for n in (0..self.points.len()).rev() {
+            let goes = self.labels[n].is_none_or(|l| may(l / self.cols, l % self.cols));
+            if goes && stream.uniform() < share {
+                self.points.swap_remove(n);
+                self.labels.swap_remove(n);
+            }
+        }
+        self
+    }
+
+    /// So many pairs of neighbours seen as one dot midway.
+    fn merged(mut self, pairs: usize, stream: &mut Stream) -> Self {
+        let mut left = pairs;
+        while left > 0 {
+            let n = stream.below(self.points.len());
+            let Some(label) = self.labels[n] else { continue };
+            let next = if stream.uniform() < 0.5 { 1 } else { self.cols };
+            if next == 1 && label % self.cols == self.cols - 1 {
+                continue;
+            }
+            let Some(m) = self.labels.iter().position(|&l| l == Some(label + next)) else { continue };
+            self.points[n] = (self.points[n] + self.points[m]) * 0.5;
+            self.labels[n] = None;
+            self.points.swap_remove(m);
+            self.labels.swap_remove(m);
+            left -= 1;
+        }
+        self
+    }
+
+    /// Specks anywhere in the image, but none where a marker could be, seen or not.
+    fn speckled(mut self, specks: usize, stream: &mut Stream) -> Self {
+        for _ in 0..specks {
+            loop {
+                let at = DVec2::new(stream.uniform() * 640.0, stream.uniform() * 480.0);
+                if self.truth.iter().all(|t| t.distance(at) > 0.45 * PITCH) {
+                    self.points.push(at);
+                    self.labels.push(None);
+                    break;
+                }
+            }
+        }
+        self
+    }
+
+    /// What lies in the image, with room for a whole dot.
+    fn cut(mut self) -> Self {
+        let inside = |p: DVec2| (p.x - MIDDLE.x).abs() < 314.0 && (p.y - MIDDLE.y).abs() < 234.0;
+        for n in (0..self.points.len()).rev() {
+            if !inside(self.points[n]) {
+                self.points.swap_remove(n);
+                self.labels.swap_remove(n);
+            }
+        }
+        self
+    }
+
+    fn shuffled(mut self, stream: &mut Stream) -> Self {
+        for i in (1..self.points.len()).rev() {
+            let j = stream.below(i + 1);
+            self.points.swap(i, j);
+            self.labels.swap(i, j);
+        }
+        self
+    }
+
+    /// A smear is larger than a dot.
+    fn areas(&self) -> Vec<u32> {
+        self.points.iter().map(|&p| if Some(p) == self.smear { 300 } else { 60 }).collect()
+    }
+
+    /// Wrong places, right ones, and markers that have none.
+    fn judge(&self, found: &FoundLattice) -> (usize, usize, usize) {
+        let place = |label: usize| Place { row: (label / self.cols) as i32, col: (label % self.cols) as i32 };
+        let pairs = || self.labels.iter().zip(&found.places);
+        let best = (0..4)
+            .map(|turns| {
+                // The shift that most agree on.
+                let mut shifts: Vec<(i32, i32)> = pairs()
+                    .filter_map(|(label, found)| {
+                        let (at, to) = ((*found)?.turned(turns), place((*label)?));
+                        Some((to.row - at.row, to.col - at.col))
+                    })
+                    .collect();
+                shifts.sort_unstable();
+                shifts.chunk_by(|a, b| a == b).map(<[_]>::len).max().unwrap_or(0)
+            })
+            .max()
+            .unwrap_or(0);
+        let placed = found.places.iter().flatten().count();
+        (placed - best, best, self.labels.iter().flatten().count() - best)
+    }
+}
+
+/// Runs a disturbance over fixed seeds: nothing wrong, and all markers placed in at least `least` of the scenes.
+fn rate(name: &str, least: u64, scene: impl Fn(&mut Stream) -> Scene) {
+    let (mut finder, mut found) = (LatticeFinder::default(), FoundLattice::default());
+    let (mut complete, mut refused, mut missed, mut wrong_scenes) = (0, 0, 0, 0);
+    for seed in 0..SEEDS {
+        let mut stream = Stream::new(seed, name);
+        let scene = scene(&mut stream).shuffled(&mut stream);
+        let area_px2 = scene.areas();
+        let markers = Markers { area_px2, ..Markers::at(scene.points.clone(), 0.1) };
+        if finder.run_markers(&markers, Some(SIZE), &mut found).is_err() {
+            refused += 1;
+            continue;
+        }
+        let (wrong, _, without) = scene.judge(&found);
+        wrong_scenes += u64::from(wrong > 0);
+        if wrong > 0 {
+            println!("{name} seed {seed}: {wrong} wrong, {without} without");
+        }
+        complete += u64::from(without == 0);
+        missed += without;
+    }
+    println!(
+        "{name}: complete {complete}, refused {refused}, markers without a place {missed}, wrong {wrong_scenes}"
+    );
+    assert!(complete >= least, "{name}: {complete} of {SEEDS} complete");
+    assert!(wrong_scenes == 0);
+}
+
+fn turn(p: DVec2, angle: f64) -> DVec2 {
+    DVec2::new(cos(angle) * p.x - sin(angle) * p.y, sin(angle) * p.x + cos(angle) * p.y)
+}
+
+fn any_turn(stream: &mut Stream) -> f64 {
+    stream.uniform() * 360.0
+}
+
+#[test]
+fn row_15_any_rotation() {
+    rate("rotation", SEEDS, |s| Scene::new(25, 25, any_turn(s)).shaken(0.1, s));
+    rate("rotation of a strip", SEEDS, |s| Scene::new(7, 19, any_turn(s)).shaken(0.3, s));
+}
+
+#[test]
+fn row_15_shear_of_two_pitches() {
+    rate("shear", SEEDS, |s| {
+        let (along, across) = (s.uniform() * 4.0 - 2.0, s.uniform() * 4.0 - 2.0);
+        Scene::new(25, 25, any_turn(s))
+            .moved(|p| p + DVec2::new(p.y * along, p.x * across) / 24.0)
+            .shaken(0.2, s)
+    });
+    rate("local shear", SEEDS, |s| {
+        let (at, push) =
+            (DVec2::new(s.uniform() - 0.5, s.uniform() - 0.5) * 300.0, s.uniform() * 2.0 * PITCH);
+        let (way, wide) = (turn(DVec2::X, s.uniform() * 7.0), 70.0 + 60.0 * s.uniform());
+        Scene::new(25, 25, any_turn(s))
+            .moved(|p| p + way * (push * (-p.distance_squared(at) / (2.0 * wide * wide)).exp()))
+            .shaken(0.2, s)
+    });
+}
+
+#[test]
+fn row_15_twist_of_thirty_degrees() {
+    rate("twist", SEEDS, |s| {
+        let (angle, wide) = ((s.uniform() * 2.0 - 1.0) * 30.0_f64.to_radians(), 60.0 + 100.0 * s.uniform());
+        Scene::new(25, 25, any_turn(s))
+            .moved(|p| turn(p, angle * (-p.length_squared() / (2.0 * wide * wide)).exp()))
+            .shaken(0.2, s)
+    });
+}
+
+#[test]
+fn row_15_perspective_and_barrel() {
+    rate("perspective", SEEDS, |s| {
+        let (x, y, k) = (s.uniform() * 0.5 - 0.25, s.uniform() * 0.5 - 0.25, s.uniform() * 0.2 - 0.12);
+        Scene::new(25, 25, any_turn(s))
+            .moved(|p| {
+                let p = p / (1.0 + (p.x * x + p.y * y) / 500.0);
+                p * (1.0 + k * p.length_squared() / 90_000.0)
+            })
+            .shaken(0.2, s)
+    });
+}
+
+#[test]
+fn row_15_a_fifth_missing() {
+    let interior = |r: usize, c: usize| r > 0 && c > 0 && r < 24 && c < 24;
+    rate("missing", SEEDS, |s| Scene::new(25, 25, any_turn(s)).shaken(0.2, s).thinned(0.2, s, interior));
+    rate("missing anywhere", 190, |s| {
+        Scene::new(25, 25, any_turn(s)).shaken(0.2, s).thinned(0.2, s, |_, _| true)
+    });
+    rate("missing, bent, with specks", 120, |s| {
+        let k = s.uniform() * 0.4 - 0.3;
+        Scene::new(25, 25, any_turn(s))
+            .moved(|p| p * (1.0 + k * p.length_squared() / 90_000.0))
+            .shaken(0.2, s)
+            .thinned(0.2, s, |_, _| true)
+            .speckled(20, s)
+    });
+}
+
+#[test]
+fn row_15_merged_and_specks() {
+    rate("merged", SEEDS - 4, |s| Scene::new(25, 25, any_turn(s)).shaken(0.2, s).merged(20, s));
+    rate("specks", SEEDS - 20, |s| Scene::new(25, 25, any_turn(s)).shaken(0.2, s).speckled(20, s));
+    rate("merged and missing and specks", 150, |s| {
+        Scene::new(25, 25, any_turn(s))
+            .shaken(0.2, s)
+            .merged(10, s)
+            .thinned(0.1, s, |_, _| true)
+            .speckled(10, s)
+    });
+}
+
+#[test]
+fn row_15_out_of_view_and_smeared() {
+    rate("out of view", SEEDS - 40, |s| {
+        let shift = DVec2::new(s.uniform() - 0.5, s.uniform() - 0.5) * 300.0;
+        Scene::new(25, 25, any_turn(s)).moved(|p| p + shift).shaken(0.2, s).cut()
+    });
+    rate("smear", SEEDS - 10, |s| {
+        let at = MIDDLE + DVec2::new(s.uniform() - 0.5, s.uniform() - 0.5) * 300.0;
+        let (axis, long) = (turn(DVec2::X, s.uniform() * 7.0), 40.0 + 80.0 * s.uniform());
+        let mut scene = Scene::new(25, 25, any_turn(s)).shaken(0.2, s);
+        let hidden = |p: DVec2| (p - at).dot(axis).abs() < long && (p - at).perp_dot(axis).abs() < 0.4 * long;
+        for n in (0..scene.points.len()).rev() {
+            if hidden(scene.points[n]) {
+                scene.points.swap_remove(n);
+                scene.labels.swap_remove(n);
+            }
+        }
+        scene.points.push(at);
+        scene.labels.push(None);
+        scene.smear = Some(at);
+        scene
+    });
+}
+
+#[test]
+fn large_lattices() {
+    rate("71 x 71", SEEDS - 5, |s| {
+        Scene::new(71, 71, any_turn(s)).shaken(0.5, s).thinned(0.1, s, |_, _| true).shuffled(s)
+    });
+}
+
+/// Labels of an anchor against those of the scene.
+fn wrong_labels(scene: &Scene, found: &FoundLattice, anchor: &Anchor) -> usize {
+    let label = |place: &Option<Place>| place.and_then(|p| anchor.label(p, scene.rows, scene.cols));
+    let differs =
+        |(place, truth): &(&Option<Place>, &Option<usize>)| truth.is_some() && label(place) != **truth;
+    found.places.iter().zip(&scene.labels).filter(differs).filter(|(place, _)| place.is_some()).count()
+}
+
+/// The whole lattice in view is anchored whatever the motion; the prediction only tells the turn.
+#[test]
+fn row_15_extents_anchor_a_frame_that_moved_by_more_than_half_a_pitch() {
+    let (mut finder, mut found) = (LatticeFinder::default(), FoundLattice::default());
+    for seed in 0..SEEDS {
+        let mut s = Stream::new(seed, "extents");
+        let (turn_deg, motion) = (any_turn(&mut s), turn(DVec2::X, s.uniform() * 7.0) * 1.3 * PITCH);
+        let before = Scene::new(15, 15, turn_deg);
+        let scene = before.clone().moved(|p| p + motion).shaken(0.2, &mut s);
+        let scene = scene.thinned(0.1, &mut s, |_, _| true).speckled(5, &mut s).shuffled(&mut s);
+        finder.run(&scene.points, Some(SIZE), &mut found).unwrap();
+        let Some(anchored) = anchor(&found, &scene.points, 15, 15, &before.truth) else {
+            panic!("{seed}: {:?} {} x {}", found.sides, found.rows, found.cols);
+        };
+        assert!(anchored.evidence.by_extents);
+        assert_eq!(wrong_labels(&scene, &found, &anchored), 0, "{seed}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Out of view, thinned and moved: anchored right or not at all.
+    #[test]
+    fn row_15_anchors_are_right_or_none(
+        seed: u64, turn_deg in 0.0..360.0_f64, motion in 0.0..0.4_f64, shift in 0.0..200.0_f64, specks in 0..20_usize,
+        share in 0.0..0.2_f64,
+    ) {
+        let mut s = Stream::new(seed, "anchor");
+        let (mut finder, mut found) = (LatticeFinder::default(), FoundLattice::default());
+        let (away, by) = (turn(DVec2::X, s.uniform() * 7.0) * shift, turn(DVec2::X, s.uniform() * 7.0) * motion * PITCH);
+        let before = Scene::new(25, 25, turn_deg).moved(|p| p + away);
+        let scene = before.clone().moved(|p| p + by).shaken(0.2, &mut s).cut();
+        let scene = scene.thinned(share, &mut s, |_, _| true).speckled(specks, &mut s).shuffled(&mut s);
+        if finder.run(&scene.points, Some(SIZE), &mut found).is_ok() {
+            let anchored = anchor(&found, &scene.points, 25, 25, &before.truth);
+            prop_assert!(anchored.is_some() || motion > 0.3 || scene.points.len() < 200, "{:?}", found.sides);
+            if let Some(anchored) = anchored {
+                prop_assert_eq!(wrong_labels(&scene, &found, &anchored), 0);
+            }
+        }
+    }
+
+    /// Any points: an answer, and one that fits its own lists.
+    #[test]
+    fn any_points_are_placed_or_refused(
+        points in prop::collection::vec((-4..5_i8, -4..5_i8, -0.3..0.3_f64), 0..80),
+        scale in prop_oneof![Just(0.0), Just(1e-300), Just(1e-3), Just(20.0), Just(1e5), Just(1e300)],
+    ) {
+        let points: Vec<DVec2> =
+            points.iter().map(|&(x, y, off)| DVec2::new(f64::from(x) + off, f64::from(y) - off) * scale).collect();
+        let mut found = FoundLattice::default();
+        if LatticeFinder::default().run(&points, Some(SIZE), &mut found).is_ok() {
+            prop_assert_eq!(found.places.len(), points.len());
+            for (m, place) in found.places.iter().enumerate() {
+                prop_assert!(place.is_none_or(|p| found.at(p) == Some(m)));
+            }
+        }
+        let _ = anchor(&found, &points, 5, 5, &[DVec2::NAN; 25]);
+    }
+
+    /// Rows and columns counted with a fifth missing, border rows too, at any turn: right or refused.
+    #[test]
+    fn row_15_rest_rows_and_columns_are_counted_right(
+        seed: u64, turn_deg in 0.0..360.0_f64, rows in 6..20_usize, cols in 6..20_usize, share in 0.0..0.2_f64,
+        specks in 0..10_usize,
+    ) {
+        let mut s = Stream::new(seed, "rest");
+        let scene = Scene::new(rows, cols, turn_deg).shaken(0.2, &mut s);
+        let scene = scene.thinned(share, &mut s, |_, _| true).speckled(specks, &mut s).shuffled(&mut s);
+        let lattice = LatticeParams { max_missing_share: 0.4, ..LatticeParams::default() };
+        match rest_lattice(&scene.points, &lattice, 1.0 / 3.0) {
+            Ok(rest) => {
+                prop_assert!((rest.rows, rest.cols) == (rows, cols) || (rest.rows, rest.cols) == (cols, rows));
+                let fits = |turns| {
+                    let turned = rest.turned(turns);
+                    turned.cols == cols
+                        && turned.positions_px.iter().zip(&scene.truth).all(|(a, b)| a.distance(*b) < 0.5 * PITCH)
+                };
+                prop_assert!((0..4).any(fits));
+                // Rows run most nearly from left to right.
+                let [row, _] = rest.directions();
+                prop_assert!(row.x > row.y.abs() * 0.98);
+            }
+            Err(LabelError::Border { .. } | LabelError::Irregular { .. }) => {}
+            Err(other) => prop_assert!(specks > 5 || share > 0.15, "{other}"),
+        }
+    }
+}
+
+/// Two views of one print, near the angle at which either turn is as upright: one is turned like the other.
+#[test]
+fn row_15_both_views_are_turned_alike_at_45_degrees() {
+    for (rows, cols) in [(15, 15), (11, 17)] {
+        let one =
+            rest_lattice(&Scene::new(rows, cols, 44.0).truth, &LatticeParams::default(), 1.0 / 3.0).unwrap();
+        let other =
+            rest_lattice(&Scene::new(rows, cols, 46.0).truth, &LatticeParams::default(), 1.0 / 3.0).unwrap();
+        assert!(
+            one.positions_px[0].distance(other.positions_px[0]) > 5.0 * PITCH,
+            "they differ as they come"
+        );
+        let other = other.turned_like(&one);
+        assert_eq!((other.rows, other.cols), (one.rows, one.cols));
+        let near = |(a, b): (&DVec2, &DVec2)| a.distance(*b) < PITCH;
+        assert!(one.positions_px.iter().zip(&other.positions_px).all(near));
+    }
+}
+
+/// Corners that were never printed tell the turn, and do not count as missing.
+#[test]
+fn row_16_markers_never_printed_tell_the_turn() {
+    let missing = vec![[0, 0], [0, 1], [2, 14]];
+    for turn_deg in [0.0, 80.0, 135.0, 190.0, 271.0] {
+        let mut scene = Scene::new(15, 15, turn_deg);
+        for label in [32 + 12, 1, 0] {
+            scene.points.remove(label);
+        }
+        let lattice =
+            LatticeParams { max_missing_share: 0.0, missing: missing.clone(), ..LatticeParams::default() };
+        let rest = rest_lattice(&scene.points, &lattice, 1.0 / 3.0).unwrap();
+        let near = |(a, b): (&DVec2, &DVec2)| a.distance(*b) < 1e-6;
+        assert!(rest.positions_px.iter().zip(&scene.truth).all(near), "{turn_deg}");
+        let wrong =
+            LatticeParams { missing: vec![[7, 7]], max_missing_share: 0.1, ..LatticeParams::default() };
+        assert!(matches!(
+            rest_lattice(&scene.points, &wrong, 1.0 / 3.0),
+            Err(LabelError::NeverPrinted { .. })
+        ));
+    }
+}
+
+/// A border row of a few markers: refused, unless the settings say what it is; a speck is none.
+#[test]
+fn row_15_a_border_row_of_few_markers_is_for_the_settings_to_decide() {
+    let scene = Scene::new(16, 15, 10.0);
+    let few: Vec<DVec2> = scene.truth.iter().copied().take(15 * 15 + 5).collect();
+    let set = |rows| LatticeParams { rows, max_missing_share: 0.05, ..LatticeParams::default() };
+    let fit = |points: &[DVec2], rows| rest_lattice(points, &set(rows), 1.0 / 3.0);
+    let error = fit(&few, None).unwrap_err();
+    assert!(matches!(error, LabelError::Border { side: 2, seen: 5, length: 15, rows: 16, cols: 15 }));
+    assert!(error.to_string().contains("lattice.rows"));
+    assert_eq!(fit(&few, Some(16)).unwrap().rows, 16);
+    assert_eq!(fit(&few, Some(15)).unwrap().positions_px, scene.truth[..225]);
+    let speck: Vec<DVec2> = scene.truth.iter().copied().take(15 * 15 + 1).collect();
+    assert_eq!(fit(&speck, None).unwrap().rows, 15);
+    assert!(matches!(fit(&speck, Some(17)), Err(LabelError::Shape { rows: 15, cols: 15, .. })));
+}

@@ -1,0 +1,89 @@
+"""The paper's boards (section V-A): how high a block seems that stands in the gel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from gelstereo import Error, Params, Scene, SimulatedFrame
+from gelstereo.frontier.rungs import EXACT, rungs_of
+from gelstereo.frontier.runners import Runner
+from gelstereo.frontier.scenes import BOARDS_MM, VGA, board_press, layered_scene
+from gelstereo.frontier.table import Report, Table, Target
+
+__all__ = ["measure_boards"]
+
+Array = npt.NDArray[np.float64]
+
+BASELINE = "OpenCV pipeline (baseline)"
+
+#: Limits of the largest mean error and of the spread, um.
+_LIMITS_UM = {"boards": (4.0, 8.0), "refraction": (4.0, 10.0)}
+
+
+def measure_boards(presses: int, report: Report) -> tuple[list[Table], list[Target]]:
+    """Measure height errors of the markers on the block: mean (standard deviation) per protrusion and method, um.
+
+    Once with cameras that see the markers directly, and once through air, acrylic and gel.
+    """
+    scenes = {"boards": VGA.scene(), "refraction": layered_scene()}
+    tables, targets = [], []
+    for name, scene in scenes.items():
+        table, errors_um = _measure(name, scene, presses, report)
+        tables.append(table)
+        targets += _targets(name, errors_um)
+    return tables, targets
+
+
+def _measure(name: str, scene: Scene, presses: int, report: Report) -> tuple[Table, dict[str, list[Array]]]:
+    rungs = (*rungs_of("points"), *rungs_of("whole"))
+    methods: dict[str, tuple[Params, bool]] = {rung.name: (rung.params(), True) for rung in rungs}
+    methods[BASELINE] = (Params(), False)
+    errors_um: dict[str, list[Array]] = {method: [] for method in methods}
+    rows = []
+    for protrusion_mm in BOARDS_MM:
+        report(f"{name}: {protrusion_mm} mm")
+        shots = [board_press(protrusion_mm, seed, scene) for seed in range(1, presses + 1)]
+        row = [f"{protrusion_mm:.1f}"]
+        for method, (params, native) in methods.items():
+            try:
+                found = np.concatenate(
+                    [_errors_um(Runner(scene.rig, params, native), shot) for shot in shots]
+                )
+            except (Error, ValueError) as error:
+                row.append(f"refused: {error}")
+                continue
+            errors_um[method].append(found)
+            row.append(f"{found.mean():+.1f} ({found.std():.1f})")
+        rows.append(row)
+    return Table(name, ["protrusion mm", *methods], rows), errors_um
+
+
+def _errors_um(runner: Runner, press: Sequence[SimulatedFrame]) -> Array:
+    """Height errors of the markers on the block, in the last frame against the first."""
+    rest_mm = np.empty((0, 3))
+    for frame in press:
+        _, points_mm, seen = runner.process(frame)
+        if frame.index == 0:
+            rest_mm = points_mm
+    truth_mm = press[-1].indentation_mm
+    block = seen & (truth_mm > 0.95 * truth_mm.max())
+    return np.asarray(1e3 * ((rest_mm - points_mm)[block, 2] - truth_mm[block]), np.float64)
+
+
+def _targets(name: str, errors_um: Mapping[str, Sequence[Array]]) -> list[Target]:
+    mean_um, spread_um = _LIMITS_UM[name]
+    boards = errors_um[EXACT]
+    known = len(boards) == len(BOARDS_MM)
+    worst = max(abs(float(board.mean())) for board in boards) if known else float("nan")
+    # Every board about its own mean: what the boards' means differ by is counted above.
+    spread = (
+        float(np.concatenate([board - board.mean() for board in boards]).std()) if known else float("nan")
+    )
+    what = f"boards{' through refraction' if name == 'refraction' else ''}, {EXACT}"
+    return [
+        Target(f"{what}, largest mean error", mean_um, worst, "um"),
+        Target(f"{what}, spread", spread_um, spread, "um"),
+    ]
