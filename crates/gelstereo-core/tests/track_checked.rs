@@ -202,6 +202,10 @@ fn row_35_identities_do_not_drift_on_a_long_walk() {
     }
     // Some twists and motions at once are too much for certainty: all is held for a frame.
     assert!(run.certain > 2_700, "{}", run.certain);
-    step_complete(&mut run, &Warp { shift_px: at, ..Warp::new() }, &Seeing::default());
-    assert_eq!(run.last_seen, MARKERS);
+    // Let go at once: those that sprang back farthest are held for a frame or two.
+    let released = Warp { shift_px: at, ..Warp::new() };
+    for _ in 0..3 {
+        run.step(&released, &Seeing::default()).unwrap();
+    }
+    step_complete(&mut run, &released, &Seeing::default());
 }
