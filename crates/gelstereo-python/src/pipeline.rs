@@ -26,14 +26,17 @@ impl ViewEvidence {
         self.inner.detected
     }
 
-    /// Where rows and columns come from: ``"rest"``, ``"foresight"`` (the sort of this frame) or ``"tracks"``; the last
-    /// under ``label.method = "foresight"`` means that the sort refused this frame.
+    /// Where rows and columns come from: ``"rest"``, ``"foresight"`` (the sort of this frame), ``"tracks"`` (under
+    /// ``label.method = "foresight"``: the sort refused this frame), ``"lattice"`` (tracks that were checked) or ``"held"`` (no
+    /// labels were certain).
     #[getter]
     const fn labels(&self) -> &'static str {
         match self.inner.labels {
             core::LabelSource::Rest => "rest",
             core::LabelSource::Foresight => "foresight",
             core::LabelSource::Tracks => "tracks",
+            core::LabelSource::Lattice => "lattice",
+            core::LabelSource::Held => "held",
         }
     }
 

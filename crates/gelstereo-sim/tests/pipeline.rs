@@ -3,7 +3,7 @@
 use gelstereo_core::digest::Digest;
 use gelstereo_core::image::GrayView;
 use gelstereo_core::math::{DVec3, Pose};
-use gelstereo_core::params::{Params, Saliency};
+use gelstereo_core::params::{LabelMethod, Motion, Params, Saliency};
 use gelstereo_core::pipeline::{Frame, LabelSource, Pipeline, PipelineError, View};
 use gelstereo_core::track::MarkerState;
 use gelstereo_core::triangulate::{TriangulateError, Triangulator};
@@ -261,4 +261,23 @@ fn images_of_another_size_and_settings_that_make_no_sense_are_refused() {
     assert!(Triangulator::new(&rig, &params.triangulate).is_ok());
     let (_, frame, _) = run(&scene(vec![]), &Params::default(), false);
     assert_eq!(frame.left.labels, LabelSource::Foresight);
+}
+
+/// Checked tracks give what unchecked ones give, bit for bit, where nothing goes wrong, and say that they are certain.
+#[test]
+fn checked_tracks_agree_with_unchecked_ones() {
+    let mut params = Params::preset("balanced").unwrap();
+    params.label.method = LabelMethod::Temporal;
+    let (_, unchecked, truth) = run(&scene(vec![[0, 0]]), &params, false);
+    params.label.method = LabelMethod::Lattice;
+    for motion in [Motion::Still, Motion::ConstantVelocity] {
+        params.track.motion = motion;
+        let (_, checked, _) = run(&scene(vec![[0, 0]]), &params, false);
+        assert_eq!([checked.left.labels, checked.right.labels], [LabelSource::Lattice; 2]);
+        assert_eq!(checked.state, unchecked.state);
+        assert_eq!(checked.left_px[1..], unchecked.left_px[1..]);
+        assert_eq!(checked.right_px[1..], unchecked.right_px[1..]);
+        // The marker that was never printed is carried where its neighbours say.
+        assert!(checked.left_px[0].distance(truth.left_px[0]) < 1.0);
+    }
 }

@@ -51,7 +51,7 @@ fn process(pipeline: &mut Pipeline, [left, right]: &Pair, frame: &mut Frame) {
 fn row_35_sensing_allocates_nothing_after_the_first_frames() {
     let (pairs, rig) = (pairs(), Scene::default_rig());
     for preset in Params::PRESETS {
-        for method in [LabelMethod::Foresight, LabelMethod::Temporal] {
+        for method in [LabelMethod::Foresight, LabelMethod::Temporal, LabelMethod::Lattice] {
             let mut params = Params::preset(preset).unwrap();
             params.label.method = method;
             if method == LabelMethod::Temporal {

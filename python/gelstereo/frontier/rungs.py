@@ -54,6 +54,12 @@ RUNGS = (
     ),
     Rung("label", "foresight (paper)", {"label": {"method": "foresight"}}, "balanced"),
     Rung("label", "temporal", {"label": {"method": "temporal"}}, "balanced"),
+    Rung(
+        "label",
+        "lattice",
+        {"label": {"method": "lattice"}, "track": {"motion": "constant_velocity"}},
+        "balanced",
+    ),
     Rung("points", "q (paper)", _POINTS | {"triangulate": {"method": "q"}}, "balanced"),
     Rung("points", "polynomial", _POINTS | {"triangulate": {"method": "polynomial"}}, "balanced"),
     Rung("points", "rays", _POINTS | {"triangulate": {"method": "rays"}}, "balanced"),

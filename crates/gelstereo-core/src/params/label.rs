@@ -11,6 +11,9 @@ pub enum LabelMethod {
     Foresight,
     /// A marker keeps the row and column of the rest frame through its track.
     Temporal,
+    /// A marker keeps its row and column through its track as long as that is certain: matches agree with their neighbours,
+    /// and the lattice's border tells motions by a whole pitch. Otherwise it is held.
+    Lattice,
 }
 
 /// Row and column of every marker.

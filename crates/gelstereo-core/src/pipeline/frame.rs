@@ -16,6 +16,10 @@ pub enum LabelSource {
     Foresight,
     /// The tracks since the rest frame.
     Tracks,
+    /// Tracks that were checked against the lattice and found certain.
+    Lattice,
+    /// Nowhere: no labels were certain, and all markers are held.
+    Held,
 }
 
 /// What one view contributed to a frame.

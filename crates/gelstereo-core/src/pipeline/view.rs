@@ -7,7 +7,7 @@ use crate::detect::{DetectError, Detector, Markers};
 use crate::image::GrayView;
 use crate::label::{self, RestLattice};
 use crate::params::{LabelMethod, Params};
-use crate::track::{Tracker, Tracks};
+use crate::track::{CheckedTracker, Tracker, Tracks, Verdict};
 use alloc::vec::Vec;
 
 /// One view's stages, from image to labelled markers.
@@ -19,6 +19,7 @@ pub(super) struct ViewStages {
     markers: Markers,
     detected: Result<(), DetectError>,
     tracker: Tracker,
+    checked: CheckedTracker,
     tracks: Tracks,
     /// Of the lattice, as found in the rest frame.
     pub rows: usize,
@@ -38,6 +39,7 @@ impl ViewStages {
             markers: Markers::default(),
             detected: Ok(()),
             tracker: Tracker::new(&params.track),
+            checked: CheckedTracker::new(&params.track, size_px),
             tracks: Tracks::default(),
             rows: 0,
             cols: 0,
@@ -75,18 +77,41 @@ impl ViewStages {
         let rest = label::rest_lattice(&self.markers.centres_px, &params.lattice, tolerance_pitches)
             .map_err(|error| PipelineError::Label { view: self.view, error })?;
         let rest = other.map_or_else(|| rest.clone(), |other| rest.turned_like(other));
-        (self.rows, self.cols, self.pitch_px) = (rest.rows, rest.cols, rest.pitch_px);
-        self.tracker.initialise(&rest, &self.markers, &mut self.tracks);
-        self.tracker.reserve(self.size_px, self.markers.centres_px.capacity());
-        self.take_tracks(LabelSource::Rest);
+        self.begin(params, &rest);
         Ok(rest)
     }
 
-    pub fn follow(&mut self, params: &Params) {
-        self.tracker.run(&self.markers, &mut self.tracks);
+    /// Starts from a labelled rest frame, made of the present markers.
+    fn begin(&mut self, params: &Params, rest: &RestLattice) {
+        (self.rows, self.cols, self.pitch_px) = (rest.rows, rest.cols, rest.pitch_px);
+        let most = self.markers.centres_px.capacity();
         match params.label.method {
-            LabelMethod::Temporal => self.take_tracks(LabelSource::Tracks),
-            LabelMethod::Foresight => self.sort(params.label.tolerance_pitches),
+            LabelMethod::Lattice => self.checked.initialise(rest, &self.markers, most, &mut self.tracks),
+            LabelMethod::Temporal | LabelMethod::Foresight => {
+                self.tracker.initialise(rest, &self.markers, &mut self.tracks);
+                self.tracker.reserve(self.size_px, most);
+            }
+        }
+        self.take_tracks(LabelSource::Rest);
+    }
+
+    pub fn follow(&mut self, params: &Params) {
+        match params.label.method {
+            LabelMethod::Temporal => {
+                self.tracker.run(&self.markers, &mut self.tracks);
+                self.take_tracks(LabelSource::Tracks);
+            }
+            LabelMethod::Foresight => {
+                self.tracker.run(&self.markers, &mut self.tracks);
+                self.sort(params.label.tolerance_pitches);
+            }
+            LabelMethod::Lattice => {
+                let verdict = self.checked.run(&self.markers, &mut self.tracks);
+                self.take_tracks(match verdict {
+                    Verdict::Certain => LabelSource::Lattice,
+                    Verdict::Uncertain => LabelSource::Held,
+                });
+            }
         }
     }
 

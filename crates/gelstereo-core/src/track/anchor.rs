@@ -34,6 +34,13 @@ pub(super) struct Anchor {
     unprinted: Vec<u8>,
 }
 
+/// Whether a marker at a position is whole in the image.
+pub(super) fn in_view(size_px: (usize, usize), pitch_px: f64) -> impl Fn(DVec2) -> bool {
+    let border = DVec2::splat(BORDER_PITCHES * pitch_px);
+    let far = DVec2::new(size_px.0 as f64 - 1.0, size_px.1 as f64 - 1.0) - border;
+    move |p| p.cmpge(border).all() && p.cmple(far).all()
+}
+
 /// What a jump costs: up to a row of markers, from a pitch on. A border that disappears at once may have moved on, or be
 /// hidden.
 fn surprise(canvas: &Canvas, shift: [isize; 2], pitch_px: f64) -> u32 {
@@ -42,6 +49,30 @@ fn surprise(canvas: &Canvas, shift: [isize; 2], pitch_px: f64) -> u32 {
     let (Some(from), Some(to)) = (canvas.site(middle, [0, 0]), canvas.site(middle, shift)) else { return 0 };
     let moved_px = canvas.position_px(to).distance(canvas.predicted_px[from]);
     (side * (moved_px / pitch_px).min(1.0)) as u32
+}
+
+/// The cheapest shift and what the next one costs.
+#[derive(Clone, Copy, Debug)]
+struct Rank {
+    best: u32,
+    second: u32,
+    shift: [isize; 2],
+}
+
+impl Default for Rank {
+    fn default() -> Self {
+        Self { best: u32::MAX, second: u32::MAX, shift: [0, 0] }
+    }
+}
+
+impl Rank {
+    fn add(&mut self, cost: u32, shift: [isize; 2]) {
+        if cost < self.best {
+            *self = Self { best: cost, second: self.best, shift };
+        } else {
+            self.second = self.second.min(cost);
+        }
+    }
 }
 
 /// The answer.
@@ -74,9 +105,7 @@ impl Anchor {
         size_px: (usize, usize),
         pitch_px: f64,
     ) -> Anchored {
-        let border = DVec2::splat(BORDER_PITCHES * pitch_px);
-        let far = DVec2::new(size_px.0 as f64 - 1.0, size_px.1 as f64 - 1.0) - border;
-        let in_view = |p: DVec2| p.cmpge(border).all() && p.cmple(far).all();
+        let in_view = in_view(size_px, pitch_px);
         let fill = |list: &mut Vec<u8>, values: &mut dyn Iterator<Item = bool>| {
             list.clear();
             list.extend(values.map(u8::from));
@@ -86,19 +115,18 @@ impl Anchor {
         fill(&mut self.expected, &mut expectations.clone().map(|e| e == Expectation::Present));
         fill(&mut self.unprinted, &mut expectations.map(|e| e == Expectation::Absent));
         let most = canvas.rings as isize;
-        let (mut best, mut second) = ((u32::MAX, [0, 0]), u32::MAX);
+        // With what a jump costs and without: both must give the same answer.
+        let mut ranks = [Rank::default(); 2];
         for shift in (-most..=most).flat_map(|row| (-most..=most).map(move |col| [row, col])) {
-            let cost = self.cost(canvas, shift) + surprise(canvas, shift, pitch_px);
-            if cost < best.0 {
-                (second, best) = (best.0, (cost, shift));
-            } else {
-                second = second.min(cost);
-            }
+            let cost = self.cost(canvas, shift);
+            ranks[0].add(cost, shift);
+            ranks[1].add(cost + surprise(canvas, shift, pitch_px), shift);
         }
         // Half a border row tells two shifts apart; a few specks do not.
         let margin = (canvas.rows.min(canvas.cols) as u32 / 2).max(6);
-        let certain = second - best.0 >= margin && self.on_edge(canvas) <= margin / 2;
-        Anchored { shift: best.1, certain }
+        let clear = ranks.iter().all(|rank| rank.second - rank.best >= margin);
+        let certain = clear && ranks[0].shift == ranks[1].shift && self.on_edge(canvas) <= margin / 2;
+        Anchored { shift: ranks[1].shift, certain }
     }
 
     fn cost(&self, canvas: &Canvas, shift: [isize; 2]) -> u32 {

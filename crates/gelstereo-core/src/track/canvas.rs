@@ -1,6 +1,6 @@
 //! The lattice with rings of empty places around it, where markers would appear if it had moved by whole pitches.
 
-use crate::math::{DVec2, median};
+use crate::math::{DVec2, median, sqrt};
 use alloc::vec::Vec;
 
 /// No detection.
@@ -122,6 +122,19 @@ impl Canvas {
         near(row, height)
             .flat_map(move |r| near(col, width).map(move |c| r * width + c))
             .filter(move |&other| other != site)
+    }
+
+    /// Distance of a place to the nearest of the four beside it, as predicted.
+    pub fn step_px(&self, site: usize) -> f64 {
+        let (width, col) = (self.width(), site % self.width());
+        let beside = [
+            (col > 0).then(|| site - 1),
+            (col + 1 < width).then_some(site + 1),
+            site.checked_sub(width),
+            Some(site + width).filter(|&s| s < self.found.len()),
+        ];
+        let apart2 = |s: usize| self.predicted_px[s].distance_squared(self.predicted_px[site]);
+        sqrt(beside.into_iter().flatten().map(apart2).fold(f64::INFINITY, f64::min))
     }
 
     /// Where the marker of a place stands, or would.

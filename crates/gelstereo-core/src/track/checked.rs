@@ -1,6 +1,6 @@
 //! Identity over frames that is checked: right, or not claimed.
 
-use super::anchor::{Anchor, Expectation};
+use super::anchor::{self, Anchor, Expectation};
 use super::canvas::{Canvas, NONE};
 use super::carry::Carry;
 use super::matching::Matching;
@@ -133,6 +133,14 @@ impl CheckedTracker {
                 return Verdict::Certain;
             }
         }
+        // Gel that was let go while nothing was certain looks as at rest.
+        if out.stale {
+            self.expected_px.clone_from(&self.rest_px);
+            if let Some(shift) = self.identify(&detected.centres_px, RINGS[1], out) {
+                self.take(detected, shift, out);
+                return Verdict::Certain;
+            }
+        }
         self.hold(out);
         Verdict::Uncertain
     }
@@ -164,6 +172,7 @@ impl CheckedTracker {
 
     fn take(&mut self, detected: &Markers, shift: [isize; 2], out: &mut Tracks) {
         let Self { canvas, carry, rest_px, cols, .. } = self;
+        let in_view = anchor::in_view(self.size_px, self.pitch_px);
         core::mem::swap(&mut out.previous_px, &mut out.positions_px);
         let detection = |n: usize| canvas.site(n, shift).map(|s| canvas.found[s]).filter(|&m| m != NONE);
         for n in 0..rest_px.len() {
@@ -173,7 +182,13 @@ impl CheckedTracker {
                 out.covariance_px2[n] = detected.covariance_px2[m as usize];
             }
             let missed = &mut out.missed_frames[n];
-            *missed = if found.is_some() { 0 } else { missed.saturating_add(1) };
+            // Out of view it is not missed, but expected as soon as it is back.
+            let out_of_view = canvas.site(n, shift).is_none_or(|s| !in_view(canvas.position_px(s)));
+            *missed = match (found, out_of_view) {
+                (Some(_), _) => 0,
+                (None, true) => (*missed).max(1),
+                (None, false) => missed.saturating_add(1),
+            };
             out.update_state(n, found.is_some(), self.params.max_held_frames);
         }
         carry.run(rest_px, *cols, |n| detection(n).is_some(), &mut out.positions_px);

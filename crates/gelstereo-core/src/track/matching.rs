@@ -32,7 +32,12 @@ const HALF_DIAGONAL: f64 = 0.75;
 const LONE: f64 = 0.12;
 const LONE_HIDDEN: f64 = 0.02;
 const HIDDEN_FRAMES: u32 = 4;
+/// But never by more than so much of the distance to its nearest neighbour, which is less than a pitch where the gel is squeezed.
 const LONE_MOST: f64 = 0.25;
+
+/// A marker needs so many matched neighbours; one that was hidden, more.
+const BESIDE: usize = 2;
+const BESIDE_HIDDEN: usize = 3;
 
 /// With fewer suggestions than this a marker is given no more room.
 const SUPPORT: usize = 5;
@@ -110,7 +115,7 @@ impl Matching {
             // What lies beyond the gate when all have moved nearly as far.
             if self.taken.contains(&false) {
                 self.grow(canvas, detected_px, reach_px, disputed_px);
-                self.weed(canvas, &missed, pitch_px);
+                while self.weed(canvas, &missed, pitch_px) {}
             }
             return true;
         }
@@ -127,7 +132,7 @@ impl Matching {
             }
         }
         self.settle(canvas, detected_px, reach_px, disputed_px);
-        self.weed(canvas, &missed, pitch_px);
+        while self.weed(canvas, &missed, pitch_px) {}
         canvas.spread(&mut self.known, &mut self.targets);
         !torn(canvas, if stale { SLIPPED_STALE } else { SLIPPED }, pitch_px)
     }
@@ -252,8 +257,8 @@ impl Matching {
         }
     }
 
-    /// Drops detections that stand alone against their neighbours: specks, and merged pairs.
-    fn weed(&mut self, canvas: &mut Canvas, missed: impl Fn(usize) -> u32, pitch_px: f64) {
+    /// Drops detections that stand alone against their neighbours: specks, and merged pairs. Whether there were any.
+    fn weed(&mut self, canvas: &mut Canvas, missed: impl Fn(usize) -> u32, pitch_px: f64) -> bool {
         self.claimants.clear();
         for (site, &m) in canvas.found.iter().enumerate().filter(|&(_, &m)| m != NONE) {
             let alone = canvas.suggested(site).is_none_or(|around| {
@@ -262,12 +267,17 @@ impl Matching {
                     LONE * pitch_px
                 } else {
                     let most_px = (LONE + LONE_HIDDEN * f64::from(hidden)) * pitch_px;
-                    (most_px + 2.0 * around.spread_px).min(LONE_MOST * pitch_px)
+                    most_px + 2.0 * around.spread_px
                 };
+                let most_px = most_px.min(LONE_MOST * canvas.step_px(site));
                 canvas.residual_px[site].distance(around.middle_px) > most_px
             });
             let bent = |between: DVec2| canvas.position_px(site).distance(between) > BENT * pitch_px;
-            let alone = alone || canvas.between_px(site).is_some_and(bent);
+            let beside = canvas.around(site).filter(|&s| canvas.found[s] != NONE).count();
+            let hidden = canvas.marker(site).is_none_or(|n| missed(n) > 0);
+            let alone = alone
+                || beside < if hidden { BESIDE_HIDDEN } else { BESIDE }
+                || canvas.between_px(site).is_some_and(bent);
             if alone {
                 self.claimants.push((site as u32, m));
             }
@@ -276,6 +286,7 @@ impl Matching {
             self.taken[m as usize] = false;
             canvas.found[site as usize] = NONE;
         }
+        !self.claimants.is_empty()
     }
 }
 
