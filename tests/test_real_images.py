@@ -28,7 +28,7 @@ def smooth_map_error_px(lattice: gelstereo.RestLattice, used: np.ndarray) -> np.
         map_px = np.linalg.lstsq(root * basis[used], root * lattice.positions_px[used], rcond=None)[0]
         error = np.linalg.norm(basis @ map_px - lattice.positions_px, axis=1)
         weights = 1.0 / (1.0 + (error[used] / 3.0) ** 2)
-    return error
+    return np.asarray(error)
 
 
 def yellowness(path: str) -> np.ndarray:
@@ -36,7 +36,7 @@ def yellowness(path: str) -> np.ndarray:
     import cv2
 
     image = cv2.imread(path).astype(float)
-    return cv2.blur(np.minimum(image[:, :, 1], image[:, :, 2]) - image[:, :, 0], (5, 5))
+    return np.asarray(cv2.blur(np.minimum(image[:, :, 1], image[:, :, 2]) - image[:, :, 0], (5, 5)))
 
 
 def test_only_polarity_and_channel_differ() -> None:
