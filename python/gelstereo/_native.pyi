@@ -515,6 +515,7 @@ class Simulator:
         twist_rad: float = 0.0,
         frame: int = 0,
     ) -> SimulatedFrame: ...
+    def render_points(self, points_mm: npt.ArrayLike, *, frame: int = 0) -> SimulatedFrame: ...
 
 def shape_mesh(
     shape: Mapping[str, Any], tolerance_mm: float = 0.01

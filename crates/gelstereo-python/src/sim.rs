@@ -5,6 +5,7 @@ use crate::errors::{SceneError, raise};
 use crate::register::{load_mesh, triangle_mesh};
 use crate::rig::Rig;
 use crate::tree;
+use gelstereo_core::math::DVec3;
 use gelstereo_sim as sim;
 use numpy::{PyArray2, PyArray3};
 use pyo3::exceptions::PyIndexError;
@@ -298,6 +299,36 @@ impl Simulator {
         }
         self.moment(py, contact.as_ref(), frame.0 as u64)
     }
+
+    /// Render markers that someone else has placed: those of another sensor's recording, say.
+    ///
+    /// Parameters
+    /// ----------
+    /// points_mm : (N, 3) array_like
+    ///     Sensor frame, marker ``row * cols + col`` of the scene's gel at that index.
+    /// frame : int
+    ///     Keys the noise, and times the smears.
+    ///
+    /// Returns
+    /// -------
+    /// SimulatedFrame
+    ///     Its indentation counts from the scene's flat surface; `in_contact` is false throughout, since nobody knows.
+    ///
+    /// Raises
+    /// ------
+    /// SceneError
+    ///     If there are more or fewer points than the gel has markers, or one is beyond 10 m.
+    #[pyo3(signature = (points_mm, *, frame=Count(0)), text_signature = "($self, points_mm, *, frame=0)")]
+    fn render_points(
+        &self,
+        py: Python<'_>,
+        points_mm: &Bound<'_, PyAny>,
+        frame: Count,
+    ) -> PyResult<SimulatedFrame> {
+        let points_mm = arrays::Numbers::new(points_mm, "points_mm")?;
+        let points_mm: &[DVec3] = points_mm.rows::<_, 3>()?;
+        self.render(py, None, frame.0 as u64, |stage, truth| stage.placed(points_mm, frame.0 as u64, truth))
+    }
 }
 
 impl Simulator {
@@ -311,13 +342,28 @@ impl Simulator {
         contact: Option<&sim::ContactState>,
         frame: u64,
     ) -> PyResult<SimulatedFrame> {
+        self.render(py, contact, frame, |stage, truth| {
+            stage.moment(contact, frame, truth);
+            Ok(())
+        })
+    }
+
+    /// Renders what `describe` has found to be true.
+    fn render(
+        &self,
+        py: Python<'_>,
+        contact: Option<&sim::ContactState>,
+        frame: u64,
+        describe: impl FnOnce(&mut sim::Simulator, &mut sim::Truth) -> Result<(), sim::SceneError> + Send,
+    ) -> PyResult<SimulatedFrame> {
         let (mut truth, mut left, mut right) = (sim::Truth::default(), Vec::new(), Vec::new());
         let time_s = py.detach(|| {
             let mut stage = self.lock();
-            stage.moment(contact, frame, &mut truth);
+            describe(&mut stage, &mut truth)?;
             stage.render(&truth, frame, &mut left, &mut right);
-            stage.time_s(frame)
+            Ok::<_, sim::SceneError>(stage.time_s(frame))
         });
+        let time_s = time_s.map_err(raise)?;
         let rig = &self.scene.get().inner.rig;
         Ok(SimulatedFrame {
             index: frame,

@@ -48,6 +48,20 @@ proptest! {
     }
 
     #[test]
+    fn placed_markers_look_as_those_of_a_press(depth in 0.0..3.0, x in -8.0..8.0, y in -8.0..8.0) {
+        let scene = with_effects(SPHERE, Effects::of_gel());
+        let pressed = truth(&scene, Some(&press(&scene, DVec3::ZERO, DVec2::new(x, y), depth)));
+        let mut placed = Truth::default();
+        simulator(&scene).placed(&pressed.points_mm, 0, &mut placed).unwrap();
+        for (found, expected) in placed.indentation_mm.iter().zip(&pressed.indentation_mm) {
+            prop_assert!((found - expected).abs() < 1e-12);
+        }
+        placed.indentation_mm.clone_from(&pressed.indentation_mm);
+        placed.in_contact.clone_from(&pressed.in_contact);
+        prop_assert_eq!(placed, pressed);
+    }
+
+    #[test]
     fn markers_in_contact_lie_on_the_part_and_none_within(
         depth in 0.5..2.5, dx in -0.5..0.5, dy in -0.5..0.5, twist in -0.2..0.2,
     ) {
@@ -125,4 +139,18 @@ fn a_realistic_grasp_reaches_the_stop_trigger() {
     };
     assert!(motion(2.0, 0.4) > 10.0 && motion(2.4, 0.0) > 10.0);
     assert!(motion(2.0, 0.0) < 10.0 && motion(1.0, 0.5) < 10.0, "nor at the first touch");
+}
+
+#[test]
+fn placed_markers_that_are_none_are_refused() {
+    let scene = rigid(SPHERE);
+    let (mut simulator, mut out) = (simulator(&scene), rest(&scene));
+    let mut points = out.points_mm.clone();
+    points[7].y = f64::NAN;
+    let error = simulator.placed(&points, 0, &mut out).unwrap_err();
+    assert_eq!(error.to_string(), "points_mm is NaN; valid is -10000 to 10000 mm");
+    points.truncate(3);
+    let error = simulator.placed(&points, 0, &mut out).unwrap_err();
+    assert_eq!(error.to_string(), "number of points_mm is 3; valid is gel.rows * gel.cols");
+    assert_eq!(out, rest(&scene));
 }

@@ -2,6 +2,7 @@
 
 use super::Simulator;
 use crate::render::{Dot, Ellipse};
+use crate::scene::SceneError;
 use alloc::vec::Vec;
 use gelstereo_core::math::{DVec2, DVec3, Pose};
 use gelstereo_core::rig::View;
@@ -82,7 +83,7 @@ const NO_OUTLINE: Ellipse = Ellipse { centre_px: OUT_OF_SIGHT_PX, half_px: [DVec
 impl Simulator {
     /// Hands the scratch over as truth.
     pub(super) fn write(&mut self, time_s: f64, out: &mut Truth) {
-        let Self { scratch, rest, rig, surface_mm, .. } = &*self;
+        let Self { scratch, rest, surface_mm, .. } = &*self;
         out.indentation_mm.clear();
         out.indentation_mm.extend_from_slice(&scratch.heights);
         out.in_contact.clear();
@@ -90,10 +91,36 @@ impl Simulator {
         let moved = rest.iter().zip(&scratch.motion).zip(&scratch.heights);
         out.points_mm.clear();
         out.points_mm.extend(moved.map(|((&rest, &u), &height)| (rest + u).extend(surface_mm - height)));
+        self.write_views(time_s, out);
+    }
+
+    /// [`Self::moment`] of markers that someone else has placed, row by row: those of a recording, say. `in_contact`
+    /// is false throughout, since nobody knows.
+    ///
+    /// # Errors
+    /// [`SceneError::Invalid`] if there are more or fewer points than the gel has markers, or one is beyond 10 m.
+    pub fn placed(&mut self, points_mm: &[DVec3], frame: u64, out: &mut Truth) -> Result<(), SceneError> {
+        let (found, markers) = (points_mm.len(), self.rest.len());
+        SceneError::check(found == markers, "number of points_mm", found as f64, "gel.rows * gel.cols")?;
+        for x in points_mm.iter().flat_map(|point| point.to_array()) {
+            SceneError::check(x.abs() <= 1e4, "points_mm", x, "-10000 to 10000 mm")?;
+        }
+        out.points_mm.clear();
+        out.points_mm.extend_from_slice(points_mm);
+        out.indentation_mm.clear();
+        out.indentation_mm.extend(points_mm.iter().map(|point| self.surface_mm - point.z));
+        out.in_contact.clear();
+        out.in_contact.resize(markers, false);
+        self.write_views(self.time_s(frame), out);
+        Ok(())
+    }
+
+    /// What both cameras see of `out.points_mm`.
+    fn write_views(&mut self, time_s: f64, out: &mut Truth) {
         out.left_px.clear();
         out.right_px.clear();
         for &point in &out.points_mm {
-            let (left, right) = rig.project(point).unwrap_or((OUT_OF_SIGHT_PX, OUT_OF_SIGHT_PX));
+            let (left, right) = self.rig.project(point).unwrap_or((OUT_OF_SIGHT_PX, OUT_OF_SIGHT_PX));
             out.left_px.push(left);
             out.right_px.push(right);
         }
