@@ -5,7 +5,7 @@ mod support;
 use gelstereo_core::detect::Markers;
 use gelstereo_core::math::DVec2;
 use gelstereo_core::params::{Motion, TrackParams};
-use gelstereo_core::track::Verdict;
+use gelstereo_core::track::{MarkerState, Verdict};
 use proptest::prelude::*;
 use support::sequence::{MARKERS, PITCH_PX, Run, Seeing, Warp};
 

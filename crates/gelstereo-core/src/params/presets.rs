@@ -1,40 +1,62 @@
 //! Settings by name.
 
 use super::{
-    Background, Centre, ContactParams, DetectParams, LabelMethod, LabelParams, Params, RegisterMethod,
-    RegisterParams, TriangulateMethod, TriangulateParams,
+    Background, Centre, ContactParams, DetectParams, LabelMethod, LabelParams, LatticeParams, Motion, Params,
+    RegisterMethod, RegisterParams, Threshold, TrackParams, TriangulateMethod, TriangulateParams,
 };
 
 impl Params {
     /// The preset of that name, or `None`; [`Self::PRESETS`] lists them.
     ///
-    /// `paper` is the paper's pipeline to the letter, `balanced` its cheaper and more accurate variant: box
-    /// background, grey centroids, labels kept through tracks, points by a polynomial fitted to the rays, the gel's
-    /// shoulder left out, point-to-plane registration.
+    /// - `paper`: the paper's pipeline to the letter;
+    /// - `fast`: the cheapest rung of every stage that keeps identities safe;
+    /// - `balanced`: what to begin with: as `fast`, with the whole image searched in every frame;
+    /// - `exact`: the most accurate rung of every stage.
+    ///
+    /// All but `paper` derive the threshold from the image, check every identity against the lattice, tolerate a fifth of
+    /// the markers missing, and see through the rig's layers.
     #[must_use]
     pub fn preset(name: &str) -> Option<Self> {
         match name {
             "paper" => Some(Self::default()),
-            "balanced" => Some(Self {
-                detect: DetectParams {
-                    background: Background::Box,
-                    centre: Centre::Grey,
-                    centre_sigma_px: 0.04,
-                    ..Default::default()
-                },
-                label: LabelParams { method: LabelMethod::Temporal, ..Default::default() },
-                triangulate: TriangulateParams {
-                    method: TriangulateMethod::Polynomial,
-                    ..Default::default()
-                },
-                contact: ContactParams { patch_share: 0.65, ..Default::default() },
-                register: RegisterParams { method: RegisterMethod::FilterregPlane, ..Default::default() },
-                ..Self::default()
-            }),
+            "fast" => Some(Self::fast()),
+            "balanced" => Some(Self::balanced()),
+            "exact" => Some(Self::exact()),
             _ => None,
         }
     }
 
     /// Names that [`Self::preset`] knows.
-    pub const PRESETS: [&'static str; 2] = ["paper", "balanced"];
+    pub const PRESETS: [&'static str; 4] = ["paper", "fast", "balanced", "exact"];
+
+    fn fast() -> Self {
+        Self::balanced()
+    }
+
+    fn balanced() -> Self {
+        Self {
+            lattice: LatticeParams { max_missing_share: 0.2, ..Default::default() },
+            detect: DetectParams {
+                background: Background::Blocks,
+                threshold: Threshold::Auto,
+                centre: Centre::Grey,
+                centre_sigma_px: 0.04,
+                ..Default::default()
+            },
+            track: TrackParams { motion: Motion::ConstantVelocity, ..Default::default() },
+            label: LabelParams { method: LabelMethod::Lattice, ..Default::default() },
+            triangulate: TriangulateParams { method: TriangulateMethod::Polynomial, ..Default::default() },
+            contact: ContactParams { patch_share: 0.65, ..Default::default() },
+            register: RegisterParams { method: RegisterMethod::FilterregPlane, ..Default::default() },
+        }
+    }
+
+    fn exact() -> Self {
+        let balanced = Self::balanced();
+        Self {
+            detect: DetectParams { centre: Centre::Fit, ..balanced.detect },
+            triangulate: TriangulateParams { method: TriangulateMethod::Rays, ..balanced.triangulate },
+            ..balanced
+        }
+    }
 }
