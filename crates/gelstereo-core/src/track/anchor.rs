@@ -125,7 +125,10 @@ impl Anchor {
         // Half a border row tells two shifts apart; a few specks do not.
         let margin = (canvas.rows.min(canvas.cols) as u32 / 2).max(6);
         let clear = ranks.iter().all(|rank| rank.second - rank.best >= margin);
-        let certain = clear && ranks[0].shift == ranks[1].shift && self.on_edge(canvas) <= margin / 2;
+        // The best of all tried, at the end of what was tried, may be second to one that was not.
+        let inside = ranks[1].shift.iter().all(|along| along.abs() < most);
+        let certain =
+            clear && inside && ranks[0].shift == ranks[1].shift && self.on_edge(canvas) <= margin / 2;
         Anchored { shift: ranks[1].shift, certain }
     }
 

@@ -4,6 +4,7 @@ use super::anchor::{self, Anchor, Expectation};
 use super::canvas::{Canvas, NONE};
 use super::carry::Carry;
 use super::matching::Matching;
+use super::relabel::Relabel;
 use super::{NEVER_SEEN, Tracks};
 use crate::detect::Markers;
 use crate::label::RestLattice;
@@ -53,6 +54,7 @@ pub struct CheckedTracker {
     expected_px: Vec<DVec2>,
     canvas: Canvas,
     matching: Matching,
+    relabel: Relabel,
     anchor: Anchor,
     carry: Carry,
 }
@@ -73,6 +75,7 @@ impl CheckedTracker {
             expected_px: Vec::new(),
             canvas: Canvas::default(),
             matching: Matching::default(),
+            relabel: Relabel::default(),
             anchor: Anchor::default(),
             carry: Carry::default(),
         }
@@ -94,6 +97,7 @@ impl CheckedTracker {
         let sites = (self.rows + widest) * (self.cols + widest);
         self.expected_px.clone_from(&self.rest_px);
         self.matching.reserve(sites, most_detections, self.size_px, self.pitch_px);
+        self.relabel.reserve(self.size_px, most_detections);
         self.anchor.reserve(markers, sites);
         self.carry.reserve(markers);
         self.canvas.lay(&self.rest_px, self.rows, self.cols, RINGS[RINGS.len() - 1]);
@@ -141,8 +145,40 @@ impl CheckedTracker {
                 return Verdict::Certain;
             }
         }
+        if let Some(shift) = self.relabel(detected, out) {
+            self.take(detected, shift, out);
+            return Verdict::Certain;
+        }
         self.hold(out);
         Verdict::Uncertain
+    }
+
+    /// The shift of the lattice that this frame alone shows, if it is certain and agrees with the last certain frame or with rest.
+    fn relabel(&mut self, detected: &Markers, tracks: &Tracks) -> Option<[isize; 2]> {
+        if !self.anchored || !self.relabel.find(detected, self.size_px) {
+            return None;
+        }
+        let detected_px = &detected.centres_px;
+        let since = [&tracks.positions_px, &self.rest_px];
+        for expected_px in since.into_iter().take(if tracks.stale { 2 } else { 1 }) {
+            let Self { canvas, matching, relabel, pitch_px, .. } = self;
+            canvas.lay(expected_px, self.rows, self.cols, RINGS[1]);
+            if !relabel.lay(detected_px, expected_px, canvas) {
+                continue;
+            }
+            let missed = |n: usize| tracks.missed_frames[n];
+            let whole = relabel.complete(canvas)
+                || matching.check(canvas, detected_px, missed, tracks.stale, *pitch_px);
+            let matched = canvas.found.iter().filter(|&&m| m != NONE).count();
+            if !whole || 2 * matched < detected_px.len() {
+                continue;
+            }
+            let found = self.anchor.run(canvas, expectations(tracks), self.size_px, *pitch_px);
+            if found.certain {
+                return Some(found.shift);
+            }
+        }
+        None
     }
 
     /// The shift of the lattice on a canvas with so many rings, if that is certain.

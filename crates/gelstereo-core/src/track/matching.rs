@@ -119,6 +119,39 @@ impl Matching {
             }
             return true;
         }
+        self.agree(canvas, detected_px, missed, stale, pitch_px)
+    }
+
+    /// Checks a labelling of the loaded detections that was made without the prediction, as [`Self::run`] checks its matches.
+    pub fn check(
+        &mut self,
+        canvas: &mut Canvas,
+        detected_px: &[DVec2],
+        missed: impl Fn(usize) -> u32,
+        stale: bool,
+        pitch_px: f64,
+    ) -> bool {
+        self.taken.clear();
+        self.taken.resize(detected_px.len(), false);
+        self.claims.clear();
+        self.claims.resize(detected_px.len(), UNCLAIMED);
+        for &m in canvas.found.iter().filter(|&&m| m != NONE) {
+            self.taken[m as usize] = true;
+        }
+        self.agree(canvas, detected_px, missed, stale, pitch_px)
+    }
+
+    /// Keeps what agrees with its neighbours and grows it; whether all do in the end.
+    fn agree(
+        &mut self,
+        canvas: &mut Canvas,
+        detected_px: &[DVec2],
+        missed: impl Fn(usize) -> u32,
+        stale: bool,
+        pitch_px: f64,
+    ) -> bool {
+        let (reach_px, disputed_px) = (NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px);
+        let fresh = |canvas: &Canvas, site: usize| canvas.marker(site).is_some_and(|n| missed(n) == 0);
         self.keep_largest(canvas, pitch_px);
         self.grow(canvas, detected_px, reach_px, disputed_px);
         // Islands beyond a gap are joined while all has moved alike; those that were hidden until now could have moved unseen.

@@ -6,6 +6,7 @@ mod carry;
 mod checked;
 pub(crate) mod grid;
 mod matching;
+mod relabel;
 
 pub use checked::{CheckedTracker, Verdict};
 
