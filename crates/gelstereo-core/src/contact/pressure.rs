@@ -267,7 +267,7 @@ impl Pressure {
     /// What the energy falls by when this marker's label changes.
     fn judge(&mut self, i: usize, contact: &[bool]) {
         let mut kriging = Kriging::new(&self.covariances, i, self.window(i, REACH), |j| !contact[j]);
-        let (pressure, variance) = kriging.predict(&self.pressure_mm);
+        let (pressure, variance) = kriging.predict(i, &self.pressure_mm);
         let variance = variance.max(1e-9 * self.covariances.variance(i));
         let evidence = pressure * pressure.abs() / variance;
         let (mut touching, mut neighbours) = (0.0, 0.0);
