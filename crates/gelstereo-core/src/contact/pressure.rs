@@ -7,7 +7,9 @@
 //! One stencil multiplies the noise of h by 1 + 8 l² / pitch², so that a plain threshold on p fails. But where a marker
 //! is known to be free, its p *is* noise, and neighbouring stencils share markers, so that the noise of p at a marker is
 //! predicted from the free markers around it (simple kriging) and taken away. Which markers are free is found by
-//! iterated conditional modes (Besag 1986) on a Markov random field that holds neighbours together.
+//! iterated conditional modes (Besag 1986) on a Markov random field that holds neighbours together. Far from contacts the
+//! weights are those of a gel that nothing touches, which are kept; only markers that these do not explain, and those
+//! around contacts, are predicted anew.
 
 use super::kriging::{Covariances, Kriging, REACH, SIDE, WINDOW};
 use super::{ContactError, RestSurface};
