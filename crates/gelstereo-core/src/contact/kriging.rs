@@ -49,12 +49,20 @@ impl Covariances {
     }
 }
 
-/// The free markers of a window and the one that is judged, in that order, and the covariances of their pressures.
+/// Two markers of a window that share some are no farther apart than this, counted row by row.
+const BAND: usize = REACH * SIDE + 1;
+/// Room for a window and the zeros that its last rows reach into.
+const PADDED: usize = WINDOW + BAND;
+
+/// The free markers of a window, and the covariances of their pressures among each other and with the judged one.
 pub(super) struct Kriging {
     count: usize,
     index: [usize; WINDOW],
-    /// Upper triangle.
-    matrix: [[f64; WINDOW]; WINDOW],
+    /// Upper band of the covariance matrix; each row starts at the diagonal.
+    band: [[f64; BAND]; PADDED],
+    cross: [f64; PADDED],
+    /// Variance of the judged marker's pressure.
+    own: f64,
 }
 
 impl Kriging {
@@ -65,74 +73,93 @@ impl Kriging {
         window: impl Iterator<Item = usize>,
         free: impl Fn(usize) -> bool,
     ) -> Self {
-        let mut kriging = Self { count: 0, index: [0; WINDOW], matrix: [[0.0; WINDOW]; WINDOW] };
+        let mut kriging = Self {
+            count: 0,
+            index: [0; WINDOW],
+            band: [[0.0; BAND]; PADDED],
+            cross: [0.0; PADDED],
+            own: covariances.variance(i),
+        };
         let cols = covariances.cols;
         let slot = |j: usize| (j / cols + REACH - i / cols) * SIDE + j % cols + REACH - i % cols;
         let (mut slots, mut place) = ([0; WINDOW], [WINDOW; WINDOW]);
-        let mut add = |j: usize, kriging: &mut Self| {
-            let s = slot(j);
-            (slots[kriging.count], place[s], kriging.index[kriging.count]) = (s, kriging.count, j);
+        for j in window.filter(|&j| j != i && free(j)) {
+            let (s, n) = (slot(j), kriging.count);
+            (slots[n], place[s], kriging.index[n]) = (s, n, j);
             kriging.count += 1;
-        };
-        window.filter(|&j| j != i && free(j)).for_each(|j| add(j, &mut kriging));
-        add(i, &mut kriging);
-        for (a, &s) in slots[..kriging.count].iter().enumerate() {
-            let (row, col) = (s / SIDE, s % SIDE);
-            for (&(down, across), &value) in SHARED.iter().zip(&covariances.shared[kriging.index[a]]) {
-                let col = col.wrapping_add_signed(across);
-                if row + down < SIDE && col < SIDE {
-                    let b = place[(row + down) * SIDE + col];
-                    if b < WINDOW {
-                        kriging.matrix[a.min(b)][a.max(b)] = value;
-                    }
-                }
-            }
         }
+        kriging.fill(covariances, i, &slots, &place);
         kriging
     }
 
-    /// The judged marker's pressure less what the free ones, which carry none, say of its noise; and its variance.
-    pub(super) fn predict(&mut self, pressure_mm: &[f64]) -> (f64, f64) {
-        let n = self.count;
-        let mut right = [0.0; WINDOW];
-        for (value, &i) in right.iter_mut().zip(&self.index[..n]) {
-            *value = pressure_mm[i];
+    fn fill(&mut self, covariances: &Covariances, i: usize, slots: &[usize], place: &[usize]) {
+        let judged = WINDOW / 2;
+        let markers = self.index[..self.count].iter().copied().zip(slots.iter().copied());
+        for (j, s) in markers.chain([(i, judged)]) {
+            let (row, col) = (s / SIDE, s % SIDE);
+            for (&(down, across), &value) in SHARED.iter().zip(&covariances.shared[j]) {
+                let col = col.wrapping_add_signed(across);
+                if row + down >= SIDE || col >= SIDE {
+                    continue;
+                }
+                let other = (row + down) * SIDE + col;
+                match (place[s], place[other]) {
+                    (WINDOW, WINDOW) => {}
+                    (a, WINDOW) if other == judged => self.cross[a] = value,
+                    (WINDOW, b) => self.cross[b] = value,
+                    (_, WINDOW) => {}
+                    (a, b) => self.band[a][b - a] = value,
+                }
+            }
         }
-        self.eliminate(&mut right);
-        (right[n - 1], self.matrix[n - 1][n - 1])
+    }
+
+    /// The judged marker's pressure less what the free ones, which carry none, say of its noise; and its variance.
+    pub(super) fn predict(&mut self, i: usize, pressure_mm: &[f64]) -> (f64, f64) {
+        let mut values = [0.0; PADDED];
+        for (value, &j) in values.iter_mut().zip(&self.index[..self.count]) {
+            *value = pressure_mm[j];
+        }
+        self.eliminate(&mut values);
+        let (mut pressure, mut variance) = (pressure_mm[i], self.own);
+        for k in 0..self.count {
+            let share = self.cross[k] / self.band[k][0];
+            pressure -= share * values[k];
+            variance -= share * self.cross[k];
+        }
+        (pressure, variance)
     }
 
     /// Gives each free marker's weight in the prediction, and returns its variance.
     pub(super) fn weights(&mut self, mut give: impl FnMut(usize, f64)) -> f64 {
-        let last = self.count - 1;
-        self.eliminate(&mut [0.0; WINDOW]);
-        let mut weights = [0.0; WINDOW];
-        for k in (0..last).rev() {
-            let sum: f64 = (k + 1..last).map(|c| self.matrix[k][c] * weights[c]).sum();
-            weights[k] = (self.matrix[k][last] - sum) / self.matrix[k][k];
+        self.eliminate(&mut [0.0; PADDED]);
+        let (mut weights, mut variance) = ([0.0; PADDED], self.own);
+        for k in (0..self.count).rev() {
+            let row = &self.band[k];
+            let sum: f64 = row[1..].iter().zip(&weights[k + 1..]).map(|(x, w)| x * w).sum();
+            weights[k] = (self.cross[k] - sum) / row[0];
+            variance -= self.cross[k] * self.cross[k] / row[0];
             give(self.index[k], weights[k]);
         }
-        self.matrix[last][last]
+        variance
     }
 
-    /// Gauss elimination of the free markers from the judged one.
-    fn eliminate(&mut self, right: &mut [f64; WINDOW]) {
-        let n = self.count;
+    /// Gauss elimination, downwards, of the band and of both right sides.
+    fn eliminate(&mut self, values: &mut [f64; PADDED]) {
         // Pivots are variances; where some are unknown, round-off must not take others to 0.
-        let least: [f64; WINDOW] = core::array::from_fn(|k| 1e-12 * self.matrix[k][k]);
-        for k in 0..n - 1 {
-            let (above, below) = self.matrix.split_at_mut(k + 1);
-            let pivot = &above[k];
-            let inverse = 1.0 / pivot[k].max(least[k]);
-            let value = right[k];
-            for r in k + 1..n {
-                let factor = pivot[r] * inverse;
-                if factor != 0.0 {
-                    right[r] -= factor * value;
-                    for (x, &p) in below[r - k - 1][r..n].iter_mut().zip(&pivot[r..n]) {
-                        *x -= factor * p;
-                    }
+        let least: [f64; WINDOW] = core::array::from_fn(|k| 1e-12 * self.band[k][0]);
+        for (k, &least) in least.iter().enumerate().take(self.count) {
+            self.band[k][0] = self.band[k][0].max(least);
+            let pivot = self.band[k];
+            let inverse = 1.0 / pivot[0];
+            let (cross, value) = (self.cross[k], values[k]);
+            for d in 1..BAND {
+                let factor = pivot[d] * inverse;
+                for (x, p) in self.band[k + d].iter_mut().zip(&pivot[d..]) {
+                    *x -= factor * p;
                 }
+                self.cross[k + d] -= factor * cross;
+                values[k + d] -= factor * value;
             }
         }
     }

@@ -7,7 +7,9 @@
 //! One stencil multiplies the noise of h by 1 + 8 l² / pitch², so that a plain threshold on p fails. But where a marker
 //! is known to be free, its p *is* noise, and neighbouring stencils share markers, so that the noise of p at a marker is
 //! predicted from the free markers around it (simple kriging) and taken away. Which markers are free is found by
-//! iterated conditional modes (Besag 1986) on a Markov random field that holds neighbours together.
+//! iterated conditional modes (Besag 1986) on a Markov random field that holds neighbours together. Far from contacts the
+//! weights are those of a gel that nothing touches, which are kept; only markers that these do not explain, and those
+//! around contacts, are predicted anew.
 
 use super::kriging::{Covariances, Kriging, REACH, SIDE, WINDOW};
 use super::{ContactError, RestSurface};
@@ -267,7 +269,7 @@ impl Pressure {
     /// What the energy falls by when this marker's label changes.
     fn judge(&mut self, i: usize, contact: &[bool]) {
         let mut kriging = Kriging::new(&self.covariances, i, self.window(i, REACH), |j| !contact[j]);
-        let (pressure, variance) = kriging.predict(&self.pressure_mm);
+        let (pressure, variance) = kriging.predict(i, &self.pressure_mm);
         let variance = variance.max(1e-9 * self.covariances.variance(i));
         let evidence = pressure * pressure.abs() / variance;
         let (mut touching, mut neighbours) = (0.0, 0.0);
