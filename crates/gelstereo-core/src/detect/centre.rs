@@ -254,10 +254,25 @@ impl<'a> Window<'a> {
 
 /// Adds the weights of a row's pixels to their columns, and returns their sum.
 fn weigh(levels: &[u8], plane: &[i32], columns: &mut [u32], (low, high): (i32, i32), sign: i32) -> i64 {
-    let mut sum = 0;
-    for ((column, &plane), &level) in columns.iter_mut().zip(plane).zip(levels) {
+    let weight = |plane: i32, level: u8| {
         let contrast = plane.wrapping_sub(sign.wrapping_mul(i32::from(level) << LEVEL_BITS));
-        let weight = contrast.clamp(low, high).wrapping_sub(low) as u32;
+        contrast.max(low).min(high).wrapping_sub(low) as u32
+    };
+    let mut sum = 0;
+    // Rows are short: four at a time, without the preparations of a longer loop.
+    let (wholes, rest) = columns.as_chunks_mut::<4>();
+    let (levels, rest_levels) = levels.as_chunks::<4>();
+    let (plane, rest_plane) = plane.as_chunks::<4>();
+    for ((columns, plane), levels) in wholes.iter_mut().zip(plane).zip(levels) {
+        let weights: [u32; 4] = core::array::from_fn(|n| weight(plane[n], levels[n]));
+        for (column, weight) in columns.iter_mut().zip(weights) {
+            *column = column.wrapping_add(weight);
+        }
+        // A column of at least five such weights fits 32 bits (see `moments`), so that four do.
+        sum += u64::from(weights.iter().fold(0, |sum: u32, &weight| sum.wrapping_add(weight)));
+    }
+    for ((column, &plane), &level) in rest.iter_mut().zip(rest_plane).zip(rest_levels) {
+        let weight = weight(plane, level);
         *column = column.wrapping_add(weight);
         sum += u64::from(weight);
     }
