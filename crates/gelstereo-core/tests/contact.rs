@@ -226,3 +226,12 @@ fn the_mounted_sensor_looks_across_the_gap() {
     assert!(error.contains("90.000") && error.contains("85.3"), "{error}");
     assert!(mount.t_gripper_sensor(f64::NAN).is_err());
 }
+
+/// Found by fuzzing: the squares of such coordinates overflow, and the normal was NaN.
+#[test]
+fn coordinates_too_large_to_square_span_no_rest_plane() {
+    for size in [1e160, 1e300, 1e308] {
+        let points = [DVec3::ZERO, DVec3::X * size, DVec3::Y * size];
+        assert_eq!(RestSurface::new(&points), Err(ContactError::NoPlane { points: 3 }));
+    }
+}

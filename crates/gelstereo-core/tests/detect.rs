@@ -292,3 +292,24 @@ proptest! {
         }
     }
 }
+
+/// Stripes two pixels wide: twice the runs of pixels that an image of markers may have.
+#[test]
+fn row_30_an_image_of_nothing_but_stripes_is_refused_by_name() {
+    let (width, height) = (640, 480);
+    let image: Vec<u8> = (0..width * height).map(|n| if n % 4 < 2 { 0 } else { 255 }).collect();
+    let params = DetectParams::default();
+    let error = detect(&params, &image, width).unwrap_err();
+    assert!(
+        matches!(error, DetectError::TooMany { found, most } if found > most && most == 38_400),
+        "{error}"
+    );
+    assert!(error.to_string().contains("noise"), "{error}");
+    // The detector is good for the next image.
+    let dots = Dots::new(width, height, paper_lattice()).render();
+    let (mut detector, mut markers) = (Detector::new(&params), Markers::default());
+    assert_eq!(detector.run(view(&image, width), &mut markers), Err(error));
+    assert!(markers.centres_px.is_empty());
+    detector.run(view(&dots, width), &mut markers).unwrap();
+    assert_eq!(markers, detect(&params, &dots, width).unwrap());
+}

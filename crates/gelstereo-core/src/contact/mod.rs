@@ -82,6 +82,10 @@ impl RestSurface {
         let scatter: Symmetric<3> = core::array::from_fn(|i| {
             core::array::from_fn(|j| points_mm.iter().map(|&p| (p - centre_mm)[i] * (p - centre_mm)[j]).sum())
         });
+        // Coordinates beyond 1e150 have no squares.
+        if scatter.iter().flatten().any(|entry| !entry.is_finite()) {
+            return Err(ContactError::NoPlane { points: points_mm.len() });
+        }
         let eigen = eigen(&scatter);
         // On a line the two smallest eigenvalues are both round-off of the largest.
         if points_mm.len() < 3 || eigen.values[1] <= 1e-12 * eigen.values[2] {

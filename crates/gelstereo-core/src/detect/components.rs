@@ -59,6 +59,30 @@ pub struct Components {
     rows: u32,
     /// First run of the last row pushed.
     above: usize,
+    /// Components of the rows pushed.
+    pieces: usize,
+}
+
+/// What an image of markers stays below: runs and components. Memory is reserved for so many, not for every second pixel.
+/// Images up to 128 x 128 cannot exceed them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Most {
+    /// Runs: one per 8 pixels.
+    pub runs: usize,
+    /// Components: one per 16 pixels.
+    pub components: usize,
+}
+
+impl Most {
+    /// Of an image of this size.
+    #[must_use]
+    pub fn of(width: usize, height: usize) -> Self {
+        let pixels = width * height;
+        Self {
+            runs: (height * width.div_ceil(2)).min((pixels / 8).max(8192)),
+            components: (height.div_ceil(2) * width.div_ceil(2)).min((pixels / 16).max(4096)),
+        }
+    }
 }
 
 impl Components {
@@ -72,16 +96,23 @@ impl Components {
         self.finish()
     }
 
-    /// Starts a mask of this size; scratch is reserved for the worst one.
+    /// Starts a mask of this size; scratch is reserved for [`Most`] runs and components, and grows for more.
     pub fn start(&mut self, width: usize, height: usize) {
-        let (most_runs, most_blobs) = (height * width.div_ceil(2), height.div_ceil(2) * width.div_ceil(2));
+        let most = Most::of(width, height);
         self.runs.clear();
-        self.runs.reserve(most_runs);
+        // Whoever stops at the limit does so at the end of a row.
+        self.runs.reserve(most.runs + width.div_ceil(2));
         self.blob_of.clear();
-        self.blob_of.reserve(most_runs);
+        self.blob_of.reserve(most.runs);
         self.blobs.clear();
-        self.blobs.reserve(most_blobs);
-        (self.rows, self.above) = (0, 0);
+        self.blobs.reserve(most.components);
+        (self.rows, self.above, self.pieces) = (0, 0, 0);
+    }
+
+    /// Components of the rows pushed since [`Self::start`]; later rows may join some.
+    #[must_use]
+    pub const fn pieces(&self) -> usize {
+        self.pieces
     }
 
     /// Adds the next row, bytes of 0 or 255.
@@ -159,6 +190,7 @@ impl Components {
     fn close(&mut self, y: u32, start: u32, end: u32) {
         let parent = self.runs.len() as u32;
         self.runs.push(Run { y, start, end, parent, next: NO_RUN });
+        self.pieces += 1;
     }
 
     /// Joins runs of one row with those of the row above that touch them, also by a corner.
@@ -169,6 +201,7 @@ impl Components {
             if a.start <= b.end && b.start <= a.end {
                 let (a, b) = (self.root(i as u32), self.root(j as u32));
                 self.runs[a.max(b) as usize].parent = a.min(b);
+                self.pieces -= usize::from(a != b);
             }
             if a.end < b.end {
                 i += 1;

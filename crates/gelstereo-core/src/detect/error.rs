@@ -21,6 +21,13 @@ pub enum DetectError {
         /// `detect.threshold_levels`, or the least that `detect.threshold = "auto"` goes down to.
         threshold_levels: u8,
     },
+    /// More markers, pieces or runs of pixels than any image of markers has.
+    TooMany {
+        /// How many there are, up to where the search stopped.
+        found: usize,
+        /// How many there may be.
+        most: usize,
+    },
 }
 
 impl core::fmt::Display for DetectError {
@@ -44,6 +51,11 @@ impl core::fmt::Display for DetectError {
                 }
                 Ok(())
             }
+            Self::TooMany { found, most } => write!(
+                f,
+                "{found} pieces or more differ from their surround, but an image of this size may have {most}: the image is \
+                 noise, or detect.threshold_levels is too low"
+            ),
         }
     }
 }

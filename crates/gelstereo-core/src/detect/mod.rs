@@ -25,7 +25,7 @@ use crate::params::{Centre, DetectParams, Threshold};
 use alloc::vec;
 use alloc::vec::Vec;
 use centre::GreyCentre;
-use components::{Blob, Components};
+use components::{Blob, Components, Most};
 use difference::Difference;
 use fit::DiscFit;
 use morphology::Closing;
@@ -90,6 +90,9 @@ impl Markers {
     }
 }
 
+/// Most markers of an image, those that the border cuts included: 90 x 90 and a few.
+pub const MOST_MARKERS: usize = 8192;
+
 /// The detection stage and its scratch.
 #[derive(Clone, Debug)]
 pub struct Detector {
@@ -133,16 +136,20 @@ impl Detector {
     pub fn run(&mut self, image: GrayView<'_>, out: &mut Markers) -> Result<(), DetectError> {
         out.clear();
         self.check(image)?;
-        self.find_components(image);
+        self.find_components(image)?;
         let Self { params, components, grey_centre, disc_fit, mask, areas_px2, .. } = self;
         // No two markers share pixels, so that this many are the most there can be.
-        let most = image.width() * image.height() / params.min_area_px2.max(4) as usize;
+        let most = (image.width() * image.height() / params.min_area_px2.max(4) as usize).min(MOST_MARKERS);
         out.reserve(most);
         disc_fit.clear(if params.centre == Centre::Fit { most } else { 0 });
         areas_px2.clear();
         areas_px2.reserve(most);
         let size_px = (image.width(), image.height());
         let markers = components.blobs().iter().filter(|blob| is_marker(blob, params));
+        let found = markers.clone().count();
+        if found > MOST_MARKERS {
+            return Err(DetectError::TooMany { found, most: MOST_MARKERS });
+        }
         let whole = markers.clone().filter(|blob| blob.sides_reached(size_px) == (false, false));
         areas_px2.extend(whole.clone().map(|blob| blob.area_px2));
         let usual_px2 = usual_area_px2(areas_px2);
@@ -198,22 +205,34 @@ impl Detector {
     }
 
     /// What differs from its surround, in pieces. Only closing needs the mask as an image.
-    fn find_components(&mut self, image: GrayView<'_>) {
+    fn find_components(&mut self, image: GrayView<'_>) -> Result<(), DetectError> {
         let (width, height) = (image.width(), image.height());
         self.size_px = (width, height);
         self.difference.survey(image);
-        if self.closes() {
+        let closes = self.closes();
+        if closes {
             self.threshold_all(image);
-            self.components.run(&self.mask, width);
-            return;
+        } else {
+            self.mask.resize(width, 0);
         }
-        self.mask.resize(width, 0);
+        let most = Most::of(width, height);
         self.components.start(width, height);
         for y in 0..height {
-            self.difference.row(image, y, &mut self.mask);
-            self.components.push(&self.mask);
+            if closes {
+                self.components.push(&self.mask[y * width..(y + 1) * width]);
+            } else {
+                self.difference.row(image, y, &mut self.mask);
+                self.components.push(&self.mask);
+            }
+            // Joins below may still make fewer pieces; an image of markers never comes near.
+            let counts =
+                [(self.components.all_runs().len(), most.runs), (self.components.pieces(), most.components)];
+            if let Some((found, most)) = counts.into_iter().find(|(found, most)| found > most) {
+                return Err(DetectError::TooMany { found, most });
+            }
         }
         self.components.finish();
+        Ok(())
     }
 
     const fn closes(&self) -> bool {

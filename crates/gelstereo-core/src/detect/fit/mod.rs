@@ -15,6 +15,7 @@ mod solve;
 pub use noise::Noise;
 
 use super::Markers;
+use super::components::Most;
 use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, median, sqrt};
@@ -359,9 +360,10 @@ impl DiscFit {
         // Beyond this a neighbour takes no pixel away.
         let far_px = 2.0 * widest + REACH_PX + 4.0 * FIRST_BLUR_PX;
         self.centres.clear();
-        self.centres.reserve(self.starts.capacity());
+        let most = Most::of(image.width(), image.height()).components;
+        self.centres.reserve(most);
         self.centres.extend(others_px);
-        self.grid.reserve(self.starts.capacity(), (image.width(), image.height()), LEAST_FAR_PX);
+        self.grid.reserve(most, (image.width(), image.height()), LEAST_FAR_PX);
         self.grid.build(&self.centres, far_px);
         for start in &mut self.starts {
             let at = start.centre_px;
