@@ -58,7 +58,7 @@ impl Condition {
     fn pictures(&self, seed: u64) -> Vec<Picture> {
         let effects = Effects {
             defocus: Some(Defocus::default()),
-            sensor_noise: Some(SensorNoise { sigma_levels: self.noise, ..SensorNoise::default() }),
+            sensor_noise: Some(SensorNoise { sigma_levels: self.noise }),
             grain: Some(Grain { sigma_levels: self.grain, ..Grain::default() }),
             uneven_light: Some(UnevenLight::default()),
             ..Effects::of_gel()
