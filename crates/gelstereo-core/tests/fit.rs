@@ -165,7 +165,7 @@ proptest! {
         let mut fit = DiscFit::new(&params());
         fit.learn(view(&image, SIZE), &vec![0; image.len()], &[]);
         let (found, expected) = (fit.noise(), sigma * sigma + 1.0 / 12.0);
-        // Medians over 48 rows of 180 differences: 1.25 sqrt(2 * 1.5 / (48 * 180)) = 2.3 % of the variance, five times.
+        // Medians over at least 48 rows of 180 differences: 1.25 sqrt(2 * 1.5 / (48 * 180)) = 2.3 % of the variance, five times.
         prop_assert!((found.variance_levels2() / expected - 1.0).abs() < 5.0 * 0.023, "{found:?}, {expected}");
         // By chance pixels 2 px apart differ 3 % less or more than those next to each other; the finest grain there is
         // (x = 0.4 in `from_variogram`) is 1 / 0.37 times that. The slope itself would be up to 1.3 levels².

@@ -113,6 +113,9 @@ pub(super) struct Window {
     /// Σ over pixels of products of 1, x, y with each other (lower triangle) and with the level.
     ground: Symmetric<3>,
     ground_right: [f64; 3],
+    /// Contrast over the gel's level when levels were last found: light that falls off takes its share of the contrast
+    /// with it, so that where the dot is a slope of light is 1 plus this as steep.
+    per_ground: f64,
     /// The pixel in the middle.
     pub origin: DVec2,
 }
@@ -223,8 +226,13 @@ impl Window {
         self.places.iter().zip(&self.levels).zip(&self.model)
     }
 
+    /// By how much a slope of the gel's light is as steep here.
+    fn light(&self, model: &Model) -> Lanes {
+        Lanes::all(1.0) + Lanes::all(self.per_ground as f32) * model.inside
+    }
+
     /// Least-squares levels, and the factor of their normal matrix (ground, slopes, contrast).
-    pub fn levels(&self) -> Option<(Levels, Factor<4>)> {
+    pub fn levels(&mut self) -> Option<(Levels, Factor<4>)> {
         let mut sums = [Lanes::default(); 5];
         for ((p, &level), Model { inside, .. }) in self.seen() {
             for (sum, term) in sums.iter_mut().zip([*inside, p.one, p.x, p.y, level]) {
@@ -241,6 +249,7 @@ impl Window {
         ])?;
         let [level, level_x, level_y] = self.ground_right;
         let [ground, x, y, contrast] = factor.solve(&[level, level_x, level_y, right]);
+        self.per_ground = contrast / ground.max(1.0);
         Some((Levels { contrast, ground, slope: DVec2::new(x, y) }, factor))
     }
 
@@ -273,14 +282,16 @@ impl Window {
         let mut with_slope = [[Lanes::default(); 4]; 5];
         for (p, b) in self.places.iter().zip(&self.model) {
             let slope = b.slope * p.one;
+            let light = self.light(b);
             for i in 0..5 {
                 let (weighted, sloped) = (b.weight * b.basis[i], slope * b.basis[i]);
                 for j in 0..=i {
                     sums[i][j] = sums[i][j] + weighted * slope * b.basis[j];
                 }
                 let terms = [p.one, p.x, p.y, b.inside];
+                let seen = [p.one, light * p.x, light * p.y, b.inside];
                 for k in 0..4 {
-                    with_weight[i][k] = with_weight[i][k] + weighted * terms[k];
+                    with_weight[i][k] = with_weight[i][k] + weighted * seen[k];
                     with_slope[i][k] = with_slope[i][k] + sloped * terms[k];
                 }
             }
@@ -317,8 +328,9 @@ impl Window {
         };
         let mut taken = [[Lanes::default(); 4]; 2];
         for (p, b) in self.places.iter().zip(&self.model) {
+            let light = self.light(b);
             for (sums, pull) in taken.iter_mut().zip(pulled(b)) {
-                for (sum, term) in sums.iter_mut().zip([p.one, p.x, p.y, b.inside]) {
+                for (sum, term) in sums.iter_mut().zip([p.one, light * p.x, light * p.y, b.inside]) {
                     *sum = *sum + pull * term;
                 }
             }
@@ -343,7 +355,8 @@ impl Window {
             [levels.ground, levels.slope.x, levels.slope.y, levels.contrast].map(|l| Lanes::all(l as f32));
         let (mut right, mut square) = ([Lanes::default(); 5], Lanes::default());
         for ((p, &level), model) in self.seen() {
-            let expected = p.one * ground + along * p.x + across * p.y + contrast * model.inside;
+            let slopes = self.light(model) * (along * p.x + across * p.y);
+            let expected = p.one * ground + slopes + contrast * model.inside;
             let residual = level - expected;
             square = square + residual * residual;
             let pull = model.weight * residual;

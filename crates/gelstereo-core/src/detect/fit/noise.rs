@@ -7,8 +7,6 @@ use core::f64::consts::PI;
 
 /// Variance of rounding to whole grey levels: no image has less noise.
 const ROUNDING_LEVELS2: f64 = 1.0 / 12.0;
-/// Every which row is looked at.
-const ROW_STEP: usize = 4;
 /// Pixels between the gel that counts and a marker's pixels: out of its blurred edge.
 const CLEARANCE_PX: usize = 4;
 /// Differences from which the slope of the light is taken: few enough that it is the same for all of them, and enough that
@@ -82,15 +80,15 @@ pub(super) struct NoiseMeter {
 }
 
 impl NoiseMeter {
-    /// From the pixels of `image` that lie [`CLEARANCE_PX`] off the set pixels of `mask`: medians over the rows, which
+    /// From all pixels of `image` (faint grain shows in no fewer) that lie [`CLEARANCE_PX`] off the set pixels of `mask`: medians over the rows, which
     /// a scratch or a smear does not reach. `None` when there is no such gel.
     pub fn run(&mut self, image: GrayView<'_>, mask: &[u8]) -> Option<Noise> {
         let (width, height) = (image.width(), image.height());
         for rows in &mut self.rows {
             rows.clear();
-            rows.reserve(height / ROW_STEP + 1);
+            rows.reserve(height);
         }
-        for y in (CLEARANCE_PX..height.saturating_sub(CLEARANCE_PX)).step_by(ROW_STEP) {
+        for y in CLEARANCE_PX..height.saturating_sub(CLEARANCE_PX) {
             self.near.clear();
             self.near.resize(width, 0);
             // A marker is at least two rows high.
