@@ -196,11 +196,12 @@ impl LatticeFinder {
     /// Puts the best places back, turned so that rows run most nearly from left to right; gives the mean steps and the pitch.
     fn turn_upright(&mut self, points: &[DVec2]) -> Option<(DVec2, DVec2, f64)> {
         self.put_turned(0);
-        let (row_step, col_step, _) = mean_steps(points, &self.canvas, &mut self.distances)?;
-        let turns = upright_turns(row_step, col_step);
-        if turns != 0 {
-            self.put_turned(turns);
+        let steps = mean_steps(points, &self.canvas, &mut self.distances)?;
+        let turns = upright_turns(steps.0, steps.1);
+        if turns == 0 {
+            return Some(steps);
         }
+        self.put_turned(turns);
         mean_steps(points, &self.canvas, &mut self.distances)
     }
 
