@@ -93,7 +93,8 @@ fn row_15_presses_of_two_millimetres_are_placed_completely() {
 #[test]
 fn row_15_presses_with_shear_and_twist_are_never_misplaced() {
     for (name, shape, rotation) in parts() {
-        for drag in [Drag { shear_mm: 0.6, twist_rad: 0.0 }, Drag { shear_mm: 0.3, twist_rad: 0.15 }] {
+        for (shear_mm, twist_rad) in [(0.6, 0.0), (0.3, 0.15), (1.0, 0.0)] {
+            let drag = Drag { shear_mm, twist_rad };
             let (complete, _, wrong) = pressed(name, shape.clone(), rotation, drag);
             assert!(complete >= 20 && wrong == 0, "{name}: {complete} of 40 complete, {wrong} wrong");
         }

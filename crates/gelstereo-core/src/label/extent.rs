@@ -5,7 +5,7 @@ use super::canvas::Canvas;
 use super::found::{FoundLattice, Place, Side};
 use super::predict::predict;
 use super::seed::rows_to_the_right;
-use crate::math::{DVec2, median};
+use crate::math::{DVec2, median, sqrt};
 use crate::track::grid::Grid;
 use alloc::vec::Vec;
 
@@ -36,6 +36,7 @@ pub(super) fn mean_steps(
     canvas: &Canvas,
     lengths: &mut Vec<f64>,
 ) -> Option<(DVec2, DVec2, f64)> {
+    // The root of the median square is the median.
     lengths.clear();
     let mut sums = [(DVec2::ZERO, 0.0); 2];
     for (m, place) in placed(canvas) {
@@ -43,11 +44,11 @@ pub(super) fn mean_steps(
             if let Some(next) = canvas.position(points, place.step(step)) {
                 let step = next - points[m];
                 *sum = (sum.0 + step, sum.1 + 1.0);
-                lengths.push(step.length());
+                lengths.push(step.length_squared());
             }
         }
     }
-    let pitch_px = median(lengths)?;
+    let pitch_px = sqrt(median(lengths)?);
     let [row, col] = sums.map(|(sum, count): (DVec2, f64)| sum / count);
     (row.is_finite() && col.is_finite()).then_some((row, col, pitch_px))
 }

@@ -6,7 +6,7 @@ use super::canvas::{Canvas, STEPS};
 use super::extent::{View, mean_steps, upright_turns};
 use super::found::{FoundLattice, Place};
 use super::predict::predict;
-use super::seed::{Seed, neighbour_distance, seed_at};
+use super::seed::{Around, Seed, neighbour_distance, seed_at};
 use crate::detect::Markers;
 use crate::math::{DVec2, round, sqrt};
 use crate::track::grid::Grid;
@@ -169,9 +169,14 @@ impl LatticeFinder {
         self.near_px = neighbour_distance(points, &self.grid, spacing_px, NEAR_SAMPLE, &mut self.distances)?;
         self.best.clear();
         self.best.resize(points.len(), None);
-        let (mut most, mut start) = (0, 0);
+        let (mut most, mut start, mut needed) = (0, 0, Around::All);
         for _ in 0..MOST_SEEDS {
-            let Some(seed) = self.next_seed(points, &mut start) else { break };
+            let mut seed = self.next_seed(points, &mut start, needed);
+            if seed.is_none() && most < 9 && needed == Around::All {
+                (needed, start) = (Around::Half, 0);
+                seed = self.next_seed(points, &mut start, needed);
+            }
+            let Some(seed) = seed else { break };
             self.canvas.start(points.len());
             self.grow(points, &seed);
             self.agreement.prune(points, &self.grid, self.near_px, &mut self.canvas);
@@ -191,11 +196,12 @@ impl LatticeFinder {
     /// Puts the best places back, turned so that rows run most nearly from left to right; gives the mean steps and the pitch.
     fn turn_upright(&mut self, points: &[DVec2]) -> Option<(DVec2, DVec2, f64)> {
         self.put_turned(0);
-        let (row_step, col_step, _) = mean_steps(points, &self.canvas, &mut self.distances)?;
-        let turns = upright_turns(row_step, col_step);
-        if turns != 0 {
-            self.put_turned(turns);
+        let steps = mean_steps(points, &self.canvas, &mut self.distances)?;
+        let turns = upright_turns(steps.0, steps.1);
+        if turns == 0 {
+            return Some(steps);
         }
+        self.put_turned(turns);
         mean_steps(points, &self.canvas, &mut self.distances)
     }
 
@@ -219,7 +225,7 @@ impl LatticeFinder {
     }
 
     /// The most regular of the next few seeds; `start` says where in the list to go on.
-    fn next_seed(&self, points: &[DVec2], start: &mut usize) -> Option<Seed> {
+    fn next_seed(&self, points: &[DVec2], start: &mut usize, needed: Around) -> Option<Seed> {
         // Neighbours in the list are often neighbours in the image: a stride spreads the sample.
         let len = points.len();
         let stride = (len / SEED_SAMPLE).max(1) | 1;
@@ -232,7 +238,7 @@ impl LatticeFinder {
                 continue;
             }
             seen += 1;
-            if let Some(seed) = seed_at(points, &self.grid, index, self.near_px)
+            if let Some(seed) = seed_at(points, &self.grid, index, self.near_px, needed)
                 && best.is_none_or(|b| seed.irregularity < b.irregularity)
             {
                 best = Some(seed);

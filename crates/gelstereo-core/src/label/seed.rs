@@ -37,12 +37,28 @@ pub(super) fn neighbour_distance(
     median(scratch).filter(|&d| d > 0.0 && d.is_finite())
 }
 
+/// How much of a seed's surroundings must be there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Around {
+    /// All eight neighbours.
+    All,
+    /// Those of two cells side by side: two opposite neighbours, one across, and the corners between them. For small lattices
+    /// with gaps.
+    Half,
+}
+
 /// The lattice about a point, if its surroundings are regular: the two shortest steps that lead to markers both
-/// forwards and backwards, and whose sums lead to markers as well.
+/// forwards and backwards, and whose sums lead to markers as well; of `Half`, the second step and its sums only forwards.
 ///
 /// The middle of two merged dots and a lattice of every second marker fail by the sums, or by a marker that lies within
 /// a cell.
-pub(super) fn seed_at(points: &[DVec2], grid: &Grid, centre: usize, near_px: f64) -> Option<Seed> {
+pub(super) fn seed_at(
+    points: &[DVec2],
+    grid: &Grid,
+    centre: usize,
+    near_px: f64,
+    needed: Around,
+) -> Option<Seed> {
     let here = points[centre];
     let mut around = [DVec2::ZERO; AROUND];
     let mut count = 0;
@@ -60,32 +76,36 @@ pub(super) fn seed_at(points: &[DVec2], grid: &Grid, centre: usize, near_px: f64
         return None;
     }
     let across = |s: DVec2| first.perp_dot(s).abs() > 0.5 * first.dot(s).abs();
-    let second = shortest_both_ways(around, across)?;
+    let second = match needed {
+        Around::All => shortest_both_ways(around, across)?,
+        Around::Half => shortest(around.iter().copied().filter(|&s| across(s)))?,
+    };
     let length_ratio2 = second.length_squared() / size2;
-    if length_ratio2 > 4.0 {
+    if !(0.25..=4.0).contains(&length_ratio2) {
         return None;
     }
     let slant = first.dot(second) / (size2 * crate::math::sqrt(length_ratio2));
-    let (row_step, col_step) = rows_to_the_right(first, second);
-    let tolerance2 = 0.04 * size2;
     let mut irregularity = slant * slant + 0.1 * (length_ratio2 - 1.0).abs();
-    for step in [row_step + col_step, row_step - col_step, col_step - row_step, -row_step - col_step] {
+    let steps = [first, -first, second, second + first, second - first];
+    let behind = [-second, first - second, -second - first];
+    for step in steps.into_iter().chain(behind.into_iter().filter(|_| needed == Around::All)) {
         let off2 = around.iter().map(|s| s.distance_squared(step)).fold(f64::INFINITY, f64::min);
-        if off2 > tolerance2 {
+        if off2 > 0.04 * size2 {
             return None;
         }
         irregularity += off2 / size2;
     }
-    for step in [row_step, col_step, -row_step, -col_step] {
-        let off2 = around.iter().map(|s| s.distance_squared(step)).fold(f64::INFINITY, f64::min);
-        irregularity += off2 / size2;
-    }
+    let (row_step, col_step) = rows_to_the_right(first, second);
     (irregularity < 0.5 && cells_are_empty(around, row_step, col_step)).then_some(Seed {
         centre,
         row_step,
         col_step,
         irregularity,
     })
+}
+
+fn shortest(steps: impl Iterator<Item = DVec2>) -> Option<DVec2> {
+    steps.min_by(|a, b| a.length_squared().total_cmp(&b.length_squared()))
 }
 
 /// Half the difference of two opposite steps, the shortest that is wanted.
