@@ -111,6 +111,7 @@ def test_quick_run_measures_the_papers_boards_within_its_bound(docs: Path) -> No
         ("detect", "detect.background"),
         ("detect", "detect.centre"),
         ("detect", "detect.threshold"),
+        ("whole", "detect.search"),
         ("label", "label.method"),
         ("points", "triangulate.method"),
         ("contact", "contact.saliency"),

@@ -34,7 +34,10 @@ fn errors_name_what_was_found_and_what_is_valid() {
     let unknown = error("[task]\ninsertion_depth = 3\n");
     assert!(unknown.starts_with("cell.toml: TOML parse error at line 2, column 1"), "{unknown}");
     assert!(unknown.contains("unknown field `insertion_depth`, expected one of"), "{unknown}");
-    assert_eq!(error("preset = \"fast\""), "preset is \"fast\"; valid is one of [\"paper\", \"balanced\"]");
+    assert_eq!(
+        error("preset = \"quick\""),
+        "preset is \"quick\"; valid is one of [\"paper\", \"fast\", \"balanced\", \"exact\"]"
+    );
     assert_eq!(
         error("[params.detect]\nsmooth_kernel_px = 4"),
         "params.detect.smooth_kernel_px is 4; valid is odd, 1 to 31"

@@ -7,7 +7,7 @@ use gelstereo_core::digest::Digest;
 use gelstereo_core::image::GrayView;
 use gelstereo_core::math::DVec2;
 use gelstereo_core::math::random::Stream;
-use gelstereo_core::params::{Background, Centre, DetectParams, FitParams, Polarity, Threshold};
+use gelstereo_core::params::{Background, Centre, DetectParams, Polarity, Threshold};
 use proptest::prelude::*;
 use support::{Dots, errors, paper_lattice, view};
 
@@ -280,10 +280,8 @@ proptest! {
             morphology_kernel_px: 2 * kernel + 1,
             threshold_levels,
             min_area_px2,
-            max_area_px2: 2000,
             min_fill: 0.0,
-            centre_sigma_px: 0.09,
-            fit: FitParams::default(),
+            ..DetectParams::default()
         };
         if let Ok(markers) = detect(&params, &bytes, width) {
             prop_assert_eq!(markers.centres_px.len(), markers.area_px2.len());

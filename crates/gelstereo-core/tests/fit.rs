@@ -147,6 +147,33 @@ fn blurred(levels: &[f64], width: usize, noise: f64, seed: u64) -> Vec<u8> {
 }
 
 proptest! {
+    #![proptest_config(ProptestConfig { cases: 100, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// White noise on a slope of light is white noise of the same variance, with the rounding's.
+    #[test]
+    fn a_slope_of_light_is_no_grain(
+        sigma in 1.0..3.0_f64, (slope_x, slope_y) in (-0.4..0.4, -0.4..0.4), seed in any::<u64>(),
+    ) {
+        const SIZE: usize = 200;
+        let mut stream = Stream::new(seed, "noise");
+        let image: Vec<u8> = (0..SIZE * SIZE)
+            .map(|n| {
+                let (x, y) = ((n % SIZE) as f64 - 100.0, (n / SIZE) as f64 - 100.0);
+                (128.0 + slope_x * x + slope_y * y + sigma * stream.normal() + 0.5) as u8
+            })
+            .collect();
+        let mut fit = DiscFit::new(&params());
+        fit.learn(view(&image, SIZE), &vec![0; image.len()], &[]);
+        let (found, expected) = (fit.noise(), sigma * sigma + 1.0 / 12.0);
+        // Medians over 48 rows of 180 differences: 1.25 sqrt(2 * 1.5 / (48 * 180)) = 2.3 % of the variance, five times.
+        prop_assert!((found.variance_levels2() / expected - 1.0).abs() < 5.0 * 0.023, "{found:?}, {expected}");
+        // By chance pixels 2 px apart differ 3 % less or more than those next to each other; the finest grain there is
+        // (x = 0.4 in `from_variogram`) is 1 / 0.37 times that. The slope itself would be up to 1.3 levels².
+        prop_assert!(found.grain_levels2 < 5.0 * 0.03 / 0.37 * expected, "{found:?}, {expected}");
+    }
+}
+
+proptest! {
     #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() })]
 
     /// One marker anywhere in a pixel: radius, tilt, contrast, light and noise at random.

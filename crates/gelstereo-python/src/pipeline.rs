@@ -46,12 +46,22 @@ impl ViewEvidence {
         self.inner.relabelled
     }
 
+    /// Where markers were searched for: ``"whole"`` (the whole image) or ``"windows"`` (around predicted positions).
+    #[getter]
+    const fn searched(&self) -> &'static str {
+        match self.inner.searched {
+            core::Searched::Whole => "whole",
+            core::Searched::Windows => "windows",
+        }
+    }
+
     fn __repr__(&self) -> String {
         format!(
-            "ViewEvidence(detected={}, labels=\"{}\", relabelled={})",
+            "ViewEvidence(detected={}, labels=\"{}\", relabelled={}, searched=\"{}\")",
             self.inner.detected,
             self.labels(),
-            self.inner.relabelled
+            self.inner.relabelled,
+            self.searched()
         )
     }
 }

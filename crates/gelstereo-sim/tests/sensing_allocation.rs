@@ -6,8 +6,8 @@ mod counting;
 use counting::ALLOCATIONS;
 use gelstereo_core::image::GrayView;
 use gelstereo_core::math::{DVec3, Pose};
-use gelstereo_core::params::{LabelMethod, Params, Saliency};
-use gelstereo_core::pipeline::{Frame, LabelSource, Pipeline};
+use gelstereo_core::params::{LabelMethod, Params, Saliency, Search};
+use gelstereo_core::pipeline::{Frame, LabelSource, Pipeline, Searched};
 use gelstereo_core::track::MarkerState;
 use gelstereo_sim::effects::{Effects, SensorNoise};
 use gelstereo_sim::{ContactState, Scene, Shape, Simulator, Truth};
@@ -50,10 +50,12 @@ fn process(pipeline: &mut Pipeline, [left, right]: &Pair, frame: &mut Frame) {
 #[test]
 fn row_35_sensing_allocates_nothing_after_the_first_frames() {
     let (pairs, rig) = (pairs(), Scene::default_rig());
-    for preset in Params::PRESETS {
+    for (preset, search) in
+        [("paper", Search::Whole), ("balanced", Search::Whole), ("balanced", Search::Windows)]
+    {
         for method in [LabelMethod::Foresight, LabelMethod::Temporal, LabelMethod::Lattice] {
             let mut params = Params::preset(preset).unwrap();
-            params.label.method = method;
+            (params.label.method, params.detect.search) = (method, search);
             if method == LabelMethod::Temporal {
                 params.contact.saliency = Saliency::Pressure;
             }
@@ -64,7 +66,7 @@ fn row_35_sensing_allocates_nothing_after_the_first_frames() {
             process(&mut pipeline, &pairs[1], &mut frame);
             let before = ALLOCATIONS.load(Ordering::Relaxed);
             assert!(before > 0, "the counter counts");
-            let (mut held, mut lost, mut sorted) = (0, 0, 0);
+            let (mut held, mut lost, mut sorted, mut windows) = (0, 0, 0, 0);
             // Covered long enough that held markers are given up, then seen again, several times over.
             let order = (2..6).chain([5; 40]).chain(0..5).cycle().take(150);
             for pair in order.map(|k| &pairs[k]) {
@@ -73,9 +75,11 @@ fn row_35_sensing_allocates_nothing_after_the_first_frames() {
                 held += count(MarkerState::Held);
                 lost += count(MarkerState::Lost);
                 sorted += usize::from(frame.left.labels == LabelSource::Foresight);
+                windows += usize::from(frame.left.searched == Searched::Windows);
             }
             assert_eq!(ALLOCATIONS.load(Ordering::Relaxed) - before, 0, "{preset} {method:?}");
             assert!(held > 1000 && lost > 1000, "{preset}: {held} held, {lost} lost");
+            assert_eq!(windows > 0, search == Search::Windows);
             assert_eq!(sorted > 0, method == LabelMethod::Foresight);
         }
     }

@@ -82,6 +82,16 @@ RUNGS = (
     ),
     Rung(
         "whole",
+        "fast rungs in windows",
+        {
+            "detect": {"background": "blocks", "threshold": "auto", "centre": "grey", "search": "windows"},
+            "label": {"method": "lattice"},
+            "track": {"motion": "constant_velocity"},
+        },
+        "balanced",
+    ),
+    Rung(
+        "whole",
         EXACT,
         {"detect": _FIT, "triangulate": {"method": "rays"}, "contact": {"saliency": "pressure"}},
         "balanced",

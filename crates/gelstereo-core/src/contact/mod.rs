@@ -1,5 +1,6 @@
 //! What touches the gel: rest surface, saliency (Eq. 4, or by pressure), mean marker motion and the stop triggers.
 
+mod kriging;
 mod pressure;
 
 pub use pressure::Pressure;

@@ -9,15 +9,12 @@
 //! predicted from the free markers around it (simple kriging) and taken away. Which markers are free is found by
 //! iterated conditional modes (Besag 1986) on a Markov random field that holds neighbours together.
 
+use super::kriging::{Covariances, Kriging, REACH, SIDE, WINDOW};
 use super::{ContactError, RestSurface};
 use crate::math::sqrt;
 use crate::track::MarkerState;
 use alloc::vec::Vec;
 
-/// Markers on either side of the one that is judged whose noise is used to predict its own; stencils share none beyond.
-const REACH: usize = 2;
-const SIDE: usize = 2 * REACH + 1;
-const WINDOW: usize = SIDE * SIDE;
 /// What a marker in contact costs, in units of squared standard deviations: by this much must its pressure stand out.
 const COST: f64 = 2.0;
 /// What a pair of neighbours costs of which one is in contact.
@@ -36,6 +33,10 @@ const UNKNOWN_MM2: f64 = 100.0;
 /// Standard deviation below which no height is believed to be, mm: a nanometre.
 const LEAST_SIGMA_MM: f64 = 1e-6;
 
+/// Standard deviations of a marker's pressure, as if all around were free, from which one far from any contact is judged:
+/// fewer than a change of its label takes (3.7), since for this the variances are taken as equal.
+const SCREEN: f64 = 3.3;
+
 /// Finds the markers in contact by the pressure of the gel; scratch is kept from frame to frame.
 #[derive(Clone, Debug, Default)]
 pub struct Pressure {
@@ -43,10 +44,11 @@ pub struct Pressure {
     cols: usize,
     /// Weights of p = h - l² Δh: the marker, left, right, up, down; 0 where there is none.
     stencils: Vec<[f64; 5]>,
+    /// Filters of the pressures, for a contact far away.
+    filters: Vec<Filter>,
     variance_mm2: Vec<f64>,
     pressure_mm: Vec<f64>,
-    /// Covariances of the stencils with those around.
-    covariance: Vec<[f64; WINDOW]>,
+    covariances: Covariances,
     /// Signed squared standard deviations of the pressure.
     evidence: Vec<f64>,
     gain: Vec<f64>,
@@ -55,10 +57,13 @@ pub struct Pressure {
     region: Vec<u32>,
 }
 
-/// Free markers around the one that is judged.
-struct Around {
-    count: usize,
-    index: [usize; WINDOW],
+/// A marker's pressure less what the pressures around say of its noise, if all are free and measured equally well.
+#[derive(Clone, Debug)]
+struct Filter {
+    /// Weights over the window; 0 beyond the lattice.
+    weights: [f64; WINDOW],
+    /// Variance for heights of variance 1.
+    variance: f64,
 }
 
 impl Pressure {
@@ -89,7 +94,18 @@ impl Pressure {
             [1.0 + l2 * (left + right + up + down), -l2 * left, -l2 * right, -l2 * up, -l2 * down]
         };
         let stencils = (0..points.len()).map(stencil).collect();
-        Ok(Self { rows, cols, stencils, ..Self::default() })
+        let mut pressure = Self { rows, cols, stencils, ..Self::default() };
+        pressure.covariances.measure(cols, &pressure.stencils, &alloc::vec![1.0; points.len()]);
+        pressure.filters = (0..points.len()).map(|i| pressure.filter(i)).collect();
+        Ok(pressure)
+    }
+
+    fn filter(&self, i: usize) -> Filter {
+        let mut weights = [0.0; WINDOW];
+        weights[WINDOW / 2] = 1.0;
+        let mut kriging = Kriging::new(&self.covariances, i, self.window(i, REACH), |_| true);
+        let variance = kriging.weights(|j, weight| weights[self.slot(i, j)] = -weight);
+        Filter { weights, variance }
     }
 
     /// Markers in contact, from the indentations and their variances (mm²); markers that are not seen are never salient,
@@ -114,9 +130,8 @@ impl Pressure {
             *variance = if state == MarkerState::Seen { variance.max(least) } else { UNKNOWN_MM2 };
         }
         self.measure(indentation_mm, state);
-        out.extend(
-            (0..self.len()).map(|i| self.pressure_mm[i] > START * sqrt(self.covariance[i][WINDOW / 2])),
-        );
+        out.extend((0..self.len()).map(|i| self.pressure_mm[i] > START * sqrt(self.covariances.variance(i))));
+        self.choose(out);
         self.settle(out);
         self.drop_unsure(out);
         for (salient, &state) in out.iter_mut().zip(state) {
@@ -157,22 +172,6 @@ impl Pressure {
         places.into_iter().zip(self.stencils[i]).filter(|&(_, weight)| weight != 0.0)
     }
 
-    /// Weight of marker `k`, a neighbour of `j` or `j` itself, in the stencil of `j`.
-    fn weight(&self, j: usize, k: usize) -> f64 {
-        let tap = if k == j {
-            0
-        } else if k + 1 == j && self.stencils[j][1] != 0.0 {
-            1
-        } else if k == j + 1 && self.stencils[j][2] != 0.0 {
-            2
-        } else if k < j {
-            3
-        } else {
-            4
-        };
-        self.stencils[j][tap]
-    }
-
     /// Pressures, and the covariances of their noise.
     fn measure(&mut self, indentation_mm: &[f64], state: &[MarkerState]) {
         // A height that is unknown may be anything, so 0.
@@ -181,18 +180,7 @@ impl Pressure {
         pressure_mm.clear();
         pressure_mm.extend((0..self.len()).map(|i| self.taps(i).map(|(k, w)| w * height(k)).sum::<f64>()));
         self.pressure_mm = pressure_mm;
-        let mut covariance = core::mem::take(&mut self.covariance);
-        covariance.clear();
-        covariance.extend((0..self.len()).map(|i| {
-            let mut around = [0.0; WINDOW];
-            for (k, w) in self.taps(i) {
-                for (j, _) in self.taps(k) {
-                    around[self.slot(i, j)] += w * self.variance_mm2[k] * self.weight(j, k);
-                }
-            }
-            around
-        }));
-        self.covariance = covariance;
+        self.covariances.measure(self.cols, &self.stencils, &self.variance_mm2);
     }
 
     /// Where marker `j` stands in the window about marker `i`.
@@ -210,11 +198,36 @@ impl Pressure {
         down.flat_map(move |r| across.clone().map(move |c| r * cols + c))
     }
 
-    /// Covariance of the noise of two stencils.
-    fn shared(&self, i: usize, j: usize) -> f64 {
-        let down = (j / self.cols).abs_diff(i / self.cols);
-        let across = (j % self.cols).abs_diff(i % self.cols);
-        if down + across <= REACH { self.covariance[i][self.slot(i, j)] } else { 0.0 }
+    /// Marks the markers to judge: those beside the other label, and far from contacts those that the filter does not
+    /// explain.
+    fn choose(&mut self, contact: &[bool]) {
+        self.stale.clear();
+        self.stale.resize(contact.len(), false);
+        for i in (0..contact.len()).filter(|&i| contact[i]) {
+            self.window(i, REACH).for_each(|j| self.stale[j] = true);
+        }
+        for i in 0..contact.len() {
+            self.stale[i] = self.stale[i] || self.stands_out(i);
+        }
+    }
+
+    /// Whether the pressures around, all free, leave something unexplained.
+    fn stands_out(&self, i: usize) -> bool {
+        let filter = &self.filters[i];
+        let (row, col, cols) = (i / self.cols, i % self.cols, self.cols);
+        let inside = |at: usize, end: usize| at >= REACH && at + REACH < end;
+        let value: f64 = if inside(row, self.rows) && inside(col, cols) {
+            let start = i - REACH * cols - REACH;
+            let rows = filter.weights.chunks_exact(SIDE).enumerate();
+            let row = |(r, weights): (usize, &[f64])| {
+                let values = &self.pressure_mm[start + r * cols..][..SIDE];
+                weights.iter().zip(values).map(|(w, p)| w * p).sum::<f64>()
+            };
+            rows.map(row).sum()
+        } else {
+            self.window(i, REACH).map(|j| filter.weights[self.slot(i, j)] * self.pressure_mm[j]).sum()
+        };
+        value > 0.0 && value * value > SCREEN * SCREEN * filter.variance * self.variance_mm2[i]
     }
 
     /// Changes labels until none gains: in each round those that gain most within their windows, so that no order of
@@ -224,8 +237,6 @@ impl Pressure {
             list.clear();
             list.resize(contact.len(), 0.0);
         }
-        self.stale.clear();
-        self.stale.resize(contact.len(), true);
         self.changes.clear();
         self.changes.resize(contact.len(), 0);
         loop {
@@ -255,7 +266,9 @@ impl Pressure {
 
     /// What the energy falls by when this marker's label changes.
     fn judge(&mut self, i: usize, contact: &[bool]) {
-        let (pressure, variance) = self.predict(i, contact);
+        let mut kriging = Kriging::new(&self.covariances, i, self.window(i, REACH), |j| !contact[j]);
+        let (pressure, variance) = kriging.predict(&self.pressure_mm);
+        let variance = variance.max(1e-9 * self.covariances.variance(i));
         let evidence = pressure * pressure.abs() / variance;
         let (mut touching, mut neighbours) = (0.0, 0.0);
         for (j, _) in self.taps(i).skip(1) {
@@ -266,37 +279,6 @@ impl Pressure {
         self.evidence[i] = evidence;
         let gain = if contact[i] { -score } else { score };
         self.gain[i] = if self.changes[i] < MOST_CHANGES { gain } else { 0.0 };
-    }
-
-    /// Pressure and its variance when the free markers around carry none.
-    fn predict(&self, i: usize, contact: &[bool]) -> (f64, f64) {
-        let mut around = Around { count: 0, index: [0; WINDOW] };
-        for j in self.window(i, REACH).filter(|&j| j != i && !contact[j]) {
-            around.index[around.count] = j;
-            around.count += 1;
-        }
-        let free = &around.index[..around.count];
-        let mut lower = [[0.0; WINDOW]; WINDOW];
-        let (mut pressure, mut variance) = (self.pressure_mm[i], self.covariance[i][WINDOW / 2]);
-        let least = 1e-9 * variance;
-        let (mut share, mut white) = ([0.0; WINDOW], [0.0; WINDOW]);
-        for (a, &j) in free.iter().enumerate() {
-            // One more row of the Cholesky factor of the free markers' covariance, and of both right sides.
-            for (b, &k) in free[..a].iter().enumerate() {
-                let sum: f64 = (0..b).map(|c| lower[a][c] * lower[b][c]).sum();
-                lower[a][b] = (self.shared(j, k) - sum) / lower[b][b];
-            }
-            let own = self.covariance[j][WINDOW / 2];
-            let sum: f64 = lower[a][..a].iter().map(|x| x * x).sum();
-            lower[a][a] = sqrt((own - sum).max(1e-12 * own));
-            let row = &lower[a];
-            let dot = |x: &[f64; WINDOW]| (0..a).map(|c| row[c] * x[c]).sum::<f64>();
-            share[a] = (self.shared(i, j) - dot(&share)) / row[a];
-            white[a] = (self.pressure_mm[j] - dot(&white)) / row[a];
-            pressure -= share[a] * white[a];
-            variance -= share[a] * share[a];
-        }
-        (pressure, variance.max(least))
     }
 
     /// Takes away regions (of 8-connected markers) that could be chance.

@@ -23,7 +23,7 @@ enum Kernel {
 }
 
 impl Smoother {
-    /// For an odd kernel side; 3 is [`binomial_row`], 1 leaves the image as it is.
+    /// For an odd kernel side; 3 is the binomial kernel, 1 leaves the image as it is.
     #[must_use]
     pub fn new(kernel_px: usize, polarity: Polarity) -> Self {
         let blur = GaussianBlur::new(kernel_px);

@@ -34,6 +34,8 @@ pub(super) struct Agreement {
     /// Distance of each detection from where its neighbours say, in steps.
     off: Vec<f64>,
     doomed: Vec<u32>,
+    /// Detections to be checked: all at first, then those around what was dropped.
+    suspects: Vec<u32>,
     group: Vec<u32>,
     queue: Vec<u32>,
     /// Detections dropped.
@@ -44,7 +46,7 @@ pub(super) struct Agreement {
 
 impl Agreement {
     pub fn reserve(&mut self, most: usize) {
-        for list in [&mut self.doomed, &mut self.group, &mut self.queue] {
+        for list in [&mut self.doomed, &mut self.suspects, &mut self.group, &mut self.queue] {
             list.clear();
             list.reserve(most);
         }
@@ -56,8 +58,12 @@ impl Agreement {
     /// is seen where a marker with another place stands. Keeps the largest part in one piece.
     pub fn prune(&mut self, points: &[DVec2], grid: &Grid, near_px: f64, canvas: &mut Canvas) {
         self.dropped = 0;
+        self.off.clear();
+        self.off.resize(points.len(), 0.0);
+        self.suspects.clear();
+        self.suspects.extend(placed(canvas).map(|(m, _)| m as u32));
+        self.measure(points, canvas);
         for _ in 0..ROUNDS {
-            self.measure(points, canvas);
             self.doomed.clear();
             self.find_worst(canvas);
             self.find_folds(points, canvas);
@@ -65,15 +71,12 @@ impl Agreement {
             if self.doomed.is_empty() {
                 break;
             }
-            for &m in &self.doomed {
-                self.dropped += usize::from(canvas.places[m as usize].is_some());
-                canvas.drop(m as usize);
-            }
+            self.drop_doomed(points, canvas);
         }
         for _ in 0..EROSIONS {
             let before = self.dropped;
             self.keep_sure(points, grid, near_px, canvas);
-            self.measure(points, canvas);
+            self.drop_doomed(points, canvas);
             if self.dropped == before {
                 break;
             }
@@ -81,20 +84,37 @@ impl Agreement {
         self.worst = self.off.iter().copied().fold(0.0, f64::max);
     }
 
-    fn measure(&mut self, points: &[DVec2], canvas: &Canvas) {
-        self.off.clear();
-        self.off.resize(points.len(), 0.0);
-        for (m, place) in placed(canvas) {
-            if let Some(predicted) = predict(canvas, points, place) {
-                let step2 = shortest_step2(points, canvas, m, place);
-                self.off[m] = sqrt(predicted.at.distance_squared(points[m]) / step2);
+    /// Drops the doomed; what stands around them is suspect, and measured again.
+    fn drop_doomed(&mut self, points: &[DVec2], canvas: &mut Canvas) {
+        self.suspects.clear();
+        for &m in &self.doomed {
+            let Some(place) = canvas.places[m as usize] else { continue };
+            self.dropped += 1;
+            self.off[m as usize] = 0.0;
+            canvas.drop(m as usize);
+            let Some(cell) = canvas.cell(place) else { continue };
+            for (rows, cols) in (-3..=3).flat_map(|rows| (-3..=3).map(move |cols| (rows, cols))) {
+                if let Some(n) = canvas.at_offset(cell, rows, cols)
+                    && !self.off[n].is_nan()
+                {
+                    // Marked as listed, until it is measured.
+                    self.off[n] = f64::NAN;
+                    self.suspects.push(n as u32);
+                }
             }
+        }
+        self.measure(points, canvas);
+    }
+
+    fn measure(&mut self, points: &[DVec2], canvas: &Canvas) {
+        for (m, place) in among(&self.suspects, canvas) {
+            self.off[m] = off(points, canvas, m, place);
         }
     }
 
     /// A wrong marker pulls at the predictions of its neighbours as well: only the worst around goes.
     fn find_worst(&mut self, canvas: &Canvas) {
-        for (m, place) in placed(canvas) {
+        for (m, place) in among(&self.suspects, canvas) {
             let off = self.off[m];
             let worst_around = || {
                 STEPS.into_iter().filter_map(|step| canvas.at(place.step(step))).all(|n| self.off[n] <= off)
@@ -106,7 +126,7 @@ impl Agreement {
     }
 
     fn find_folds(&mut self, points: &[DVec2], canvas: &Canvas) {
-        for (m, place) in placed(canvas) {
+        for (m, place) in among(&self.suspects, canvas) {
             let corner = |step| canvas.at(place.step(step));
             let cell = [Some(m), corner((0, 1)), corner((1, 1)), corner((1, 0))];
             if super::folds(cell.map(|n| n.map(|n| points[n]))) {
@@ -117,7 +137,7 @@ impl Agreement {
 
     /// Two sheets that met with different labels.
     fn find_seams(&mut self, points: &[DVec2], grid: &Grid, canvas: &Canvas) {
-        for (m, place) in placed(canvas) {
+        for (m, place) in among(&self.suspects, canvas) {
             for step in STEPS {
                 let beyond = place.step(step);
                 if canvas.at(beyond).is_some() {
@@ -133,12 +153,12 @@ impl Agreement {
         }
     }
 
-    /// Keeps the largest part that hangs together by markers beyond doubt, and the doubtful ones beside it.
+    /// Dooms all but the largest part that hangs together by markers beyond doubt, and the doubtful ones beside it.
     ///
     /// A detection without a place puts those around it in doubt unless they are regular, as around a speck: where a lattice is sheared so far that the walk slips by
     /// a place, one is left over at each end of the slip. What hangs on the rest by doubtful markers only may have slipped as a
     /// whole.
-    fn keep_sure(&mut self, points: &[DVec2], grid: &Grid, near_px: f64, canvas: &mut Canvas) {
+    fn keep_sure(&mut self, points: &[DVec2], grid: &Grid, near_px: f64, canvas: &Canvas) {
         self.group.clear();
         self.group.resize(points.len(), UNSEEN);
         let mut left_over = false;
@@ -159,6 +179,7 @@ impl Agreement {
                 });
             }
         }
+        self.doomed.clear();
         if !left_over && self.dropped == 0 {
             return;
         }
@@ -172,17 +193,12 @@ impl Agreement {
                 }
             }
         }
-        self.doomed.clear();
         for (m, place) in placed(canvas) {
             let sure = |n: usize| self.group[n] == largest.1;
             let beside = || STEPS.into_iter().filter_map(|step| canvas.at(place.step(step))).any(sure);
             if !sure(m) && (self.group[m] != DOUBTED || !beside()) {
                 self.doomed.push(m as u32);
             }
-        }
-        self.dropped += self.doomed.len();
-        for &m in &self.doomed {
-            canvas.drop(m as usize);
         }
     }
 
@@ -219,7 +235,15 @@ fn slant(points: &[DVec2], canvas: &Canvas, m: usize) -> f64 {
     row.dot(col).abs() / row.length_squared().min(col.length_squared())
 }
 
-fn shortest_step2(points: &[DVec2], canvas: &Canvas, m: usize, place: Place) -> f64 {
+/// Those of the detections that have a place.
+fn among<'a>(list: &'a [u32], canvas: &'a Canvas) -> impl Iterator<Item = (usize, Place)> + 'a {
+    list.iter().filter_map(|&m| Some((m as usize, canvas.places[m as usize]?)))
+}
+
+/// Distance of a detection from where its neighbours say, in steps to the nearest of them.
+fn off(points: &[DVec2], canvas: &Canvas, m: usize, place: Place) -> f64 {
+    let Some(predicted) = predict(canvas, points, place) else { return 0.0 };
     let near = STEPS.into_iter().filter_map(|step| canvas.position(points, place.step(step)));
-    near.map(|p| p.distance_squared(points[m])).fold(f64::INFINITY, f64::min)
+    let step2 = near.map(|p| p.distance_squared(points[m])).fold(f64::INFINITY, f64::min);
+    sqrt(predicted.at.distance_squared(points[m]) / step2)
 }

@@ -7,6 +7,9 @@ use alloc::vec::Vec;
 /// Most rows or columns to either side of the seed.
 const MOST_HALF: usize = 500;
 
+/// Empty cells around the square, so that the surroundings of any of its cells can be read without a check.
+const MARGIN: i32 = 3;
+
 /// The four neighbours: right, down, left, up, as (rows, columns).
 pub(super) const STEPS: [(i32, i32); 4] = [(0, 1), (1, 0), (0, -1), (-1, 0)];
 
@@ -26,12 +29,8 @@ pub(super) struct Canvas {
 
 impl Canvas {
     pub fn reserve(&mut self, most: usize) {
-        let side = 2 * half_side(most) + 1;
         self.clear();
-        if self.cells.len() < side * side {
-            // Zeroed by the allocator: what is never used costs no memory.
-            self.cells = alloc::vec![0; side * side];
-        }
+        self.make_room(half_side(most));
         self.places.reserve(most);
         self.steps.reserve(most);
         self.order.reserve(2 * most);
@@ -41,13 +40,18 @@ impl Canvas {
     pub fn start(&mut self, detections: usize) {
         self.clear();
         let half = half_side(detections);
-        let area = (2 * half + 1) * (2 * half + 1);
-        if self.cells.len() < area {
-            self.cells = alloc::vec![0; area];
-        }
+        self.make_room(half);
         self.half = half as i32;
         self.places.resize(detections, None);
         self.steps.resize(detections, [DVec2::ZERO; 2]);
+    }
+
+    fn make_room(&mut self, half: usize) {
+        let side = 2 * (half + MARGIN as usize) + 1;
+        if self.cells.len() < side * side {
+            // Zeroed by the allocator: what is never used costs no memory.
+            self.cells = alloc::vec![0; side * side];
+        }
     }
 
     pub fn clear(&mut self) {
@@ -59,13 +63,12 @@ impl Canvas {
         self.order.clear();
     }
 
-    /// Places a detection, whose steps are like those given where its neighbours do not tell.
-    pub fn put(&mut self, points: &[DVec2], place: Place, detection: usize, steps: [DVec2; 2]) {
+    /// Places a detection, whose steps are those given where its neighbours do not tell.
+    pub fn put(&mut self, place: Place, detection: usize, steps: [DVec2; 2]) {
         let Some(cell) = self.cell(place) else { return };
         self.cells[cell] = detection as u32 + 1;
         self.places[detection] = Some(place);
         self.steps[detection] = steps;
-        self.steps[detection] = self.steps_at(points, detection, place);
         self.order.push(detection as u32);
     }
 
@@ -73,17 +76,18 @@ impl Canvas {
     /// known now.
     pub fn steps_at(&self, points: &[DVec2], detection: usize, place: Place) -> [DVec2; 2] {
         let here = points[detection];
-        let [row, col] = self.steps[detection];
-        let axis = |step: (i32, i32), else_step: DVec2| {
-            let before = self.position(points, place.step((-step.0, -step.1)));
-            match (before, self.position(points, place.step(step))) {
+        let steps = self.steps[detection];
+        let Some(cell) = self.cell(place) else { return steps };
+        let axis = |(rows, cols): (i32, i32), else_step: DVec2| {
+            let before = self.seen_from(points, cell, -rows, -cols);
+            match (before, self.seen_from(points, cell, rows, cols)) {
                 (Some(before), Some(after)) => (after - before) * 0.5,
                 (Some(before), None) => here - before,
                 (None, Some(after)) => after - here,
                 (None, None) => else_step,
             }
         };
-        [axis(STEPS[0], row), axis(STEPS[1], col)]
+        [axis(STEPS[0], steps[0]), axis(STEPS[1], steps[1])]
     }
 
     pub fn drop(&mut self, detection: usize) {
@@ -102,10 +106,29 @@ impl Canvas {
         self.at(place).map(|m| points[m])
     }
 
-    fn cell(&self, place: Place) -> Option<usize> {
-        let (row, col, side) = (place.row + self.half, place.col + self.half, 2 * self.half + 1);
-        let inside = (0..side).contains(&row) && (0..side).contains(&col);
-        inside.then(|| row as usize * side as usize + col as usize)
+    /// Where a detection stands so many rows and columns, up to three each, from a cell.
+    #[inline]
+    pub fn seen_from(&self, points: &[DVec2], cell: usize, rows: i32, cols: i32) -> Option<DVec2> {
+        self.at_offset(cell, rows, cols).map(|m| points[m])
+    }
+
+    /// The detection so many rows and columns, up to three each, from a cell.
+    #[inline]
+    pub fn at_offset(&self, cell: usize, rows: i32, cols: i32) -> Option<usize> {
+        let there = cell.wrapping_add_signed((rows * self.side() + cols) as isize);
+        (self.cells[there] as usize).checked_sub(1)
+    }
+
+    /// The cell of a place, unless it lies too far out.
+    #[inline]
+    pub fn cell(&self, place: Place) -> Option<usize> {
+        let (row, col) = (place.row + self.half, place.col + self.half);
+        let inside = (0..=2 * self.half).contains(&row) && (0..=2 * self.half).contains(&col);
+        inside.then(|| ((row + MARGIN) * self.side() + col + MARGIN) as usize)
+    }
+
+    const fn side(&self) -> i32 {
+        2 * (self.half + MARGIN) + 1
     }
 }
 

@@ -9,6 +9,9 @@ use crate::math::{DVec2, median};
 use crate::track::grid::Grid;
 use alloc::vec::Vec;
 
+/// What lies nearer to the image's border, in pitches, is no whole marker: one to three of them are no row.
+const WHOLE: f64 = 0.2;
+
 /// The rectangle of places from `low` to `high`, both within.
 #[derive(Clone, Copy, Debug)]
 struct Extent {
@@ -81,7 +84,7 @@ impl View<'_> {
     }
 
     /// Without an outer row or column in which so few markers are that they may be specks: one, or less than a quarter of
-    /// those that lie in the image.
+    /// those that lie in the image, or up to three at the very border.
     fn without_specks(&self, canvas: &Canvas, extent: Extent) -> Option<Extent> {
         let (rows, cols) = extent.size();
         if self.with_specks || rows == 0 || cols == 0 {
@@ -89,7 +92,8 @@ impl View<'_> {
         }
         let few = |side: usize| {
             let (seen, expected) = self.count(canvas, extent.line(side, 0));
-            seen <= 1 || 4 * seen < expected
+            let mut placed = extent.line(side, 0).filter_map(|place| canvas.position(self.points, place));
+            seen <= 1 || 4 * seen < expected || (seen <= 3 && !placed.any(|at| self.is_within(at, WHOLE)))
         };
         (0..4).find(|&side| few(side)).map(|side| extent.without(side))
     }
@@ -128,7 +132,11 @@ impl View<'_> {
 
     /// Whether a marker there would be seen whole; taken for granted where the image's size is not known.
     fn is_inside(&self, at: DVec2) -> bool {
-        let margin = 0.5 * self.pitch_px;
+        self.is_within(at, 0.5)
+    }
+
+    fn is_within(&self, at: DVec2, margin_pitches: f64) -> bool {
+        let margin = margin_pitches * self.pitch_px;
         self.size_px.is_none_or(|size| {
             (at - margin).min_element() >= 0.0 && (size - at - margin).min_element() >= 0.0
         })

@@ -33,7 +33,14 @@ const NEAR_SAMPLE: usize = 128;
 /// How far from its prediction a marker may lie, in steps, pass by pass; and how many estimates must agree.
 ///
 /// Sure steps first: a speck or the middle of two merged dots, once placed, would mislead those that follow.
-const PASSES: [(f64, u32); 3] = [(0.2, 2), (0.2, 1), (0.33, 1)];
+/// The first pass, which in an undisturbed frame places all, goes straight on but hardly aside.
+const PASSES: [(f64, u32); 4] = [(0.12, 1), (0.2, 2), (0.2, 1), (0.33, 1)];
+
+/// How far from a detection left over the walk goes on, in distances of neighbours.
+const AROUND_LEFT_OVER: f64 = 2.5;
+
+/// A seed so regular is taken without a look at others.
+const REGULAR: f64 = 0.02;
 
 /// Largest area of a marker, in areas of its neighbour.
 const MOST_AREA: f64 = 1.7;
@@ -58,6 +65,9 @@ pub struct LatticeFinder {
     /// Area of each detection, or empty.
     areas_px2: Vec<u32>,
     distances: Vec<f64>,
+    /// Detections without a place, and those with one around them.
+    left_over: Vec<u32>,
+    around: Vec<u32>,
     best: Vec<Option<Place>>,
     /// Markers dropped and largest distance left, in steps, of the best.
     best_evidence: (usize, f64),
@@ -73,6 +83,10 @@ impl LatticeFinder {
         self.canvas.reserve(most);
         self.areas_px2.reserve(most);
         self.distances.reserve(2 * most);
+        for list in [&mut self.left_over, &mut self.around] {
+            list.clear();
+            list.reserve(most);
+        }
         self.best.reserve(most);
         self.agreement.reserve(most);
     }
@@ -176,20 +190,20 @@ impl LatticeFinder {
 
     /// Puts the best places back, turned so that rows run most nearly from left to right; gives the mean steps and the pitch.
     fn turn_upright(&mut self, points: &[DVec2]) -> Option<(DVec2, DVec2, f64)> {
-        self.put_turned(points, 0);
+        self.put_turned(0);
         let (row_step, col_step, _) = mean_steps(points, &self.canvas, &mut self.distances)?;
         let turns = upright_turns(row_step, col_step);
         if turns != 0 {
-            self.put_turned(points, turns);
+            self.put_turned(turns);
         }
         mean_steps(points, &self.canvas, &mut self.distances)
     }
 
-    fn put_turned(&mut self, points: &[DVec2], turns: u8) {
+    fn put_turned(&mut self, turns: u8) {
         self.canvas.start(self.best.len());
         for (m, place) in self.best.iter().enumerate() {
             if let Some(place) = *place {
-                self.canvas.put(points, place.turned(turns), m, [DVec2::ZERO; 2]);
+                self.canvas.put(place.turned(turns), m, [DVec2::ZERO; 2]);
             }
         }
     }
@@ -223,7 +237,7 @@ impl LatticeFinder {
             {
                 best = Some(seed);
             }
-            if best.is_some() && seen >= SEED_SAMPLE {
+            if best.is_some_and(|b| seen >= SEED_SAMPLE || b.irregularity < REGULAR) {
                 break;
             }
         }
@@ -233,7 +247,7 @@ impl LatticeFinder {
     /// From the seed outwards, then the detections left over.
     fn grow(&mut self, points: &[DVec2], seed: &Seed) {
         let steps = [seed.row_step, seed.col_step];
-        self.canvas.put(points, Place::default(), seed.centre, steps);
+        self.canvas.put(Place::default(), seed.centre, steps);
         let tolerance_px = 0.25 * seed.row_step.length().min(seed.col_step.length());
         for row in -1..=1 {
             for col in -1..=1 {
@@ -241,40 +255,72 @@ impl LatticeFinder {
                     points[seed.centre] + seed.row_step * f64::from(col) + seed.col_step * f64::from(row);
                 let marker = self.grid.nearest(points, at, tolerance_px, |m| self.canvas.places[m].is_none());
                 if let Some(m) = marker {
-                    self.canvas.put(points, Place::new(row, col), m, steps);
+                    self.canvas.put(Place::new(row, col), m, steps);
                 }
             }
         }
+        self.around.clear();
+        self.left_over.clear();
+        self.left_over.extend(0..points.len() as u32);
+        let mut walked = 0;
         for (tolerance, sources) in PASSES {
-            let mut before = 0;
-            while before < self.canvas.order.len() {
-                before = self.canvas.order.len();
-                self.walk(points, tolerance, sources);
+            loop {
+                let before = self.canvas.order.len();
+                walked = self.walk(points, walked, tolerance, sources);
                 self.ask_left_over(points, tolerance);
+                if self.left_over.is_empty() {
+                    return;
+                }
+                self.find_around_left_over(points);
+                if self.canvas.order.len() == before {
+                    break;
+                }
             }
         }
     }
 
-    /// Places what lies one step from a placed marker, until nothing new is found.
-    fn walk(&mut self, points: &[DVec2], tolerance: f64, sources: u32) {
-        let mut next = 0;
+    /// Places what lies one step from the markers around those left over, or from one placed since `walked`, until nothing new
+    /// is found; gives how many have been walked from.
+    fn walk(&mut self, points: &[DVec2], walked: usize, tolerance: f64, sources: u32) -> usize {
+        for n in 0..self.around.len() {
+            self.step_from(points, self.around[n] as usize, tolerance, sources);
+        }
+        let mut next = walked;
         while let Some(&from) = self.canvas.order.get(next) {
+            self.step_from(points, from as usize, tolerance, sources);
             next += 1;
-            let from = from as usize;
-            let Some(place) = self.canvas.places[from] else { continue };
-            for step in STEPS {
-                let to = place.step(step);
-                if self.canvas.at(to).is_some() {
-                    continue;
-                }
-                let Some(predicted) = predict(&self.canvas, points, to) else { continue };
-                let length = predicted.at.distance(points[from]);
-                let agree = predicted.spread2 < MOST_SPREAD2 * length * length;
-                if predicted.sources >= sources && agree {
-                    self.take(points, from, to, predicted.at, tolerance * length);
-                }
+        }
+        next
+    }
+
+    fn step_from(&mut self, points: &[DVec2], from: usize, tolerance: f64, sources: u32) {
+        let Some(place) = self.canvas.places[from] else { return };
+        for step in STEPS {
+            let to = place.step(step);
+            if self.canvas.at(to).is_some() {
+                continue;
+            }
+            let Some(predicted) = predict(&self.canvas, points, to) else { continue };
+            let length = predicted.at.distance(points[from]);
+            let agree = predicted.spread2 < MOST_SPREAD2 * length * length;
+            if predicted.sources >= sources && agree {
+                self.take(points, from, to, predicted.at, tolerance * length);
             }
         }
+    }
+
+    /// Only there can anything new be placed.
+    fn find_around_left_over(&mut self, points: &[DVec2]) {
+        self.around.clear();
+        for &m in &self.left_over {
+            self.grid.visit(points[m as usize], AROUND_LEFT_OVER * self.near_px, |n| {
+                if self.canvas.places[n].is_some() {
+                    self.around.push(n as u32);
+                }
+            });
+        }
+        self.around.sort_unstable();
+        self.around.dedup();
     }
 
     /// Gives a place to the detection near `at`, if it is the only one and has none yet.
@@ -296,7 +342,7 @@ impl LatticeFinder {
         if near && self.canvas.places[m].is_none() && self.is_like(from, m) {
             let Some(place) = self.canvas.places[from] else { return };
             let steps = self.canvas.steps_at(points, from, place);
-            self.canvas.put(points, to, m, steps);
+            self.canvas.put(to, m, steps);
         }
     }
 
@@ -308,17 +354,16 @@ impl LatticeFinder {
 
     /// Asks every detection without a place where it belongs, as seen from the nearest placed one.
     fn ask_left_over(&mut self, points: &[DVec2], tolerance: f64) {
-        if self.canvas.order.len() == points.len() {
-            return;
-        }
-        for m in 0..points.len() {
-            if self.canvas.places[m].is_none()
-                && let Some((from, to, length, at)) = self.place_from_nearest(points, m)
+        self.left_over.retain(|&m| self.canvas.places[m as usize].is_none());
+        for n in 0..self.left_over.len() {
+            let m = self.left_over[n] as usize;
+            if let Some((from, to, length, at)) = self.place_from_nearest(points, m)
                 && points[m].distance(at) < tolerance * length
             {
                 self.take(points, from, to, at, tolerance * length);
             }
         }
+        self.left_over.retain(|&m| self.canvas.places[m as usize].is_none());
     }
 
     /// The empty place of a detection as seen from the nearest placed one: that one, the place, the length of a step and where

@@ -44,7 +44,8 @@ impl Mean {
 /// From the four nearest places and the four corners of the cells around: the middle of opposite neighbours where there
 /// are any, as it follows curved rows best, otherwise straight on and across cells.
 pub(super) fn predict(canvas: &Canvas, points: &[DVec2], place: Place) -> Option<Prediction> {
-    let at = |rows: i32, cols: i32| canvas.position(points, place.step((rows, cols)));
+    let cell = canvas.cell(place)?;
+    let at = |rows: i32, cols: i32| canvas.seen_from(points, cell, rows, cols);
     let near = STEPS.map(|(dr, dc)| at(dr, dc));
     let origin = near.iter().flatten().next().copied()?;
     let mut between = Mean::default();

@@ -54,6 +54,19 @@ pub enum Centre {
     Fit,
 }
 
+/// Where later frames are searched for markers. The rest frame is always searched whole.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
+pub enum Search {
+    /// The whole image (the paper).
+    #[default]
+    Whole,
+    /// As long as the labels are certain: half a pitch around each marker's predicted position, and around places one pitch
+    /// outside the lattice. The same frame is searched whole when one of those places shows a marker, when many windows
+    /// show none, or when the labels are not certain. Markers have the same centres either way.
+    Windows,
+}
+
 /// The model fit, `Centre::Fit`.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
@@ -91,6 +104,8 @@ pub struct DetectParams {
     pub background: Background,
     /// Default: `binary`.
     pub centre: Centre,
+    /// Default: `whole`.
+    pub search: Search,
     /// Side of the Gaussian kernel that removes pixel noise, odd. Default: `3` px.
     pub smooth_kernel_px: usize,
     /// Side of the kernel that estimates the surround, odd. Default: `51` px.
@@ -122,6 +137,7 @@ impl Default for DetectParams {
             polarity: Polarity::Dark,
             background: Background::Gaussian,
             centre: Centre::Binary,
+            search: Search::Whole,
             smooth_kernel_px: 3,
             background_kernel_px: 51,
             threshold: Threshold::Fixed,

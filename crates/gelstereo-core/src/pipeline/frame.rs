@@ -22,6 +22,16 @@ pub enum LabelSource {
     Held,
 }
 
+/// Where a view's markers were searched for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Searched {
+    /// In the whole image.
+    #[default]
+    Whole,
+    /// In windows around the predicted positions.
+    Windows,
+}
+
 /// What one view contributed to a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ViewEvidence {
@@ -31,6 +41,8 @@ pub struct ViewEvidence {
     pub labels: LabelSource,
     /// Markers whose label by the sort differs from that by their track.
     pub relabelled: usize,
+    /// Where markers were searched for; `Whole` under `detect.search = windows` means that windows would not do.
+    pub searched: Searched,
 }
 
 /// Everything that one stereo frame gave; marker `row * cols + col` stands at that index in every list.
@@ -73,7 +85,8 @@ impl Frame {
     #[must_use]
     pub fn digest(&self) -> u64 {
         let view = |digest: Digest, view: &ViewEvidence| {
-            digest.u64(view.detected as u64).u64(view.labels as u64).u64(view.relabelled as u64)
+            let sources = view.labels as u64 | (view.searched as u64) << 32;
+            digest.u64(view.detected as u64).u64(sources).u64(view.relabelled as u64)
         };
         let digest = Digest::new()
             .u64(self.index)

@@ -3,9 +3,10 @@
 mod error;
 mod frame;
 mod view;
+mod windows;
 
 pub use error::{PipelineError, View};
-pub use frame::{Frame, LabelSource, ViewEvidence};
+pub use frame::{Frame, LabelSource, Searched, ViewEvidence};
 
 use crate::contact::{self, Pressure, RestSurface};
 use crate::image::GrayView;
@@ -121,12 +122,17 @@ impl Pipeline {
         self.left.check_size(&left)?;
         self.right.check_size(&right)?;
         let (left_stages, right_stages) = (&mut self.left, &mut self.right);
-        join(&mut || left_stages.detect(left), &mut || right_stages.detect(right));
+        let (params, follows) = (&self.params, self.rest.is_some());
+        join(&mut || left_stages.detect(left, params, follows), &mut || {
+            right_stages.detect(right, params, follows);
+        });
         // Nothing that lasts has changed so far: a frame that fails here leaves the tracks alone.
         self.left.check_detected()?;
         self.right.check_detected()?;
         if self.rest.is_none() {
             self.start(out)?;
+            self.left.prepare(left, &self.params);
+            self.right.prepare(right, &self.params);
         } else {
             self.left.follow(&self.params);
             self.right.follow(&self.params);

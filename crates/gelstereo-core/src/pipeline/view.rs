@@ -2,12 +2,13 @@
 
 use super::copy_into;
 use super::error::{PipelineError, View};
-use super::frame::{LabelSource, ViewEvidence};
+use super::frame::{LabelSource, Searched, ViewEvidence};
+use super::windows::Windows;
 use crate::detect::{DetectError, Detector, Markers};
 use crate::image::GrayView;
 use crate::label::{self, RestLattice};
-use crate::params::{LabelMethod, Params};
-use crate::track::{CheckedTracker, Tracker, Tracks, Verdict};
+use crate::params::{LabelMethod, Params, Search};
+use crate::track::{CheckedTracker, MarkerState, Tracker, Tracks, Verdict};
 use alloc::vec::Vec;
 
 /// One view's stages, from image to labelled markers.
@@ -21,6 +22,8 @@ pub(super) struct ViewStages {
     tracker: Tracker,
     checked: CheckedTracker,
     tracks: Tracks,
+    windows: Windows,
+    searched: Searched,
     /// Of the lattice, as found in the rest frame.
     pub rows: usize,
     pub cols: usize,
@@ -41,6 +44,8 @@ impl ViewStages {
             tracker: Tracker::new(&params.track),
             checked: CheckedTracker::new(&params.track, size_px),
             tracks: Tracks::default(),
+            windows: Windows::default(),
+            searched: Searched::Whole,
             rows: 0,
             cols: 0,
             pitch_px: 0.0,
@@ -59,8 +64,46 @@ impl ViewStages {
         }
     }
 
-    pub fn detect(&mut self, image: GrayView<'_>) {
-        self.detected = self.detector.run(image, &mut self.markers);
+    /// Finds markers, as `detect.search` says if this frame follows another. Leaves the tracks alone.
+    pub fn detect(&mut self, image: GrayView<'_>, params: &Params, follows: bool) {
+        let windows = follows && params.detect.search == Search::Windows && is_certain(params, &self.tracks);
+        self.searched = if windows && self.detect_in_windows(image, params) {
+            self.detected = Ok(());
+            Searched::Windows
+        } else {
+            self.detected = self.detector.run(image, &mut self.markers);
+            Searched::Whole
+        };
+    }
+
+    /// Whether windows and the tracks through them are as certain as the frame before; tracks are then ready in `windows`.
+    fn detect_in_windows(&mut self, image: GrayView<'_>, params: &Params) -> bool {
+        let Self { windows, detector, tracker, checked, tracks, .. } = self;
+        let predicted_px = match params.label.method {
+            LabelMethod::Lattice => checked.predict(tracks),
+            LabelMethod::Temporal | LabelMethod::Foresight => tracks.positions_px.as_slice(),
+        };
+        let lattice = (self.cols, self.pitch_px);
+        // What fails here fails on the whole image too, which then says so.
+        if !windows.look(detector, image, predicted_px, lattice, tracks).unwrap_or(false) {
+            return false;
+        }
+        match params.label.method {
+            LabelMethod::Lattice => {
+                checked.run(&windows.found.markers, &mut windows.tracks) == Verdict::Certain
+            }
+            LabelMethod::Temporal | LabelMethod::Foresight => {
+                tracker.run(&windows.found.markers, &mut windows.tracks);
+                is_certain(params, &windows.tracks)
+            }
+        }
+    }
+
+    /// Makes room for windows, in the rest frame, so that no later frame has to.
+    pub fn prepare(&mut self, image: GrayView<'_>, params: &Params) {
+        if params.detect.search == Search::Windows {
+            self.detect_in_windows(image, params);
+        }
     }
 
     pub fn check_detected(&self) -> Result<(), PipelineError> {
@@ -96,30 +139,41 @@ impl ViewStages {
     }
 
     pub fn follow(&mut self, params: &Params) {
-        match params.label.method {
-            LabelMethod::Temporal => {
-                self.tracker.run(&self.markers, &mut self.tracks);
-                self.take_tracks(LabelSource::Tracks);
-            }
-            LabelMethod::Foresight => {
-                self.tracker.run(&self.markers, &mut self.tracks);
-                self.sort(params.label.tolerance_pitches);
-            }
-            LabelMethod::Lattice => {
-                let verdict = self.checked.run(&self.markers, &mut self.tracks);
-                self.take_tracks(match verdict {
-                    Verdict::Certain => LabelSource::Lattice,
-                    Verdict::Uncertain => LabelSource::Held,
-                });
-            }
+        let verdict = self.track(params);
+        match (params.label.method, verdict) {
+            (LabelMethod::Temporal, _) => self.take_tracks(LabelSource::Tracks),
+            (LabelMethod::Foresight, _) => self.sort(params.label.tolerance_pitches),
+            (LabelMethod::Lattice, Verdict::Certain) => self.take_tracks(LabelSource::Lattice),
+            (LabelMethod::Lattice, Verdict::Uncertain) => self.take_tracks(LabelSource::Held),
         }
+    }
+
+    /// Brings the tracks to this frame.
+    fn track(&mut self, params: &Params) -> Verdict {
+        if self.searched == Searched::Windows {
+            core::mem::swap(&mut self.tracks, &mut self.windows.tracks);
+            return Verdict::Certain;
+        }
+        if params.label.method == LabelMethod::Lattice {
+            return self.checked.run(&self.markers, &mut self.tracks);
+        }
+        self.tracker.run(&self.markers, &mut self.tracks);
+        Verdict::Certain
+    }
+
+    fn evidence(&self, labels: LabelSource, relabelled: usize) -> ViewEvidence {
+        let markers = match self.searched {
+            Searched::Whole => &self.markers,
+            Searched::Windows => &self.windows.found.markers,
+        };
+        ViewEvidence { detected: markers.centres_px.len(), labels, relabelled, searched: self.searched }
     }
 
     fn take_tracks(&mut self, labels: LabelSource) {
         copy_into(&self.tracks.positions_px, &mut self.labelled.positions_px);
         copy_into(&self.tracks.state, &mut self.labelled.state);
         copy_into(&self.tracks.covariance_px2, &mut self.labelled.covariance_px2);
-        self.evidence = ViewEvidence { detected: self.markers.centres_px.len(), labels, relabelled: 0 };
+        self.evidence = self.evidence(labels, 0);
     }
 
     /// Labels as the paper does; where the sort refuses, the tracks' labels stand and the evidence says so.
@@ -135,10 +189,18 @@ impl ViewStages {
         self.labelled.covariance_px2.extend(self.order.iter().map(|&i| self.tracks.covariance_px2[i]));
         self.labelled.state.clear();
         self.labelled.state.extend(self.order.iter().map(|&i| self.tracks.state[i]));
-        self.evidence = ViewEvidence {
-            detected: self.markers.centres_px.len(),
-            labels: LabelSource::Foresight,
-            relabelled: self.order.iter().enumerate().filter(|&(slot, &track)| slot != track).count(),
-        };
+        let relabelled = self.order.iter().enumerate().filter(|&(slot, &track)| slot != track).count();
+        self.evidence = self.evidence(LabelSource::Foresight, relabelled);
+    }
+}
+
+/// Whether the tracks tell where each marker is. They are all that decides where to search: a replay from a checkpoint
+/// decides alike.
+fn is_certain(params: &Params, tracks: &Tracks) -> bool {
+    match params.label.method {
+        LabelMethod::Lattice => tracks.is_current(),
+        LabelMethod::Temporal | LabelMethod::Foresight => {
+            tracks.state.iter().all(|&state| state == MarkerState::Seen)
+        }
     }
 }

@@ -100,6 +100,12 @@ impl Tracks {
         (self.steady, self.stale) = (false, false);
     }
 
+    /// Whether the positions are those of the last frame; [`Tracker`] never says otherwise.
+    #[must_use]
+    pub const fn is_current(&self) -> bool {
+        !self.stale
+    }
+
     /// Counts the frames that a marker is not seen, and gives it its state.
     fn update_state(&mut self, n: usize, seen: bool, max_held_frames: u32) {
         let unseen = &mut self.unseen_frames[n];

@@ -298,6 +298,45 @@ impl Window {
         matrix
     }
 
+    /// How the centre answers to every pixel, px per grey level: the step of `matrix` at this contrast with the levels
+    /// following. Places are whole pixels from the middle.
+    pub fn influence(
+        &self,
+        matrix: &Factor<5>,
+        levels: &Factor<4>,
+        contrast: f64,
+        mut each: impl FnMut([i32; 2], DVec2),
+    ) {
+        let row = |axis: usize| matrix.solve(&core::array::from_fn(|k| f64::from(u8::from(k == axis))));
+        let rows = [row(0), row(1)].map(|row| row.map(|entry| Lanes::all((entry / contrast) as f32)));
+        let pulled = |b: &Model| {
+            rows.map(|row| {
+                let along = row.iter().zip(&b.basis).fold(Lanes::default(), |sum, (&r, &b)| sum + r * b);
+                along * b.weight
+            })
+        };
+        let mut taken = [[Lanes::default(); 4]; 2];
+        for (p, b) in self.places.iter().zip(&self.model) {
+            for (sums, pull) in taken.iter_mut().zip(pulled(b)) {
+                for (sum, term) in sums.iter_mut().zip([p.one, p.x, p.y, b.inside]) {
+                    *sum = *sum + pull * term;
+                }
+            }
+        }
+        let taken = taken.map(|sums| levels.solve(&sums.map(Lanes::sum)));
+        for (p, b) in self.places.iter().zip(&self.model) {
+            let pulls = pulled(b);
+            for lane in (0..WIDTH).filter(|&lane| p.one.0[lane] > 0.0) {
+                let terms = [p.one, p.x, p.y, b.inside].map(|lanes| f64::from(lanes.0[lane]));
+                let answer = |axis: usize| {
+                    let level: f64 = taken[axis].iter().zip(terms).map(|(taken, term)| taken * term).sum();
+                    f64::from(pulls[axis].0[lane]) - level
+                };
+                each([p.x.0[lane] as i32, p.y.0[lane] as i32], DVec2::new(answer(0), answer(1)));
+            }
+        }
+    }
+
     /// The weighted residuals at these levels.
     pub fn pull(&self, levels: &Levels) -> Pull {
         let [ground, along, across, contrast] =

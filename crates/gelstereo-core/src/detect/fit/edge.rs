@@ -19,6 +19,10 @@ const COARSE: usize = 8;
 const FREQUENCIES: usize = 48;
 const HIGHEST: f64 = 5.0;
 
+/// Noise that is assumed at all frequencies, over that at the lowest: in grain alone the weights would swing ever more
+/// between neighbouring pixels, and the fit would not settle.
+const LEAST_SHARE: f64 = 0.03;
+
 /// What an edge does at one distance z (in units of the blur, positive outside): Φ(-z), the share of the dot's contrast;
 /// φ(z), how fast that falls with z; the weight of a residual in the sum that moves the edge, 1 / levels² / px. The
 /// fourth makes it 16 bytes.
@@ -56,11 +60,13 @@ impl Edge {
     pub fn weigh(&mut self, blur_px: f64, noise: &Noise) {
         self.coarse.fill(0.0);
         let step = HIGHEST / FREQUENCIES as f64;
+        let least = LEAST_SHARE * noise.spectrum(0.0);
         for n in 0..=FREQUENCIES {
             let k = n as f64 * step;
             let share = if n == 0 { 0.5 } else { 1.0 };
             let k_px = k / blur_px;
-            let height = share * step / (PI * blur_px) * exp(-0.5 * k * k) / noise.spectrum(k_px * k_px);
+            let height =
+                share * step / (PI * blur_px) * exp(-0.5 * k * k) / noise.spectrum(k_px * k_px).max(least);
             // cos((j + 1) a) = 2 cos a cos(j a) - cos((j - 1) a)
             let twice = 2.0 * cos(k / COARSE as f64);
             let (mut before, mut here) = (0.5 * twice, 1.0);

@@ -7,6 +7,7 @@
 
 mod disc;
 mod edge;
+mod influence;
 mod lanes;
 mod noise;
 mod solve;
@@ -22,6 +23,7 @@ use crate::track::grid::Grid;
 use alloc::vec::Vec;
 use disc::{Levels, Outline, Window};
 use edge::Edge;
+use influence::Influence;
 use noise::NoiseMeter;
 use solve::Factor;
 
@@ -43,9 +45,9 @@ const FIRST_BLUR_PX: f64 = 0.8;
 /// Residuals larger than this times what the noise explains widen the covariance: below, it is chance and the profile's
 /// small faults, which cost the centre nothing.
 const CHANCE: f64 = 3.0;
-/// In grain alone the covariance is larger than the inverse information by this share, for the weights are those of a
-/// straight edge without end. Measured on simulated presses.
-const CURVATURE: f64 = 0.21;
+/// Shares of the covariance that are believed.
+const LEAST_CURVATURE: f64 = 0.5;
+const MOST_CURVATURE: f64 = 10.0;
 /// A step of the outline that is shorter leaves the model's slopes as they are.
 const SAME_SLOPES_PX: f64 = 0.25;
 /// Longest step.
@@ -103,6 +105,9 @@ pub struct DiscFit {
     radius_off_px: f64,
     /// Contrast of the samples, grey levels.
     contrast: f64,
+    influence: Influence,
+    /// Covariance over the inverse information, for the weights are those of a straight edge without end.
+    curvature: f64,
     starts: Vec<Start>,
     grid: Grid,
     centres: Vec<DVec2>,
@@ -136,6 +141,8 @@ impl DiscFit {
             blur_px: FIRST_BLUR_PX,
             radius_off_px: 0.0,
             contrast: 0.0,
+            influence: Influence::new(),
+            curvature: 1.0,
             starts: Vec::new(),
             grid: Grid::default(),
             centres: Vec::new(),
@@ -196,6 +203,7 @@ impl DiscFit {
         self.scratch.clear();
         self.scratch.extend(self.samples.iter().filter(|s| s.alive).map(|s| s.contrast));
         self.contrast = median(&mut self.scratch).unwrap_or(0.0);
+        self.curvature = self.measure_curvature(image).unwrap_or(1.0);
     }
 
     /// Moves one sample's outline and says by how much more blur would fit it better.
@@ -249,7 +257,7 @@ impl DiscFit {
                     covariance_px2: covariance(
                         &factor,
                         &levels,
-                        self.coloured() * (surprise / CHANCE).max(1.0),
+                        self.curvature * (surprise / CHANCE).max(1.0),
                     )?,
                     spread_px2: outline.spread_px2()?,
                     contrast_levels: levels.contrast,
@@ -260,10 +268,21 @@ impl DiscFit {
         None
     }
 
-    /// By how much more the covariance is than the inverse information.
-    fn coloured(&self) -> f64 {
-        let white = self.noise.white_levels2;
-        1.0 + CURVATURE * (1.0 - white / self.noise.spectrum(0.0))
+    /// Variance of a sample's centre in the image's noise over what the inverse information says.
+    fn measure_curvature(&mut self, image: GrayView<'_>) -> Option<f64> {
+        let sample = self.samples.iter().skip(self.samples.len() / 2).find(|sample| sample.alive);
+        let Sample { start, mut outline, .. } = *sample?;
+        self.load(image, &start)?;
+        outline.centre += start.centre_px - self.window.origin;
+        self.window.draw(&outline, self.blur_px, &self.edge);
+        let (levels, follow) = self.window.levels()?;
+        let factor = Factor::new(&self.window.matrix(&follow))?;
+        let [[xx, _], [_, yy]] = covariance(&factor, &levels, 1.0)?;
+        let Self { window, influence, .. } = self;
+        influence.clear();
+        window.influence(&factor, &follow, levels.contrast, |place, answer| influence.set(place, answer));
+        let ratio = influence.variance_px2(&self.noise)? / (xx + yy);
+        ratio.is_finite().then(|| ratio.clamp(LEAST_CURVATURE, MOST_CURVATURE))
     }
 
     /// Least variance of a coordinate, px², for the marker that did not fit.

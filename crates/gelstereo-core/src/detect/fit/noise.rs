@@ -11,6 +11,11 @@ const ROUNDING_LEVELS2: f64 = 1.0 / 12.0;
 const ROW_STEP: usize = 4;
 /// Pixels between the gel that counts and a marker's pixels: out of its blurred edge.
 const CLEARANCE_PX: usize = 4;
+/// Differences from which the slope of the light is taken: few enough that it is the same for all of them, and enough that
+/// the noise of their mean, of which a share of 4 stretches / differences² is lost with it, is below a percent.
+const SLOPE_DIFFERENCES: usize = 64;
+/// Fewer say nothing.
+const LEAST_DIFFERENCES: usize = 16;
 /// Distances at which pixels are compared.
 const LAGS: [usize; 3] = [1, 2, 4];
 
@@ -45,8 +50,7 @@ impl Noise {
         self.white_levels2 + self.grain_levels2
     }
 
-    /// From half the mean squared differences of pixels 1, 2 and 4 px apart (a variogram, which a slope of
-    /// light does not reach): with x = exp(-1 / (4 l²)) they are w + g (1 - x), w + g (1 - x^4), w + g (1 - x^16).
+    /// From half the variances of the differences of pixels 1, 2 and 4 px apart (a variogram without its drift): with x = exp(-1 / (4 l²)) they are w + g (1 - x), w + g (1 - x^4), w + g (1 - x^16).
     fn from_variogram([one, two, four]: [f64; 3]) -> Self {
         let white_only = Self { white_levels2: one.max(ROUNDING_LEVELS2), ..Self::default() };
         if !(two - one > 0.01 * one) {
@@ -106,24 +110,65 @@ impl NoiseMeter {
 
     /// Adds one row.
     fn row(&mut self, levels: &[u8]) {
-        let (mut squares, mut count, mut end) = ([0_u64; 3], 0_usize, 0);
+        let (mut row, mut group, mut end) = (Spread::default(), Differences::default(), 0);
         for clear in self.near.split(|&near| near != 0) {
             let start = end;
             end += clear.len() + 1;
             // What is left has its farthest partner clear of the next marker.
             if clear.len() > 2 * CLEARANCE_PX + LAGS[2] {
-                let stretch = &levels[start + CLEARANCE_PX..start + clear.len() - CLEARANCE_PX];
-                let len = stretch.len() - LAGS[2];
-                count += len;
-                for (sum, lag) in squares.iter_mut().zip(LAGS) {
-                    *sum += u64::from(squared_difference(&stretch[..len], &stretch[lag..]));
-                }
+                group.add(&levels[start + CLEARANCE_PX..start + clear.len() - CLEARANCE_PX]);
+            }
+            if group.count >= SLOPE_DIFFERENCES {
+                row.add(&core::mem::take(&mut group));
             }
         }
-        if count >= 16 {
-            for (rows, sum) in self.rows.iter_mut().zip(squares) {
-                rows.push(sum as f64 / (2 * count) as f64);
+        row.add(&group);
+        if row.count >= LEAST_DIFFERENCES {
+            for (rows, sum) in self.rows.iter_mut().zip(row.sums) {
+                rows.push(sum / (2 * row.count) as f64);
             }
+        }
+    }
+}
+
+/// Differences at every lag between pixels of one region of a row.
+#[derive(Clone, Copy, Debug, Default)]
+struct Differences {
+    count: usize,
+    sums: [i64; 3],
+    squares: [u64; 3],
+}
+
+impl Differences {
+    /// Adds a stretch of gel longer than the farthest lag.
+    fn add(&mut self, stretch: &[u8]) {
+        let count = stretch.len() - LAGS[2];
+        let level = |levels: &[u8]| levels.iter().map(|&level| i64::from(level)).sum::<i64>();
+        self.count += count;
+        for ((sum, square), lag) in self.sums.iter_mut().zip(&mut self.squares).zip(LAGS) {
+            // All pixels but the first ones less all but the last ones: what both have is left out.
+            *sum += level(&stretch[count.max(lag)..][..lag.min(count)]) - level(&stretch[..lag.min(count)]);
+            *square += u64::from(squared_difference(&stretch[..count], &stretch[lag..]));
+        }
+    }
+}
+
+/// Σ (difference - mean difference)² at every lag.
+#[derive(Clone, Copy, Debug, Default)]
+struct Spread {
+    count: usize,
+    sums: [f64; 3],
+}
+
+impl Spread {
+    /// Adds differences in which the light's slope is one; too few are left out.
+    fn add(&mut self, group: &Differences) {
+        if group.count < LEAST_DIFFERENCES {
+            return;
+        }
+        self.count += group.count;
+        for (total, (&sum, &square)) in self.sums.iter_mut().zip(group.sums.iter().zip(&group.squares)) {
+            *total += square as f64 - (sum * sum) as f64 / group.count as f64;
         }
     }
 }
