@@ -37,12 +37,12 @@ def test_every_marker_keeps_its_identity_over_the_whole_recording(replayed: Repl
 
 
 @needs_wheel
-@pytest.mark.parametrize("centre", ["grey", "fit"])
+@pytest.mark.parametrize("preset", ["balanced", "exact"])
 def test_displacements_are_the_recordings_within_the_predicted_covariance(
-    replayed: Replay, centre: str
+    replayed: Replay, preset: str
 ) -> None:
-    if centre == "fit":
-        replayed = replay(load_pytac3d(pytac3d_example("example_1", "AD2-0065L")), "fit")
+    if preset != "balanced":
+        replayed = replay(load_pytac3d(pytac3d_example("example_1", "AD2-0065L")), preset)
     pressed = firm(replayed)
     error = (replayed.displacement_mm - replayed.recorded_mm)[pressed]
     predicted = np.sqrt(np.einsum("fmii->fmi", replayed.covariance_mm2[pressed]).mean(axis=(0, 1)))

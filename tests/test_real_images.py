@@ -11,6 +11,10 @@ from real_data import DATA, needs
 TACT = [gel for gel in GELS if gel.name.startswith("9dtact")]
 KHSU = next(gel for gel in GELS if gel.name == "khsu")
 
+#: All but the paper's, whose threshold is made for its own print.
+PRESETS = [preset for preset in gelstereo.Params.presets() if preset != "paper"]
+
+by_preset = pytest.mark.parametrize("preset", PRESETS)
 by_name = pytest.mark.parametrize("gel", TACT, ids=lambda gel: gel.name)
 
 
@@ -40,17 +44,19 @@ def yellowness(path: str) -> np.ndarray:
 
 
 def test_only_polarity_and_channel_differ() -> None:
-    settings = [gel.params().to_dict() for gel in GELS]
-    for setting in settings:
-        del setting["detect"]["polarity"]
+    preset = gelstereo.Params.preset("balanced").to_dict()
+    for gel in GELS:
+        setting = gel.params().to_dict()
+        setting["detect"]["polarity"] = preset["detect"]["polarity"]
+        assert setting == preset
         assert "rows" not in setting["lattice"] and "cols" not in setting["lattice"]
-    assert settings[0] == settings[1] == settings[2]
 
 
+@by_preset
 @needs("9dtact_calib")
 @by_name
-def test_all_faint_markers_are_found_and_labelled(gel: RealGel) -> None:
-    located = gel.locate(DATA)
+def test_all_faint_markers_are_found_and_labelled(gel: RealGel, preset: str) -> None:
+    located = gel.locate(DATA, preset)
     lattice = located.lattice
     assert (lattice.rows, lattice.cols) == (7, 9)
     assert len(located.markers) == 63 and not lattice.filled.any() and not located.cut.any()
@@ -81,9 +87,10 @@ def test_algorithm_1_gives_the_same_labels(gel: RealGel) -> None:
     np.testing.assert_array_equal(detected_px[order], lattice.positions_px)
 
 
+@by_preset
 @needs("khsu_markers")
-def test_bent_rows_are_labelled_and_markers_out_of_sight_filled_in() -> None:
-    located = KHSU.locate(DATA)
+def test_bent_rows_are_labelled_and_markers_out_of_sight_filled_in(preset: str) -> None:
+    located = KHSU.locate(DATA, preset)
     lattice = located.lattice
     assert (lattice.rows, lattice.cols) == (8, 11)
     assert len(located.markers) == 77
@@ -100,11 +107,12 @@ def test_bent_rows_are_labelled_and_markers_out_of_sight_filled_in() -> None:
     assert error_px[located.cut].max() < lattice.pitch_px / 3.0
 
 
+@by_preset
 @needs("khsu_markers")
-def test_every_label_sits_on_yellow_paint_and_all_whole_paint_has_a_label() -> None:
+def test_every_label_sits_on_yellow_paint_and_all_whole_paint_has_a_label(preset: str) -> None:
     import cv2
 
-    located = KHSU.locate(DATA)
+    located = KHSU.locate(DATA, preset)
     lattice = located.lattice
     yellow = yellowness(str(DATA / KHSU.path))
     x, y = np.round(lattice.positions_px[~lattice.filled]).astype(int).T
@@ -122,6 +130,14 @@ def test_every_label_sits_on_yellow_paint_and_all_whole_paint_has_a_label() -> N
     apart_px = np.linalg.norm(centres_px[1:][clear, None] - labelled_px, axis=2).min(axis=1)
     assert clear.sum() >= 74
     assert apart_px.max() < 10.0
+
+
+@needs("9dtact_calib")
+@needs("khsu_markers")
+@pytest.mark.parametrize("gel", GELS, ids=lambda gel: gel.name)
+def test_the_papers_threshold_is_for_another_print_and_says_what_it_found(gel: RealGel) -> None:
+    with pytest.raises(gelstereo.Error, match=r"none of the 0 markers found .* detect\.threshold_levels"):
+        gel.locate(DATA, "paper")
 
 
 @needs("khsu_markers")

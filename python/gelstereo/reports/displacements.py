@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -74,17 +73,15 @@ class Replay:
         )
 
 
-def replay(
-    recording: CloudRecording, centre: Literal["grey", "fit"] = "grey", keep: tuple[int, ...] = ()
-) -> Replay:
+def replay(recording: CloudRecording, preset: str = "balanced", keep: tuple[int, ...] = ()) -> Replay:
     """Render a recording's markers and run the pipeline over the images, its rest frame first.
 
     Parameters
     ----------
     recording
         Clouds in PyTac3D's order and frame.
-    centre
-        The rung of ``detect.centre``.
+    preset
+        The pipeline's settings; only the pitch is set.
     keep
         Frames of which the left image is wanted.
     """
@@ -97,11 +94,7 @@ def replay(
         gel={"rows": recording.rows, "cols": recording.cols, "pitch_mm": 1.0, "dot_radius_mm": 0.25},
         effects=_EFFECTS,
     )
-    params = Params.preset("balanced").replace(
-        lattice={"pitch_mm": 1.0},
-        detect={"background": "blocks", "threshold": "auto", "centre": centre},
-        label={"method": "lattice"},
-    )
+    params = Params.preset(preset).replace(lattice={"pitch_mm": 1.0})
     simulator, pipeline = Simulator(scene), Pipeline(scene.rig, params)
     rendered = simulator.render_points(rest_mm + _SHIFT_MM)
     rest = pipeline.process(rendered.left, rendered.right)
@@ -133,15 +126,15 @@ def main(arguments: list[str] | None = None) -> int:
     indentation = recording.indentation_mm()
     runs = episodes(indentation, SALIENCY_MM)
     deepest = tuple(run.start + int(indentation[run.start : run.stop].max(axis=1).argmax()) for run in runs)
-    replays = {centre: replay(recording, centre, deepest) for centre in ("grey", "fit")}
+    replays = {preset: replay(recording, preset, deepest) for preset in ("balanced", "exact")}
     touched = np.concatenate([np.arange(run.start, run.stop) for run in runs])
     parts = [
         *((name, np.arange(run.start, run.stop)) for name, run in zip(EPISODES, runs, strict=True)),
         ("no touch", np.setdiff1d(np.arange(len(recording)), touched)),
     ]
-    rows = [_row(centre, r, name, frames) for centre, r in replays.items() for name, frames in parts]
+    rows = [_row(preset, r, name, frames) for preset, r in replays.items() for name, frames in parts]
     head = [
-        "centre",
+        "preset",
         "part",
         "frames",
         "seen %",
@@ -156,11 +149,11 @@ def main(arguments: list[str] | None = None) -> int:
         "displacements",
         table([*head, "predicted z um", "largest error um", "NEES / 3"], rows),
     )
-    _draw(replays["grey"], deepest, options.docs / "pictures" / "real-displacements.png")
+    _draw(replays["balanced"], deepest, options.docs / "pictures" / "real-displacements.png")
     return 0
 
 
-def _row(centre: str, replayed: Replay, name: str, frames: npt.NDArray[np.int64]) -> list[str]:
+def _row(preset: str, replayed: Replay, name: str, frames: npt.NDArray[np.int64]) -> list[str]:
     error_um = 1e3 * (replayed.displacement_mm - replayed.recorded_mm)[frames]
     predicted_um = 1e3 * np.sqrt(np.einsum("fmii->fmi", replayed.covariance_mm2[frames]).mean(axis=(0, 1)))
     rms_um = np.sqrt((error_um**2).mean(axis=(0, 1)))
@@ -169,7 +162,7 @@ def _row(centre: str, replayed: Replay, name: str, frames: npt.NDArray[np.int64]
         return float(np.sqrt((of[:2] ** 2).mean()))
 
     return [
-        centre,
+        preset,
         name,
         str(len(frames)),
         f"{100.0 * replayed.seen[frames].mean():.1f}",

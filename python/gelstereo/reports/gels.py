@@ -22,11 +22,6 @@ __all__ = ["GELS", "Located", "RealGel", "draw", "main"]
 Image = npt.NDArray[np.uint8]
 Floats = npt.NDArray[np.float64]
 
-#: One setting for every gel: neither threshold nor marker size nor lattice is given.
-DETECT = {"background": "blocks", "threshold": "auto", "centre": "grey"}
-#: Markers out of sight beyond the border; 6 of 88 are.
-MAX_MISSING_SHARE = 0.1
-
 
 @dataclass(frozen=True)
 class Located:
@@ -53,10 +48,9 @@ class RealGel:
     channel: Literal["blue", "green", "red", "grey"]
     source: str
 
-    def params(self) -> Params:
-        """Give the one setting with the image's polarity."""
-        detect = {**DETECT, "polarity": self.polarity}
-        return Params().replace(detect=detect, lattice={"max_missing_share": MAX_MISSING_SHARE})
+    def params(self, preset: str = "balanced") -> Params:
+        """Give a preset with the image's polarity: neither threshold nor marker size nor lattice is set."""
+        return Params.preset(preset).replace(detect={"polarity": self.polarity})
 
     def read(self, data: Path) -> Image:
         """Read the channel of the image in which the markers show best."""
@@ -67,7 +61,7 @@ class RealGel:
             return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
         return np.ascontiguousarray(image[:, :, ("blue", "green", "red").index(self.channel)])
 
-    def locate(self, data: Path) -> Located:
+    def locate(self, data: Path, preset: str = "balanced") -> Located:
         """Detect the markers, those that the border cuts included, count rows and columns, and label.
 
         Raises
@@ -75,7 +69,7 @@ class RealGel:
         Error
             The markers cannot be detected or labelled; it says why.
         """
-        params = self.params()
+        params = self.params(preset)
         markers = Detector(params).detect(self.read(data))
         seen_px = np.vstack([markers.centres_px, markers.cut_centres_px])
         return Located(markers, rest_lattice(seen_px, params))
@@ -135,6 +129,7 @@ def main(arguments: list[str] | None = None) -> int:
                 str(seen - int((~lattice.filled).sum())),
                 f"{lattice.pitch_px:.1f}",
                 _foresight(lattice),
+                *(_verdict(gel, options.data, preset) for preset in Params.presets()),
             ]
         )
     head = [
@@ -147,7 +142,11 @@ def main(arguments: list[str] | None = None) -> int:
         "left out",
         "pitch px",
     ]
-    replace_between(options.docs / "real-images.md", "gels", table([*head, "foresight sort"], rows))
+    replace_between(
+        options.docs / "real-images.md",
+        "gels",
+        table([*head, "foresight sort", *(f"preset {p}" for p in Params.presets())], rows),
+    )
     return 0
 
 
@@ -163,6 +162,14 @@ def _foresight(lattice: RestLattice) -> str:
         return f"refuses: {error}"
     wrong = int((shuffled[order] != np.arange(count)).sum())
     return "same labels" if wrong == 0 else f"{wrong} wrong labels"
+
+
+def _verdict(gel: RealGel, data: Path, preset: str) -> str:
+    try:
+        lattice = gel.locate(data, preset).lattice
+    except Error as error:
+        return str(error)
+    return f"{int((~lattice.filled).sum())} labelled"
 
 
 if __name__ == "__main__":
