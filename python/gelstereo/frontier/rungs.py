@@ -70,23 +70,15 @@ RUNGS = (
     Rung("register", "ransac_icp (paper's comparison)", {"register": {"method": "ransac_icp"}}),
     Rung("register", "icp_plane", {"register": {"method": "icp_plane"}}),
     Rung("whole", "preset paper"),
+    Rung("whole", "preset fast", preset="fast"),
     Rung("whole", "preset balanced", preset="balanced"),
+    Rung("whole", "preset exact", preset="exact"),
     Rung(
         "whole",
         FAST,
         {
             "detect": {"background": "blocks", "threshold": "auto", "centre": "grey"},
             "contact": {"saliency": "pressure"},
-        },
-        "balanced",
-    ),
-    Rung(
-        "whole",
-        "fast rungs in windows",
-        {
-            "detect": {"background": "blocks", "threshold": "auto", "centre": "grey", "search": "windows"},
-            "label": {"method": "lattice"},
-            "track": {"motion": "constant_velocity"},
         },
         "balanced",
     ),

@@ -2,7 +2,7 @@
 
 use super::{
     Background, Centre, ContactParams, DetectParams, LabelMethod, LabelParams, LatticeParams, Motion, Params,
-    RegisterMethod, RegisterParams, Threshold, TrackParams, TriangulateMethod, TriangulateParams,
+    RegisterMethod, RegisterParams, Search, Threshold, TrackParams, TriangulateMethod, TriangulateParams,
 };
 
 impl Params {
@@ -30,7 +30,8 @@ impl Params {
     pub const PRESETS: [&'static str; 4] = ["paper", "fast", "balanced", "exact"];
 
     fn fast() -> Self {
-        Self::balanced()
+        let balanced = Self::balanced();
+        Self { detect: DetectParams { search: Search::Windows, ..balanced.detect }, ..balanced }
     }
 
     fn balanced() -> Self {
