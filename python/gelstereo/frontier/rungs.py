@@ -11,7 +11,7 @@ from gelstereo import Params
 __all__ = ["EXACT", "FAST", "RUNGS", "Rung", "Stage", "rungs_of"]
 
 #: Names of the whole pipelines of which the targets are asked.
-FAST, EXACT = "fast rungs", "exact rungs"
+FAST, EXACT = "preset fast", "preset exact"
 
 Stage = Literal["detect", "label", "points", "contact", "register", "whole"]
 
@@ -70,24 +70,10 @@ RUNGS = (
     Rung("register", "ransac_icp (paper's comparison)", {"register": {"method": "ransac_icp"}}),
     Rung("register", "icp_plane", {"register": {"method": "icp_plane"}}),
     Rung("whole", "preset paper"),
-    Rung("whole", "preset fast", preset="fast"),
+    Rung("whole", FAST, preset="fast"),
+    Rung("whole", "fast in windows", {"detect": {"search": "windows"}}, "fast"),
     Rung("whole", "preset balanced", preset="balanced"),
-    Rung("whole", "preset exact", preset="exact"),
-    Rung(
-        "whole",
-        FAST,
-        {
-            "detect": {"background": "blocks", "threshold": "auto", "centre": "grey"},
-            "contact": {"saliency": "pressure"},
-        },
-        "balanced",
-    ),
-    Rung(
-        "whole",
-        EXACT,
-        {"detect": _FIT, "triangulate": {"method": "rays"}, "contact": {"saliency": "pressure"}},
-        "balanced",
-    ),
+    Rung("whole", EXACT, preset="exact"),
 )
 
 

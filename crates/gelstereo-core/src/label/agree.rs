@@ -46,10 +46,13 @@ pub(super) struct Agreement {
 
 impl Agreement {
     pub fn reserve(&mut self, most: usize) {
-        for list in [&mut self.doomed, &mut self.suspects, &mut self.group, &mut self.queue] {
+        for list in [&mut self.suspects, &mut self.group, &mut self.queue] {
             list.clear();
             list.reserve(most);
         }
+        // A suspect dooms itself, the corners of its cell, and two markers for each of its steps.
+        self.doomed.clear();
+        self.doomed.reserve((1 + 4 + 2 * STEPS.len()) * most);
         self.off.clear();
         self.off.reserve(most);
     }

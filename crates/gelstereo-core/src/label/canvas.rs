@@ -5,7 +5,7 @@ use crate::math::{DVec2, sqrt};
 use alloc::vec::Vec;
 
 /// Most rows or columns to either side of the seed.
-const MOST_HALF: usize = 500;
+const MOST_HALF: usize = 240;
 
 /// Empty cells around the square, so that the surroundings of any of its cells can be read without a check.
 const MARGIN: i32 = 3;

@@ -70,6 +70,8 @@ impl View<'_> {
         (out.rows, out.cols) = (rows, cols);
         out.places.clear();
         out.detection.clear();
+        // Room for any lattice of which a quarter is seen, whatever specks make of its extent from frame to frame.
+        out.detection.reserve(4 * canvas.places.len());
         out.detection.resize(rows * cols, None);
         out.placed = 0;
         for (m, place) in canvas.places.iter().enumerate() {

@@ -2,7 +2,7 @@
 
 use super::{
     Background, Centre, ContactParams, DetectParams, LabelMethod, LabelParams, LatticeParams, Motion, Params,
-    RegisterMethod, RegisterParams, Search, Threshold, TrackParams, TriangulateMethod, TriangulateParams,
+    RegisterMethod, RegisterParams, Saliency, Threshold, TrackParams, TriangulateMethod, TriangulateParams,
 };
 
 impl Params {
@@ -10,7 +10,7 @@ impl Params {
     ///
     /// - `paper`: the paper's pipeline to the letter;
     /// - `fast`: the cheapest rung of every stage that keeps identities safe;
-    /// - `balanced`: what to begin with: as `fast`, with the whole image searched in every frame;
+    /// - `balanced`: what to begin with: as `fast`, with contacts found by pressure;
     /// - `exact`: the most accurate rung of every stage.
     ///
     /// All but `paper` derive the threshold from the image, check every identity against the lattice, tolerate a fifth of
@@ -31,7 +31,7 @@ impl Params {
 
     fn fast() -> Self {
         let balanced = Self::balanced();
-        Self { detect: DetectParams { search: Search::Windows, ..balanced.detect }, ..balanced }
+        Self { contact: ContactParams { saliency: Saliency::Depth, ..balanced.contact }, ..balanced }
     }
 
     fn balanced() -> Self {
@@ -47,7 +47,7 @@ impl Params {
             track: TrackParams { motion: Motion::ConstantVelocity, ..Default::default() },
             label: LabelParams { method: LabelMethod::Lattice, ..Default::default() },
             triangulate: TriangulateParams { method: TriangulateMethod::Polynomial, ..Default::default() },
-            contact: ContactParams { patch_share: 0.65, ..Default::default() },
+            contact: ContactParams { saliency: Saliency::Pressure, patch_share: 0.65, ..Default::default() },
             register: RegisterParams { method: RegisterMethod::FilterregPlane, ..Default::default() },
         }
     }
