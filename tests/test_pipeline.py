@@ -41,7 +41,8 @@ def test_points_are_the_truth_within_the_noise(noisy_press: list[SimulatedFrame]
     assert [result.index for result in results] == [0, 1, 2, 3, 4]
     assert results[0].motion_px == 0.0
     assert not results[0].salient.any()
-    assert results[-1].salient.sum() > 30
+    # By pressure only those that the ball touches, some twenty.
+    assert results[-1].salient.sum() > 15
 
 
 def test_the_results_fit_together(noisy_press: list[SimulatedFrame]) -> None:

@@ -47,7 +47,7 @@ pub enum Centre {
     /// Mean position of the component's pixels (the paper): about 0.13 px rms.
     #[default]
     Binary,
-    /// Mean position weighted by contrast over the component and its border: about 0.05 px rms.
+    /// Mean position weighted by contrast over the component and its border: about 0.06 px rms.
     Grey,
     /// Fit of a blurred ellipse, in the noise and grain of the image: 0.034 px rms, 1.1 times the Cramér-Rao bound of the
     /// same scene (0.031), with a covariance per marker; about 6 µs a marker.
