@@ -4,7 +4,7 @@
 
 use gelstereo_core::detect::{Detector, Markers};
 use gelstereo_core::image::GrayView;
-use gelstereo_core::params::{Background, Centre, Params, Polarity};
+use gelstereo_core::params::{Background, Centre, Params, Polarity, Threshold};
 use libfuzzer_sys::arbitrary::{Arbitrary, Result, Unstructured};
 use libfuzzer_sys::fuzz_target;
 
@@ -20,8 +20,9 @@ impl<'a> Arbitrary<'a> for Input {
     fn arbitrary(u: &mut Unstructured<'a>) -> Result<Self> {
         let mut params = Params::default();
         let detect = &mut params.detect;
-        detect.background = *u.choose(&[Background::Gaussian, Background::Box])?;
-        detect.centre = *u.choose(&[Centre::Binary, Centre::Grey])?;
+        detect.background = *u.choose(&[Background::Gaussian, Background::Box, Background::Blocks])?;
+        detect.centre = *u.choose(&[Centre::Binary, Centre::Grey, Centre::Fit])?;
+        detect.threshold = *u.choose(&[Threshold::Fixed, Threshold::Auto])?;
         detect.polarity = *u.choose(&[Polarity::Dark, Polarity::Bright])?;
         detect.smooth_kernel_px = 2 * u.int_in_range(0..=15)? + 1;
         detect.background_kernel_px = 2 * u.int_in_range(0..=127)? + 1;
