@@ -1,0 +1,51 @@
+"""Parts by their dimensions: what the paper grasps, inserts and presses, as watertight meshes in millimetres.
+
+>>> import gelstereo as gs
+>>> from gelstereo import parts
+>>> sorted(parts.PEGS)
+['peg_hexagonal', 'peg_irregular', 'peg_round', 'peg_square', 'usb_plug']
+>>> peg = parts.peg_square(side_mm=6.0)
+>>> gs.Template.from_mesh(peg, units="mm", spacing_mm=0.4)
+<Template: ...>
+"""
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from gelstereo.parts.contacts import connector_3_5mm, irregular_part, key, screw_m10, sd_reader, usb_drive
+from gelstereo.parts.loft import loft, polar, rectangle, regular
+from gelstereo.parts.pegs import peg_hexagonal, peg_irregular, peg_round, peg_square, usb_plug
+
+if TYPE_CHECKING:
+    import trimesh
+
+__all__ = [
+    "CONTACTS",
+    "PEGS",
+    "connector_3_5mm",
+    "irregular_part",
+    "key",
+    "loft",
+    "peg_hexagonal",
+    "peg_irregular",
+    "peg_round",
+    "peg_square",
+    "polar",
+    "rectangle",
+    "regular",
+    "screw_m10",
+    "sd_reader",
+    "usb_drive",
+    "usb_plug",
+]
+
+#: What the paper grasps and inserts (Fig. 10), in its order (a) to (e).
+PEGS: "Mapping[str, Callable[[], trimesh.Trimesh]]" = MappingProxyType(
+    {made.__name__: made for made in (peg_round, peg_square, peg_irregular, peg_hexagonal, usb_plug)}
+)
+
+#: What the paper presses into the sensor (Fig. 12), in its order (a) to (f).
+CONTACTS: "Mapping[str, Callable[[], trimesh.Trimesh]]" = MappingProxyType(
+    {made.__name__: made for made in (screw_m10, connector_3_5mm, sd_reader, key, irregular_part, usb_drive)}
+)
