@@ -1,0 +1,159 @@
+"""Success, accuracy over the bound, calibration and time of registration, beside other libraries, on parts in the gel."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from gelstereo import Error, Localization, Params, localize
+from gelstereo.frontier.grasps import GRASPED, NOISES, STARTS, Grasp, Start, grasps
+from gelstereo.frontier.rivals import Method, rivals
+from gelstereo.frontier.rungs import Rung, rungs_of
+from gelstereo.frontier.table import Report, Table, Target, figure
+from gelstereo.frontier.timing import Times, time_side_by_side
+
+__all__ = ["Tally", "measure_localization"]
+
+Array = npt.NDArray[np.float64]
+
+#: The rung of which the targets are asked.
+BEST = "surface"
+
+
+@dataclass
+class Tally:
+    """What one method did with one noise and one class of starts."""
+
+    #: Success of every part's runs.
+    success: dict[str, list[bool]] = field(default_factory=dict)
+    #: Error over the bound, squared, and observable directions of every success.
+    squared: list[float] = field(default_factory=list)
+    observable: list[int] = field(default_factory=list)
+    refused: int = 0
+
+    def add(self, grasp: Grasp, pose: Array | None) -> None:
+        """Count one run; no pose is a refusal."""
+        runs = self.success.setdefault(grasp.part, [])
+        if pose is None or not np.all(np.isfinite(pose)):
+            self.refused += 1
+            runs.append(False)
+            return
+        score = grasp.score(pose)
+        runs.append(score.success)
+        if score.success:
+            self.squared.append(score.squared)
+            self.observable.append(score.observable)
+
+    @property
+    def rate(self) -> float:
+        """Per cent of runs that succeed."""
+        return 100.0 * float(np.mean([ok for runs in self.success.values() for ok in runs]))
+
+    @property
+    def over_bound(self) -> float:
+        """Root mean square error of the successes over the Cramér-Rao bound."""
+        return float(np.sqrt(sum(self.squared) / sum(self.observable))) if self.squared else float("nan")
+
+
+def measure_localization(seeds: range, rounds: int, report: Report) -> tuple[list[Table], list[Target]]:
+    """Run every method on every contact from every start.
+
+    Parameters
+    ----------
+    seeds
+        One contact of every part and noise for each.
+    rounds
+        Rounds of timing.
+    """
+    methods = {rung.name: _native(rung) for rung in rungs_of("register")} | rivals()
+    tallies: dict[tuple[str, str, str], Tally] = {}
+    contacts: dict[str, list[Grasp]] = {}
+    for noise in NOISES:
+        report(f"localization: contacts, {noise.name}")
+        contacts[noise.name] = [grasp for press in GRASPED for grasp in grasps(press, noise, seeds)]
+        for name, method in methods.items():
+            report(f"localization: {name}, {noise.name}")
+            for start in STARTS:
+                tallies[name, noise.name, start.name] = _tally(method, contacts[noise.name], start)
+    times = time_side_by_side(
+        {name: _one_of(method, contacts[NOISES[0].name]) for name, method in methods.items()}, rounds
+    )
+    rows = []
+    for name in methods:
+        cells = [f"{tallies[name, noise.name, start.name].rate:.0f}" for noise in NOISES for start in STARTS]
+        bound = [figure(tallies[name, noise.name, STARTS[1].name].over_bound) for noise in NOISES]
+        rows.append(
+            [name, " / ".join(cells[:3]), bound[0], " / ".join(cells[3:]), bound[1]]
+            + [f"{times[name].median_ms:.2f}", f"{times[name].p99_ms:.2f}"]
+        )
+    head = [
+        "method",
+        *(cell for noise in NOISES for cell in (noise.name, "over the bound")),
+        "median ms",
+        "p99 ms",
+    ]
+    parts = _parts_table(methods, tallies)
+    return [Table("localization", head, rows), parts], _targets(tallies, times)
+
+
+def _parts_table(methods: Mapping[str, Method], tallies: Mapping[tuple[str, str, str], Tally]) -> Table:
+    """Success by part, from the middle start."""
+    rows = []
+    for name in methods:
+        tally = tallies[name, NOISES[0].name, STARTS[1].name]
+        rows.append(
+            [name, *(f"{100.0 * float(np.mean(tally.success[press.name])):.0f}" for press in GRASPED)]
+        )
+    return Table("parts", ["method", *(press.name for press in GRASPED)], rows)
+
+
+def _targets(tallies: Mapping[tuple[str, str, str], Tally], times: Mapping[str, Times]) -> list[Target]:
+    """What is asked of the best rung."""
+    if BEST not in times:
+        return []
+    targets = []
+    for noise in NOISES:
+        for start, limit in zip(STARTS, (99.0, 99.0, 98.0), strict=True):
+            rate = tallies[BEST, noise.name, start.name].rate
+            what = f"localization, {BEST}, starts within {start.name}, {noise.name}, success"
+            targets.append(Target(what, limit, rate, "%", at_most=False))
+        error = tallies[BEST, noise.name, STARTS[1].name].over_bound
+        targets.append(Target(f"localization, {BEST}, {noise.name}, rms over the bound", 1.05, error, ""))
+    targets.append(Target(f"localization, {BEST}, median", 5.0, times[BEST].median_ms, "ms"))
+    targets.append(Target(f"localization, {BEST}, p99", 20.0, times[BEST].p99_ms, "ms"))
+    return targets
+
+
+def _tally(method: Method, contacts: Sequence[Grasp], start: Start) -> Tally:
+    tally = Tally()
+    for seed, grasp in enumerate(contacts):
+        try:
+            pose = method(grasp, grasp.guess(start, seed))
+        except (Error, np.linalg.LinAlgError, RuntimeError, ValueError):
+            pose = None
+        tally.add(grasp, pose)
+    return tally
+
+
+def _one_of(method: Method, contacts: Sequence[Grasp]) -> Callable[[int], object]:
+    def call(turn: int) -> object:
+        grasp = contacts[turn % len(contacts)]
+        try:
+            return method(grasp, grasp.guess(STARTS[1], turn))
+        except (Error, RuntimeError):
+            return None
+
+    return call
+
+
+def _native(rung: Rung) -> Method:
+    params = rung.params()
+    return lambda grasp, guess: locate(grasp, guess, params).t_sensor_object
+
+
+def locate(grasp: Grasp, guess: Array, params: Params) -> Localization:
+    """Register a contact with all that the sensor knows of it."""
+    return localize(grasp.points_mm, grasp.template, t_sensor_object=guess, params=params)

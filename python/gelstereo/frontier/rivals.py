@@ -1,0 +1,163 @@
+"""Other libraries' registration at settings that suit tactile patches, where they are installed.
+
+``pip install 'gelstereo[rivals]'`` brings them. Each takes a `Grasp` and a guess and gives a pose; settings were chosen on seeds
+of their own (900 on), for success from 10 deg and 2 mm.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gelstereo.frontier.grasps import Grasp
+
+__all__ = ["Method", "rivals"]
+
+Array = npt.NDArray[np.float64]
+#: From a grasp and a guess to the pose of the part in the sensor.
+Method = Callable[[Grasp, Array], Array]
+
+
+def rivals() -> dict[str, Method]:
+    """Methods of the libraries that are installed, by name."""
+    known: dict[str, tuple[str, Method]] = {
+        "MeshLib: ICP on the mesh": ("meshlib", meshlib_icp),
+        "Open3D: ICP, point to plane, Tukey": ("open3d", open3d_icp),
+        "small_gicp: GICP": ("small_gicp", small_gicp_align),
+        "probreg: FilterReg, point to plane": ("probreg", probreg_filterreg),
+    }
+    return {
+        name: method
+        for name, (module, method) in known.items()
+        if importlib.util.find_spec(module) is not None
+    }
+
+
+#: Widest correspondences in turn, mm.
+_REACHES_MM = (3.0, 1.5, 0.6)
+#: Tukey's constants in turn, mm.
+_TUKEY_MM = (1.0, 0.4, 0.12)
+
+
+def open3d_icp(grasp: Grasp, guess: Array) -> Array:
+    """Point-to-plane ICP on samples with Tukey's weights, its reach narrowed in three steps."""
+    import open3d as o3d
+
+    registration = o3d.pipelines.registration
+    source, target = _cloud(grasp.points_mm), _open3d_template(grasp)
+    pose = np.linalg.inv(guess)
+    for reach_mm, width_mm in zip(_REACHES_MM, _TUKEY_MM, strict=True):
+        kernel = registration.TukeyLoss(k=width_mm)
+        estimate = registration.TransformationEstimationPointToPlane(kernel)
+        stop = registration.ICPConvergenceCriteria(max_iteration=40)
+        pose = registration.registration_icp(source, target, reach_mm, pose, estimate, stop).transformation
+    return np.linalg.inv(pose)
+
+
+def small_gicp_align(grasp: Grasp, guess: Array) -> Array:
+    """Generalised ICP on samples; the patch's covariances come from its neighbourhoods, as the library does it."""
+    import small_gicp
+
+    target, tree = _kept(grasp, "small_gicp", lambda: small_gicp.preprocess_points(
+        grasp.template.points_mm, downsampling_resolution=0.3, num_neighbors=10, num_threads=1
+    ))  # fmt: skip
+    source, _ = small_gicp.preprocess_points(
+        grasp.points_mm, downsampling_resolution=0.3, num_neighbors=10, num_threads=1
+    )
+    pose = np.linalg.inv(guess)
+    for reach_mm in _REACHES_MM:
+        found = small_gicp.align(
+            target,
+            source,
+            tree,
+            init_T_target_source=pose,
+            registration_type="GICP",
+            max_correspondence_distance=reach_mm,
+            num_threads=1,
+        )
+        pose = found.T_target_source
+    return np.linalg.inv(pose)
+
+
+def probreg_filterreg(grasp: Grasp, guess: Array) -> Array:
+    """FilterReg, point to plane, from the guess."""
+    from probreg import filterreg
+
+    start = np.linalg.inv(guess)
+    placed = grasp.points_mm @ start[:3, :3].T + start[:3, 3]
+    found = filterreg.registration_filterreg(
+        placed,
+        np.array(grasp.template.points_mm),
+        target_normals=np.array(grasp.template.normals),
+        objective_type="pt2pl",
+        sigma2=0.7**2,
+        update_sigma2=True,
+        w=0.1,
+        maxiter=50,
+    ).transformation
+    motion = np.eye(4)
+    motion[:3, :3], motion[:3, 3] = found.rot, found.t
+    return np.linalg.inv(motion @ start)
+
+
+def meshlib_icp(grasp: Grasp, guess: Array) -> Array:
+    """ICP of the patch on the part's triangles: first point to point, then to planes."""
+    from meshlib import mrmeshnumpy
+    from meshlib import mrmeshpy as mr
+
+    mesh = _kept(grasp, "meshlib", lambda: mrmeshnumpy.meshFromFacesVerts(
+        np.asarray(grasp.mesh.faces, np.int32), np.asarray(grasp.mesh.vertices, np.float32)
+    ))  # fmt: skip
+    cloud = mrmeshnumpy.pointCloudFromPoints(np.asarray(grasp.points_mm, np.float32))
+    start = np.linalg.inv(guess)
+    transform = mr.AffineXf3f()
+    transform.A = mr.Matrix3f(*(mr.Vector3f(*map(float, row)) for row in start[:3, :3]))
+    transform.b = mr.Vector3f(*map(float, start[:3, 3]))
+    icp = mr.ICP(
+        mr.MeshOrPointsXf(cloud, transform), mr.MeshOrPointsXf(mesh, mr.AffineXf3f()), cloud.validPoints
+    )
+    settings = mr.ICPProperties()
+    settings.method = mr.ICPMethod.Combined
+    settings.iterLimit = 60
+    settings.distThresholdSq = _REACHES_MM[0] ** 2
+    settings.farDistFactor = 3.0
+    settings.cosThreshold = -1.0
+    icp.setParams(settings)
+    found = icp.calculateTransformation()
+    pose = np.eye(4)
+    for row, vector in enumerate((found.A.x, found.A.y, found.A.z)):
+        pose[row, :3] = vector.x, vector.y, vector.z
+    pose[:3, 3] = found.b.x, found.b.y, found.b.z
+    return np.linalg.inv(pose)
+
+
+#: What a library makes of a template once, by library and part.
+_STRUCTURES: dict[tuple[str, str], Any] = {}
+
+
+def _kept(grasp: Grasp, library: str, make: Callable[[], Any]) -> Any:
+    key = (library, grasp.part)
+    if key not in _STRUCTURES:
+        _STRUCTURES[key] = make()
+    return _STRUCTURES[key]
+
+
+def _cloud(points_mm: Array) -> Any:
+    import open3d as o3d
+
+    return o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.array(points_mm)))
+
+
+def _open3d_template(grasp: Grasp) -> Any:
+    import open3d as o3d
+
+    def make() -> Any:
+        cloud = _cloud(grasp.template.points_mm)
+        cloud.normals = o3d.utility.Vector3dVector(np.array(grasp.template.normals))
+        return cloud
+
+    return _kept(grasp, "open3d", make)
