@@ -1,4 +1,4 @@
-"""Parts pressed into the simulated gel, for registration: what is sensed, the truth, and the bound on what can be found."""
+"""Parts pressed into the simulated gel, for registration: what is sensed, the truth, and the bound on pose errors."""
 
 from __future__ import annotations
 

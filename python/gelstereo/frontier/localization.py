@@ -1,4 +1,4 @@
-"""Success, accuracy over the bound, calibration and time of registration, beside other libraries, on parts in the gel."""
+"""Success, accuracy over the bound and time of registration on parts in the gel, beside other libraries."""
 
 from __future__ import annotations
 

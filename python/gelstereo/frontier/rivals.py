@@ -1,7 +1,7 @@
 """Other libraries' registration at settings that suit tactile patches, where they are installed.
 
-``pip install 'gelstereo[rivals]'`` brings them. Each takes a `Grasp` and a guess and gives a pose; settings were chosen on seeds
-of their own (900 on), for success from 10 deg and 2 mm.
+``pip install 'gelstereo[rivals]'`` brings them. Each takes a `Grasp` and a guess and gives a pose; settings were chosen
+on seeds of their own (900 on), for success from 10 deg and 2 mm.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def probreg_filterreg(grasp: Grasp, guess: Array) -> Array:
     ).transformation
     motion = np.eye(4)
     motion[:3, :3], motion[:3, 3] = found.rot, found.t
-    return np.linalg.inv(motion @ start)
+    return np.asarray(np.linalg.inv(motion @ start), np.float64)
 
 
 def meshlib_icp(grasp: Grasp, guess: Array) -> Array:
@@ -132,7 +132,7 @@ def meshlib_icp(grasp: Grasp, guess: Array) -> Array:
     for row, vector in enumerate((found.A.x, found.A.y, found.A.z)):
         pose[row, :3] = vector.x, vector.y, vector.z
     pose[:3, 3] = found.b.x, found.b.y, found.b.z
-    return np.linalg.inv(pose)
+    return np.asarray(np.linalg.inv(pose), np.float64)
 
 
 #: What a library makes of a template once, by library and part.
