@@ -13,7 +13,6 @@ import numpy.typing as npt
 import trimesh
 
 from gelstereo import Rig, Scene, SimulatedFrame, Simulator, Template
-from gelstereo._native import parse_toml
 
 __all__ = [
     "BOARDS_MM",
@@ -60,13 +59,9 @@ def effects(**changes: Mapping[str, float]) -> dict[str, dict[str, float]]:
 
 @dataclass(frozen=True)
 class Format:
-    """A size of images with the cameras that take them; the surface lies as deep in all."""
+    """A size of images with the cameras that take them: the simulator's sensors of that name."""
 
     size_px: tuple[int, int]
-    f_px: float
-    baseline_mm: float
-    #: The largest lattice that both cameras see whole under a press.
-    field_mm: float
 
     @property
     def name(self) -> str:
@@ -81,25 +76,15 @@ class Format:
     @property
     def centre_mm(self) -> tuple[float, float]:
         """Between the two cameras."""
-        return (0.5 * self.baseline_mm, 0.0)
+        return (0.5 * self.rig().baseline_mm, 0.0)
 
     def rig(self) -> Rig:
         """Two parallel cameras."""
-        return Rig.parallel(self.size_px, self.f_px, self.baseline_mm)
+        return Scene.preset(f"{self.name}-{LATTICES[0]}").rig
 
-    def scene(self, markers: int = 25, gel: Mapping[str, Any] | None = None) -> Scene:
-        """Show a lattice of so many rows and columns at the paper's pitch, or finer when it would not fit."""
-        pitch_mm = min(0.9, self.field_mm / markers)
-        lattice = {
-            "rows": markers,
-            "cols": markers,
-            "pitch_mm": pitch_mm,
-            "dot_radius_mm": 0.22 / 0.9 * pitch_mm,
-            "centre_mm": list(self.centre_mm),
-            "surface_mm": SURFACE_MM,
-        }
-        table = parse_toml(self.rig().to_toml())
-        return Scene().replace({"rig": table, "gel": lattice | dict(gel or {}), "effects": effects()})
+    def scene(self, markers: int = LATTICES[0], gel: Mapping[str, Any] | None = None) -> Scene:
+        """Show a lattice of so many rows and columns, finer ones on about as large a gel."""
+        return Scene.preset(f"{self.name}-{markers}").replace({"gel": dict(gel or {}), "effects": effects()})
 
 
 def layered_scene() -> Scene:
@@ -107,9 +92,9 @@ def layered_scene() -> Scene:
     return Scene.preset("640x480-25-refraction").replace({"effects": effects()})
 
 
-VGA = Format((640, 480), 560.0, 8.0, 22.5)
 #: 640x480 is the simulator's default; 1280x720 with f 652 px and 6.5 mm is a plausible reading of the paper.
-FORMATS = (VGA, Format((1280, 720), 652.0, 6.5, 28.0), Format((1280, 960), 1120.0, 8.0, 22.5))
+FORMATS = (Format((640, 480)), Format((1280, 720)), Format((1280, 960)))
+VGA = FORMATS[0]
 
 
 def press(
