@@ -26,6 +26,7 @@ def draw_errors(path: Path, rows: Sequence[Row], bound_px: float | None = None) 
     """Draw error over time, one panel per stage; the bound on centres as a line."""
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
+    from matplotlib.ticker import LogLocator, NullFormatter
 
     figure, axes = plt.subplots(2, 2, figsize=(14, 10), layout="constrained")
     for axis, (stage, label) in zip(axes.ravel(), _AXES.items(), strict=True):
@@ -37,6 +38,9 @@ def draw_errors(path: Path, rows: Sequence[Row], bound_px: float | None = None) 
         if stage == "detect" and bound_px is not None:
             axis.axhline(bound_px, color="k", linestyle="--", linewidth=1.0, label="Cramér-Rao bound")
         axis.set_xscale("log")
+        axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.xaxis.set_major_formatter("{x:g}")
+        axis.xaxis.set_minor_formatter(NullFormatter())
         axis.set(title=stage, xlabel="median time, ms", ylabel=label)
         top = max((row.value for row in shown), default=0.0) or 1.0
         axis.set_ylim(-0.03 * top, 1.1 * top)
