@@ -66,7 +66,7 @@ def test_quick_run_lists_every_rung_beside_a_baseline(docs: Path) -> None:
 def test_a_page_that_does_not_exist_is_begun(tmp_path: Path) -> None:
     page = tmp_path / "accuracy-vs-time.md"
     check_page(page)
-    write_page(page, [], [Table("boards", ["mm", "um"], [["0.4", "1"]])], [Target("x", 2.0, 3.0, "mm")], 3)
+    write_page(page, [Table("boards", ["mm", "um"], [["0.4", "1"]])], [Target("x", 2.0, 3.0, "mm")], 3)
     assert "| 0.4 | 1 |" in page.read_text()
     assert "| x | <= 2 mm | 3.00 mm | **no** |" in page.read_text()
 
@@ -84,7 +84,7 @@ def test_a_page_is_never_half_written(tmp_path: Path) -> None:
     before = page.read_text()
     tables = [Table("boards", ["mm"], [["1"]]), Table("no such section", ["mm"], [["1"]])]
     with pytest.raises(ReportError):
-        write_page(page, [], tables, [], 3)
+        write_page(page, tables, [], 3)
     assert page.read_text() == before
     assert [path.name for path in tmp_path.iterdir()] == [page.name]
 

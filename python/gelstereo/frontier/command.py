@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -13,7 +14,8 @@ from gelstereo.frontier.boards import measure_boards
 from gelstereo.frontier.centres import CONDITIONS, measure_centres
 from gelstereo.frontier.covariance import measure_covariance
 from gelstereo.frontier.figures import draw_errors, draw_growth
-from gelstereo.frontier.page import check_page, write_page
+from gelstereo.frontier.localization import measure_localization
+from gelstereo.frontier.page import LOCALIZATION_SECTIONS, SECTIONS, check_page, row_tables, write_page
 from gelstereo.frontier.registering import measure_registration
 from gelstereo.frontier.saliency import measure_saliency
 from gelstereo.frontier.scenes import LATTICES
@@ -36,6 +38,7 @@ __all__ = ["EXAMPLES", "add_arguments", "run"]
 
 EXAMPLES = """examples:
   gelstereo frontier                     measure everything and write docs/accuracy-vs-time.md (minutes)
+  gelstereo frontier localization        registration beside other libraries: docs/localization.md
   gelstereo frontier --quick --docs out  a few rounds, to see that all methods run
 """
 
@@ -43,8 +46,9 @@ EXAMPLES = """examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
-        "--docs", type=Path, default=Path("docs"), help="folder with the page accuracy-vs-time.md"
+        "topic", nargs="?", choices=("sensing", "localization"), default="sensing", help="what is measured"
     )
+    parser.add_argument("--docs", type=Path, default=Path("docs"), help="folder with the pages")
     parser.add_argument("--quick", action="store_true", help="few rounds and starts: figures mean little")
     parser.add_argument("--rounds", type=count, help="rounds of timing (default 200, quick 3)")
     parser.add_argument("--starts", type=count, help="starts of registration per part (default 64, quick 4)")
@@ -66,20 +70,42 @@ def run(arguments: argparse.Namespace) -> int:
     """Measure every rung, print progress, and write the page and its figures; return the exit code."""
     rounds = arguments.rounds or (3 if arguments.quick else 200)
     starts = arguments.starts or (4 if arguments.quick else 64)
-    page, pictures = arguments.docs / "accuracy-vs-time.md", arguments.docs / "pictures"
-    pictures.mkdir(parents=True, exist_ok=True)
-    check_page(page)
-    source = None if arguments.no_instructions or arguments.quick else Path.cwd()
+    (arguments.docs / "pictures").mkdir(parents=True, exist_ok=True)
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        rows = _rows(rounds, starts, InstructionCounter(source), _report)
-        tables, targets, speeds = _tables(arguments.quick, rounds, source, _report)
+        if arguments.topic == "localization":
+            return _localization(arguments, rounds, starts)
+        return _sensing(arguments, rounds, starts)
     finally:
         cv2.setNumThreads(threads)
-    write_page(page, rows, tables, targets, rounds)
+
+
+def _sensing(arguments: argparse.Namespace, rounds: int, starts: int) -> int:
+    page, pictures = arguments.docs / "accuracy-vs-time.md", arguments.docs / "pictures"
+    check_page(page, SECTIONS)
+    source = None if arguments.no_instructions or arguments.quick else Path.cwd()
+    rows = _rows(rounds, starts, InstructionCounter(source), _report)
+    tables, targets, speeds = _tables(arguments.quick, rounds, source, _report)
+    write_page(page, [*row_tables(rows), *tables], targets, rounds)
     draw_errors(pictures / "accuracy-vs-time.png", rows, CONDITIONS[0].bound_px())
     draw_growth(pictures / "time-over-size.png", speeds)
+    return _done(page, targets)
+
+
+def _localization(arguments: argparse.Namespace, rounds: int, starts: int) -> int:
+    page = arguments.docs / "localization.md"
+    check_page(page, LOCALIZATION_SECTIONS)
+    tables, targets = measure_localization(range(1, 1 + starts), rounds, _report)
+    said = (
+        f"simulated, {starts} contacts of each part and noise, markers every 0.9 mm, gel shoulder and spread; "
+        "fixed seeds"
+    )
+    write_page(page, tables, targets, rounds, said)
+    return _done(page, targets)
+
+
+def _done(page: Path, targets: Sequence[Target]) -> int:
     missed = [target for target in targets if not target.met]
     print(f"wrote {page} and its figures; {len(targets) - len(missed)} of {len(targets)} targets met")
     return 0

@@ -1,4 +1,4 @@
-"""The page docs/accuracy-vs-time.md: tables between markers."""
+"""The pages of measurements: tables between markers."""
 
 from __future__ import annotations
 
@@ -14,9 +14,12 @@ from gelstereo.frontier.sensing import Row
 from gelstereo.frontier.table import Table, Target
 from gelstereo.reports.markdown import ReportError, replace_between, table
 
-__all__ = ["SECTIONS", "check_page", "row_tables", "write_page"]
+__all__ = ["LOCALIZATION_SECTIONS", "SECTIONS", "check_page", "row_tables", "write_page"]
 
-#: Names of the page's markers.
+#: Names of the markers of docs/localization.md.
+LOCALIZATION_SECTIONS = ("conditions", "targets", "localization", "parts")
+
+#: Names of the markers of docs/accuracy-vs-time.md.
 SECTIONS = (
     "conditions",
     "targets",
@@ -37,7 +40,7 @@ SECTIONS = (
 )
 
 
-def check_page(page: Path) -> None:
+def check_page(page: Path, sections: Sequence[str] = SECTIONS) -> None:
     """See that a page can be filled, before the minutes that measuring takes; begin one that does not exist.
 
     Raises
@@ -46,30 +49,30 @@ def check_page(page: Path) -> None:
         A marker is missing.
     """
     if not page.exists():
-        places = [f"<!-- begin {name} -->\n<!-- end {name} -->\n" for name in SECTIONS]
-        page.write_text("\n".join(["# Accuracy versus time\n", *places]), encoding="utf-8")
+        places = [f"<!-- begin {name} -->\n<!-- end {name} -->\n" for name in sections]
+        page.write_text("\n".join([f"# {page.stem}\n", *places]), encoding="utf-8")
     text = page.read_text(encoding="utf-8")
-    lines = [f"<!-- {side} {name} -->" for name in SECTIONS for side in ("begin", "end")]
+    lines = [f"<!-- {side} {name} -->" for name in sections for side in ("begin", "end")]
     missing = [line for line in lines if text.count(line) != 1]
     if missing:
         raise ReportError(f"{page} must hold once each the lines {', '.join(missing)}")
 
 
 def write_page(
-    page: Path, rows: Sequence[Row], tables: Sequence[Table], targets: Sequence[Target], rounds: int
+    page: Path, tables: Sequence[Table], targets: Sequence[Target], rounds: int, conditions: str = CONDITIONS
 ) -> None:
     """Fill the page's tables, all or none: a page is never left half written."""
     with tempfile.TemporaryDirectory(dir=page.parent) as folder:
         draft = Path(folder) / page.name
         shutil.copy(page, draft)
         said = (
-            f"All figures: {CONDITIONS}. Times: one thread, {_processor()}, {rounds} rounds (registration a quarter) "
-            f"in which all methods take turns; {_load()}."
+            f"All figures: {conditions}. Times: one thread, {_processor()}, {rounds} rounds in which all methods take "
+            f"turns; {_load()}."
         )
         replace_between(draft, "conditions", said)
         head = ["what", "target", "measured", "met"]
         replace_between(draft, "targets", table(head, [target.line() for target in targets]))
-        for part in (*row_tables(rows), *tables):
+        for part in tables:
             replace_between(draft, part.name, table(part.head, part.rows))
         os.replace(draft, page)
 
