@@ -11,10 +11,11 @@ use pyo3::prelude::*;
 use pyo3::types::PyType;
 use std::path::PathBuf;
 
-/// A sensor's rest state, by which a `Pipeline` may begin while something touches the gel; a value that never changes.
+/// A sensor's rest state, by which a `Pipeline` may begin while something touches the gel; a value that never
+/// changes.
 ///
-/// `Pipeline.rest_record` makes it, `Pipeline.resume` takes it. It is good for as long as gel and cameras stay where they
-/// are in the sensor.
+/// `Pipeline.rest_record` makes it, `Pipeline.resume` takes it. It is good for as long as gel and cameras
+/// stay where they are in the sensor.
 #[pyclass(frozen, module = "gelstereo", eq)]
 #[derive(PartialEq)]
 pub struct RestRecord {

@@ -60,8 +60,8 @@ impl Sensor {
         Self { cols: scene.gel.cols, triangulator, max_epipolar_px, rest, slips, left_px, right_px }
     }
 
-    /// Gives the markers of these rows and columns of a view the positions of those so many rows and columns on; those whose
-    /// label slipped, where there is another to take.
+    /// Gives the markers of these rows and columns of a view the positions of those so many rows and columns
+    /// on; those whose label slipped, where there is another to take.
     fn slip(&mut self, right: bool, [rows, cols]: [Range<usize>; 2], by: [isize; 2]) -> Vec<usize> {
         let view = if right { &mut self.right_px } else { &mut self.left_px };
         let (before, height, width) = (view.clone(), view.len() / self.cols, self.cols);
@@ -154,7 +154,8 @@ proptest! {
         for &i in &slipped {
             prop_assert!(states[i] != MarkerState::Seen, "marker {} of {}", i, slipped.len());
         }
-        // A slip of less than half of the lattice takes few others with it: those that slipped and a border around them.
+        // A slip of less than half of the lattice takes few others with it: those that slipped and a border
+        // around them.
         let held = states.iter().filter(|&&s| s != MarkerState::Seen).count();
         if slipped.len() * 2 < states.len() {
             prop_assert_eq!(held, slipped.len());
@@ -162,8 +163,8 @@ proptest! {
     }
 }
 
-/// Temporal tracks follow the right view of a gel that creeps by a column while the left one stands still: each view's labels are
-/// plausible by themselves, but the points of the last frames would lie 3 mm deeper.
+/// Temporal tracks follow the right view of a gel that creeps by a column while the left one stands still:
+/// each view's labels are plausible by themselves, but the points of the last frames would lie 3 mm deeper.
 #[test]
 fn a_view_that_creeps_by_a_column_gives_no_wrong_point() {
     let still = Scene::default();

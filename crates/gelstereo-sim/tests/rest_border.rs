@@ -33,8 +33,8 @@ fn detect(scene: &Scene, params: &Params) -> (Markers, Truth) {
     (markers, common::rest(scene))
 }
 
-/// Largest distance of a labelled marker from where the truth has that label, pixels; all rows but the lowest are known to be in
-/// view.
+/// Largest distance of a labelled marker from where the truth has that label, pixels; all rows but the lowest
+/// are known to be in view.
 fn worst_px(rest: &RestLattice, truth: &Truth) -> f64 {
     let off = |n: usize| rest.positions_px[n].distance(truth.left_px[n]);
     (0..rest.detection.len()).filter(|&n| rest.detection[n].is_some()).map(off).fold(0.0, f64::max)
@@ -70,7 +70,8 @@ fn a_row_of_which_the_border_cuts_most_keeps_its_labels() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
-    /// Wherever the border cuts: the labels are right, or the frame is refused; and whole markers are labelled as they were.
+    /// Wherever the border cuts: the labels are right, or the frame is refused; and whole markers are
+    /// labelled as they were.
     #[test]
     fn labels_beside_the_border_are_right_or_refused(down_mm in 1.0..2.0, rotation_rad in -0.04..0.04) {
         let params = Params::preset("balanced").unwrap();

@@ -65,8 +65,8 @@ fn mislabelled(frame: &Frame, truth: &Truth, most_px: f64) -> usize {
     (0..frame.state.len()).filter(|&i| frame.state[i] == MarkerState::Seen && off(i)).count()
 }
 
-/// Every preset and every way to label: the same frame after the record as after the rest frame itself, bit for bit where the
-/// tracks do not depend on how the frame before was labelled.
+/// Every preset and every way to label: the same frame after the record as after the rest frame itself, bit
+/// for bit where the tracks do not depend on how the frame before was labelled.
 #[test]
 fn a_first_frame_under_a_press_is_measured_as_after_a_rest_frame() {
     let scene = ball();
@@ -286,7 +286,7 @@ proptest! {
         // Held as a whole or nearly complete: a fold or a torn rim may hide some.
         let certain = [frame.left.labels, frame.right.labels] == [LabelSource::Lattice; 2];
         prop_assert_eq!(seen > 0, certain);
-        // Heights to four standard deviations of both frames' noise, where it was seen.
+        // Heights to six standard deviations of both frames' noise, or of the least that a grey centroid allows.
         for i in (0..frame.state.len()).filter(|&i| frame.state[i] == MarkerState::Seen) {
             let sigma_mm = (2.0 * record.variance_mm2[i]).sqrt();
             prop_assert!((frame.indentation_mm[i] - truth.indentation_mm[i]).abs() < 6.0 * sigma_mm.max(0.02));

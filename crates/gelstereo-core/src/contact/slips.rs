@@ -1,10 +1,10 @@
 //! Labels of the two views that have slipped against each other.
 //!
-//! Each view is labelled by itself. Where one of them is a column off, the two rows still agree, and only the depth is wrong: by
-//! what a step of one pitch along the baseline makes, which is what a slip is measured in here. The gel's surface is continuous,
-//! so that heights (since rest) of neighbours which belong together differ by less than half of that: by Thales' theorem a
-//! surface steeper than half of distance over baseline would be needed for more, 60 degrees where the baseline is a quarter of the
-//! distance. And most of the gel stays near its rest height.
+//! Each view is labelled by itself. Where one of them is a column off, the rows still agree and the rays
+//! still meet: only the depth is wrong, by what a step of one pitch along the baseline makes, which heights
+//! are measured in here. The gel's surface is continuous, so that heights of neighbours which belong together
+//! differ by less than half of that: more would take a slope of half of distance over baseline, which is 60
+//! degrees or more on sensors of this kind. And most of the gel stays near its rest height.
 
 use super::RestSurface;
 use crate::math::{DVec2, median};
@@ -12,11 +12,12 @@ use crate::track::MarkerState;
 use crate::triangulate::{Centre, Centres, Triangulator};
 use alloc::vec::Vec;
 
-/// Heights of neighbours differ by less, in slips; and markers that nothing presses are nearer to their height at rest.
+/// Heights of neighbours differ by less, in slips; and markers that nothing presses are nearer to their
+/// height at rest.
 const APART: f64 = 0.5;
 
-/// One marker in so many, at least, is near its height at rest, and no more than that lie deeper by half a slip: a press
-/// raises some of the gel towards the camera, and nothing sinks.
+/// One marker in so many, at least, is near its height at rest, and no more than that lie deeper by half a
+/// slip: a press raises some of the gel towards the camera, and nothing sinks.
 const SHARE: usize = 10;
 
 /// Finds slips; scratch is kept from frame to frame.
@@ -45,8 +46,8 @@ impl Part {
 }
 
 impl LabelSlips {
-    /// Learns from the rest frame what a slip of one pitch would look like. `left` and `right` are the centres that the rest
-    /// surface was made of; a lattice has so many columns, so many pixels apart.
+    /// Learns from the rest frame what a slip of one pitch would look like. `left` and `right` are the
+    /// centres that the rest surface was made of; a lattice has so many columns, so many pixels apart.
     pub fn learn(
         &mut self,
         triangulator: &Triangulator,
@@ -68,19 +69,21 @@ impl LabelSlips {
         self.parts.reserve(rest.points_mm().len());
     }
 
-    /// Height that a slip by one pitch fakes, millimetres, median over the markers; infinite where there is none to tell.
+    /// Height that a slip by one pitch fakes, millimetres, median over the markers; infinite where there is
+    /// none to tell.
     #[must_use]
     pub const fn slip_mm(&self) -> f64 {
         self.slip_mm
     }
 
-    /// Holds the seen markers whose two views do not show the same one, given the heights of all above rest, and calls `put_back`
-    /// for each; how many there are.
+    /// Holds the seen markers whose two views do not show the same one, given the heights of all above rest,
+    /// and calls `put_back` for each; how many there are.
     ///
-    /// `heights_mm` ([`RestSurface::indentation_mm`]) and `state` have the markers of the rest surface, row by row; states other than seen are
-    /// left alone.
+    /// `heights_mm` ([`RestSurface::indentation_mm`]) and `state` have the markers of the rest surface, row
+    /// by row; states other than seen are left alone.
     ///
-    /// Of the parts whose neighbours agree the largest that lies where a gel may be is right; all others have slipped against it.
+    /// Of the parts whose neighbours agree the largest that lies where a gel may be is right; all others have
+    /// slipped against it.
     pub fn hold(
         &mut self,
         heights_mm: &[f64],

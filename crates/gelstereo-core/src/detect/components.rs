@@ -73,7 +73,8 @@ pub struct Components {
 /// Images up to 128 x 128 cannot exceed them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Most {
-    /// Runs: one per 8 pixels.
+    /// Runs: one per 8 pixels; 65536 from half a megapixel on, and one per 16 pixels from a whole one on. The finer
+    /// the pixels, the more of them a run has.
     pub runs: usize,
     /// Components: one per 16 pixels.
     pub components: usize,
@@ -87,7 +88,7 @@ impl Most {
     pub fn of(width: usize, height: usize) -> Self {
         let pixels = width * height;
         Self {
-            runs: (height * width.div_ceil(2)).min((pixels / 8).max(8192)),
+            runs: (height * width.div_ceil(2)).min((pixels / 8).clamp(8192, (pixels / 16).max(65536))),
             components: (height.div_ceil(2) * width.div_ceil(2)).min((pixels / 16).max(4096)),
             kept: (height.div_ceil(2) * width.div_ceil(2)).min((pixels / 32).clamp(4096, 16384)),
         }

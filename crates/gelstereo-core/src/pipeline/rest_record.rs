@@ -7,10 +7,11 @@ use crate::params::{DetectParams, LatticeParams, Search, TriangulateParams};
 use crate::rig::Rig;
 use alloc::vec::Vec;
 
-/// A sensor's rest state: where its markers are when nothing touches the gel, and what they were measured with.
+/// A sensor's rest state: where its markers are when nothing touches the gel, and what they were measured
+/// with.
 ///
-/// It is good for as long as gel and cameras stay where they are in the sensor. [`Pipeline::rest_record`] makes it,
-/// [`Pipeline::resume`] takes it.
+/// It is good for as long as gel and cameras stay where they are in the sensor. [`Pipeline::rest_record`]
+/// makes it, [`Pipeline::resume`] takes it.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
 pub struct RestRecord {
@@ -44,7 +45,8 @@ pub struct RestView {
     pub pitch_px: f64,
     /// Positions of all markers, row by row, pixels.
     pub positions_px: Vec<DVec2>,
-    /// Which of them the rest frame showed; the others were filled in, since they are not printed or were hidden.
+    /// Which of them the rest frame showed; the others were filled in, since they are not printed or were
+    /// hidden.
     pub shown: Vec<bool>,
 }
 
@@ -188,13 +190,14 @@ impl Pipeline {
 
     /// Begins with a recorded rest frame: the next frame is index 1, whatever touches the gel in it.
     ///
-    /// Rows and columns are found as after a gap in tracking: those of the record that agree with the lattice in the image, its
-    /// border, and the places of `lattice.missing`, where nothing was printed. Until that is certain all markers are held, and
-    /// [`LabelSource::Held`](super::LabelSource::Held) says so.
+    /// Rows and columns are found as after a gap in tracking: those of the record that agree with the lattice
+    /// in the image, its border, and the places of `lattice.missing`, where nothing was printed. Until that
+    /// is certain all markers are held, and [`LabelSource::Held`](super::LabelSource::Held) says so.
     ///
     /// # Errors
-    /// [`PipelineError::Record`] for a record that is damaged, or was made with another rig, lattice, detection or
-    /// triangulation; [`PipelineError::Contact`] for points that are no surface. The pipeline is then as before.
+    /// [`PipelineError::Record`] for a record that is damaged, or was made with another rig, lattice,
+    /// detection or triangulation; [`PipelineError::Contact`] for points that are no surface. The pipeline is
+    /// then as before.
     pub fn resume(&mut self, record: &RestRecord) -> Result<(), PipelineError> {
         self.check_record(record).map_err(PipelineError::Record)?;
         let rest = RestSurface::new(&record.points_mm).map_err(PipelineError::Contact)?;
