@@ -28,6 +28,8 @@ pub struct LabelSlips {
     /// A marker of the same part that stands earlier, or itself.
     parent: Vec<u32>,
     parts: Vec<Part>,
+    /// Heights of the last seen marker of each column; NaN where there is none so far.
+    above_mm: Vec<f64>,
 }
 
 /// Markers of a part that hangs together, counted at its first one.
@@ -39,6 +41,12 @@ struct Part {
 }
 
 impl Part {
+    fn add(&mut self, height_mm: f64, near_mm: f64) {
+        self.size += 1;
+        self.free += u32::from(height_mm.abs() < near_mm);
+        self.sunk += u32::from(height_mm <= -near_mm);
+    }
+
     const fn is_plausible(self) -> bool {
         let share = SHARE as u32;
         share * self.free >= self.size && share * self.sunk <= self.size
@@ -67,6 +75,7 @@ impl LabelSlips {
         self.slip_mm = median(&mut heights).filter(|mm| *mm > 0.0).unwrap_or(f64::INFINITY);
         self.parent.reserve(rest.points_mm().len());
         self.parts.reserve(rest.points_mm().len());
+        self.above_mm.reserve(self.cols);
     }
 
     /// Height that a slip by one pitch fakes, millimetres, median over the markers; infinite where there is
@@ -90,6 +99,9 @@ impl LabelSlips {
         state: &mut [MarkerState],
         mut put_back: impl FnMut(usize),
     ) -> usize {
+        if self.is_one_part(heights_mm, state) && self.whole(heights_mm, state).is_plausible() {
+            return 0;
+        }
         self.join(heights_mm, state);
         self.count(heights_mm, state);
         let plausible =
@@ -106,6 +118,42 @@ impl LabelSlips {
             }
         }
         held
+    }
+
+    /// Whether all that [`Self::join`] would join agrees and hangs together: the rule, and found out faster.
+    fn is_one_part(&mut self, heights_mm: &[f64], state: &[MarkerState]) -> bool {
+        self.above_mm.clear();
+        self.above_mm.resize(self.cols, f64::NAN);
+        let apart = |a: f64, b: f64| (a - b).abs() >= APART * self.slip_mm;
+        let mut rows = 0;
+        for (heights, states) in heights_mm.chunks(self.cols).zip(state.chunks(self.cols)) {
+            let (mut before, mut linked) = (f64::NAN, rows == 0);
+            for ((&height, above), _) in
+                heights.iter().zip(&mut self.above_mm).zip(states).filter(|(_, s)| **s == MarkerState::Seen)
+            {
+                if apart(height, before) || apart(height, *above) {
+                    return false;
+                }
+                linked |= !above.is_nan();
+                (before, *above) = (height, height);
+            }
+            if !before.is_nan() {
+                if !linked {
+                    return false;
+                }
+                rows += 1;
+            }
+        }
+        true
+    }
+
+    /// All seen markers as one part.
+    fn whole(&self, heights_mm: &[f64], state: &[MarkerState]) -> Part {
+        let mut part = Part::default();
+        for (&height, _) in heights_mm.iter().zip(state).filter(|(_, s)| **s == MarkerState::Seen) {
+            part.add(height, APART * self.slip_mm);
+        }
+        part
     }
 
     /// Joins each seen marker to the next seen one of its row and of its column where their heights agree.
@@ -135,10 +183,7 @@ impl LabelSlips {
         self.parts.resize(heights_mm.len(), Part::default());
         let near_mm = APART * self.slip_mm;
         for (i, &height) in heights_mm.iter().enumerate().filter(|&(i, _)| state[i] == MarkerState::Seen) {
-            let part = &mut self.parts[self.parent[i] as usize];
-            part.size += 1;
-            part.free += u32::from(height.abs() < near_mm);
-            part.sunk += u32::from(height <= -near_mm);
+            self.parts[self.parent[i] as usize].add(height, near_mm);
         }
     }
 
