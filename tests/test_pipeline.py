@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import pickle
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
 from gelstereo import (
+    ContactError,
     DetectError,
     Error,
     Frame,
@@ -14,6 +17,7 @@ from gelstereo import (
     MarkerState,
     Params,
     Pipeline,
+    RestRecord,
     RestSurface,
     Rig,
     Scene,
@@ -145,3 +149,46 @@ def test_a_pipeline_refuses_what_it_cannot_use() -> None:
     assert Pipeline(RIG).rig == RIG
     assert Pipeline(RIG, Params.preset("balanced")).params == Params.preset("balanced")
     assert isinstance(RIG, Rig)
+
+
+@pytest.mark.parametrize("preset", Params.presets())
+def test_a_pipeline_resumes_from_a_stored_rest_frame(
+    noisy_press: list[SimulatedFrame], preset: str, tmp_path: Path
+) -> None:
+    params = Params.preset(preset)
+    pipeline = Pipeline(RIG, params)
+    assert pipeline.rest_record() is None
+    frames = [pipeline.process(f.left, f.right) for f in noisy_press]
+    record = pipeline.rest_record()
+    assert record is not None and record.rig == RIG
+    assert (record.rows, record.cols, bool(record.shown.all())) == (25, 25, True)
+    assert np.array_equal(record.rest.points_mm, frames[0].points_mm)
+    record.save(tmp_path / "rest.toml")
+    stored = RestRecord.load(tmp_path / "rest.toml")
+    assert stored == record == pickle.loads(pickle.dumps(record))
+    restarted = Pipeline(RIG, params)
+    restarted.resume(stored)
+    last = noisy_press[-1]
+    found = restarted.process(last.left, last.right)
+    assert (found.index, found.left.labels, found.right.labels) == (1, "lattice", "lattice")
+    assert np.array_equal(found.state, frames[-1].state)
+    # The polynomial map is good to a micrometre.
+    np.testing.assert_allclose(found.indentation_mm, frames[-1].indentation_mm, atol=1e-3)
+
+
+def test_a_stored_rest_frame_of_another_sensor_is_refused(noisy_press: list[SimulatedFrame]) -> None:
+    pipeline = Pipeline(RIG)
+    pipeline.process(noisy_press[0].left, noisy_press[0].right)
+    record = pipeline.rest_record()
+    assert record is not None
+    with pytest.raises(ContactError, match=r"other settings of \[lattice\]"):
+        Pipeline(RIG, Params.preset("exact")).resume(record)
+    other = Rig.from_toml(RIG.to_toml().replace("fx_px = 560", "fx_px = 561"))
+    with pytest.raises(ContactError, match="another rig"):
+        Pipeline(other).resume(record)
+    with pytest.raises(ContactError, match="has 25 rows x 2 columns"):
+        RestRecord.from_toml(record.to_toml().replace("cols = 25", "cols = 2", 1))
+    with pytest.raises(ContactError, match="line 1"):
+        RestRecord.from_toml("rows = -1")
+    with pytest.raises(TypeError):
+        pipeline.resume("rest.toml")  # type: ignore[arg-type]

@@ -125,7 +125,7 @@ fn the_lattice_is_found_and_anchored_without_allocating_after_the_first_frame() 
     let truth = paper_lattice();
     let mut stream = Stream::new(2, "specks");
     let (mut finder, mut found) = (LatticeFinder::default(), FoundLattice::default());
-    finder.reserve((640, 480), 800);
+    finder.reserve((640, 480), 800, 40);
     let mut markers = Markers::at(truth.to_vec(), 0.1);
     let mut frame = |specks: usize| {
         markers.centres_px.truncate(truth.len());

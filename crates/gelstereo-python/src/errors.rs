@@ -61,6 +61,7 @@ stage_errors! {
     core::label::LabelError => LabelError,
     core::triangulate::TriangulateError => TriangulateError,
     core::contact::ContactError => ContactError,
+    core::pipeline::RestRecordError => ContactError,
     core::surface::MeshError => MeshError,
     core::surface::DenseSurfaceError => MeshError,
     core::register::TemplateError => TemplateError,
@@ -92,7 +93,7 @@ impl ToPython for core::pipeline::PipelineError {
             E::Label { .. } | E::Lattices { .. } => LabelError::new_err(text),
             E::Triangulate(core::triangulate::TriangulateError::Rig(_)) => RigError::new_err(text),
             E::Triangulate(_) | E::Epipolar { .. } => TriangulateError::new_err(text),
-            E::Contact(_) => ContactError::new_err(text),
+            E::Contact(_) | E::Record(_) => ContactError::new_err(text),
         }
     }
 }

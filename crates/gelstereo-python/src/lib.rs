@@ -13,6 +13,7 @@ mod label;
 mod params;
 mod pipeline;
 mod register;
+mod rest_record;
 mod rig;
 mod sim;
 mod surface;
@@ -48,6 +49,8 @@ mod _native {
     use crate::pipeline::{Frame, Pipeline, ViewEvidence, marker_states};
     #[pymodule_export]
     use crate::register::{FreeDirection, Localization, Template, localize};
+    #[pymodule_export]
+    use crate::rest_record::RestRecord;
     #[pymodule_export]
     use crate::rig::{Rectification, Rig};
     #[pymodule_export]

@@ -4,6 +4,7 @@ use crate::arrays::{self, Array1, Image, Matrix};
 use crate::contact::RestSurface;
 use crate::errors::raise;
 use crate::params::Params;
+use crate::rest_record::RestRecord;
 use crate::rig::Rig;
 use gelstereo_core::pipeline as core;
 use gelstereo_core::track::MarkerState;
@@ -93,7 +94,7 @@ pub struct Frame {
     patch: Array1<bool>,
     /// (M, 3) the points of the contact patch, in the order of the markers.
     patch_points_mm: Matrix,
-    /// Markers whose two views disagreed.
+    /// Markers whose two views do not show the same one: rows, disparity, or depth beside their neighbours disagree.
     mismatched: usize,
     /// Mean motion of the seen markers of the left view since the reference.
     motion_px: f64,
@@ -205,6 +206,31 @@ impl Pipeline {
     /// Forget tracks, rest surface and reference: the next frame is the rest frame.
     fn reset(&self, py: Python<'_>) {
         py.detach(|| self.lock().reset());
+    }
+
+    /// What `resume` needs to begin without a rest frame, or None before the rest frame.
+    fn rest_record(&self, py: Python<'_>) -> Option<RestRecord> {
+        py.detach(|| self.lock().rest_record()).map(|inner| RestRecord { inner })
+    }
+
+    /// Begin with a recorded rest frame: the next frame is number 1, and something may touch the gel in it.
+    ///
+    /// Until rows and columns are certain all markers are held, and ``frame.left.labels`` or ``frame.right.labels`` is
+    /// ``"held"``.
+    ///
+    /// Parameters
+    /// ----------
+    /// record : RestRecord
+    ///     Of a pipeline with the same rig and the same settings of lattice, detection (but for ``detect.search``) and
+    ///     triangulation.
+    ///
+    /// Raises
+    /// ------
+    /// ContactError
+    ///     Naming what differs. The pipeline is then as before the call.
+    fn resume(&self, py: Python<'_>, record: &Bound<'_, RestRecord>) -> PyResult<()> {
+        let record = &record.get().inner;
+        py.detach(|| self.lock().resume(record)).map_err(raise)
     }
 
     /// Measure motion from the present frame on (before grasping, before insertion).

@@ -2,8 +2,10 @@
 
 mod kriging;
 mod pressure;
+mod slips;
 
 pub use pressure::Pressure;
+pub use slips::LabelSlips;
 
 use crate::math::linalg::{Symmetric, eigen};
 use crate::math::{DVec2, DVec3, centroid};

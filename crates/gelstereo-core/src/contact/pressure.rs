@@ -59,11 +59,12 @@ pub struct Pressure {
     region: Vec<u32>,
 }
 
-/// A marker's pressure less what the pressures around say of its noise, if all are free and measured equally well.
+/// A marker's pressure less what the pressures around say of its noise, if all are free and measured equally well. It only
+/// chooses whom to judge, so that single precision will do.
 #[derive(Clone, Debug)]
 struct Filter {
     /// Weights over the window; 0 beyond the lattice.
-    weights: [f64; WINDOW],
+    weights: [f32; WINDOW],
     /// Variance for heights of variance 1.
     variance: f64,
 }
@@ -103,10 +104,10 @@ impl Pressure {
     }
 
     fn filter(&self, i: usize) -> Filter {
-        let mut weights = [0.0; WINDOW];
+        let mut weights = [0.0_f32; WINDOW];
         weights[WINDOW / 2] = 1.0;
         let mut kriging = Kriging::new(&self.covariances, i, self.window(i, REACH), |_| true);
-        let variance = kriging.weights(|j, weight| weights[self.slot(i, j)] = -weight);
+        let variance = kriging.weights(|j, weight| weights[self.slot(i, j)] = -weight as f32);
         Filter { weights, variance }
     }
 
@@ -221,13 +222,15 @@ impl Pressure {
         let value: f64 = if inside(row, self.rows) && inside(col, cols) {
             let start = i - REACH * cols - REACH;
             let rows = filter.weights.chunks_exact(SIDE).enumerate();
-            let row = |(r, weights): (usize, &[f64])| {
+            let row = |(r, weights): (usize, &[f32])| {
                 let values = &self.pressure_mm[start + r * cols..][..SIDE];
-                weights.iter().zip(values).map(|(w, p)| w * p).sum::<f64>()
+                weights.iter().zip(values).map(|(&w, p)| f64::from(w) * p).sum::<f64>()
             };
             rows.map(row).sum()
         } else {
-            self.window(i, REACH).map(|j| filter.weights[self.slot(i, j)] * self.pressure_mm[j]).sum()
+            self.window(i, REACH)
+                .map(|j| f64::from(filter.weights[self.slot(i, j)]) * self.pressure_mm[j])
+                .sum()
         };
         value > 0.0 && value * value > SCREEN * SCREEN * filter.variance * self.variance_mm2[i]
     }

@@ -12,9 +12,9 @@ pub struct Run {
     pub start: u32,
     /// One past the last column.
     pub end: u32,
-    /// A run of the same component that stands earlier in raster order, or itself.
+    /// A run of the same component that stands earlier in raster order, or itself; when all rows are joined, the blob.
     parent: u32,
-    /// The next run of the same component, or `NO_RUN`.
+    /// The next run of the same component, or `NO_RUN`; until all rows are joined, pixels.
     next: u32,
 }
 
@@ -26,6 +26,9 @@ impl Run {
 }
 
 const NO_RUN: u32 = u32::MAX;
+
+/// The blob of a component that is not kept.
+const NO_BLOB: u32 = u32::MAX;
 
 /// An 8-connected component, with the sums from which its centroid follows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,12 +52,15 @@ pub struct Blob {
 }
 
 /// Labelling and its scratch.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Components {
     runs: Vec<Run>,
-    /// Blob of each run that is the first of its component.
-    blob_of: Vec<u32>,
     blobs: Vec<Blob>,
+    /// Smaller components are left out.
+    least_px2: u32,
+    /// Components as large as that, and how many of them are listed.
+    kept: usize,
+    most_kept: usize,
     /// Rows pushed.
     rows: u32,
     /// First run of the last row pushed.
@@ -67,10 +73,13 @@ pub struct Components {
 /// Images up to 128 x 128 cannot exceed them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Most {
-    /// Runs: one per 8 pixels.
+    /// Runs: one per 8 pixels; 65536 from half a megapixel on, and one per 16 pixels from a whole one on. The finer
+    /// the pixels, the more of them a run has.
     pub runs: usize,
     /// Components: one per 16 pixels.
     pub components: usize,
+    /// Components that are kept: one per 32 pixels, and no more than 16384.
+    pub kept: usize,
 }
 
 impl Most {
@@ -79,17 +88,41 @@ impl Most {
     pub fn of(width: usize, height: usize) -> Self {
         let pixels = width * height;
         Self {
-            runs: (height * width.div_ceil(2)).min((pixels / 8).max(8192)),
+            runs: (height * width.div_ceil(2)).min((pixels / 8).clamp(8192, (pixels / 16).max(65536))),
             components: (height.div_ceil(2) * width.div_ceil(2)).min((pixels / 16).max(4096)),
+            kept: (height.div_ceil(2) * width.div_ceil(2)).min((pixels / 32).clamp(4096, 16384)),
         }
     }
 }
 
+impl Default for Components {
+    fn default() -> Self {
+        Self::keeping(1)
+    }
+}
+
 impl Components {
-    /// Components of `mask`, rows of `width` bytes of 0 or 255, in the raster order of their first pixels.
+    /// Leaves out components of fewer than `least_px2` pixels: specks of noise take up no room.
+    #[must_use]
+    pub const fn keeping(least_px2: u32) -> Self {
+        Self {
+            runs: Vec::new(),
+            blobs: Vec::new(),
+            least_px2,
+            kept: 0,
+            most_kept: 0,
+            rows: 0,
+            above: 0,
+            pieces: 0,
+        }
+    }
+
+    /// Components of `mask`, rows of `width` bytes of 0 or 255, in the raster order of their first pixels; all of them, however
+    /// many there are.
     pub fn run(&mut self, mask: &[u8], width: usize) -> &[Blob] {
         let rows = mask.chunks_exact(width.max(1));
         self.start(width, rows.len());
+        self.most_kept = usize::MAX;
         for row in rows {
             self.push(row);
         }
@@ -102,10 +135,9 @@ impl Components {
         self.runs.clear();
         // Whoever stops at the limit does so at the end of a row.
         self.runs.reserve(most.runs + width.div_ceil(2));
-        self.blob_of.clear();
-        self.blob_of.reserve(most.runs);
         self.blobs.clear();
-        self.blobs.reserve(most.components);
+        self.blobs.reserve(most.kept);
+        (self.kept, self.most_kept) = (0, most.kept);
         (self.rows, self.above, self.pieces) = (0, 0, 0);
     }
 
@@ -123,23 +155,49 @@ impl Components {
         (self.rows, self.above) = (self.rows + 1, first);
     }
 
-    /// The components of the rows pushed.
+    /// The components of the rows pushed, but for those that are left out.
     pub fn finish(&mut self) -> &[Blob] {
-        self.blob_of.resize(self.runs.len(), 0);
         for index in 0..self.runs.len() {
             let root = self.root(index as u32) as usize;
-            if root == index {
-                self.blob_of[index] = self.blobs.len() as u32;
-                self.blobs.push(Blob::starting_at(index as u32));
-            }
-            let blob = &mut self.blobs[self.blob_of[root] as usize];
+            let Run { start, end, .. } = self.runs[index];
+            self.runs[root].next += end - start;
+        }
+        for index in 0..self.runs.len() {
+            // Runs before this one know their blob already.
+            let Run { parent, next: area_px2, .. } = self.runs[index];
+            let blob = if parent as usize == index {
+                self.open(index, area_px2)
+            } else {
+                self.runs[parent as usize].parent
+            };
+            (self.runs[index].parent, self.runs[index].next) = (blob, NO_RUN);
+            let Some(blob) = self.blobs.get_mut(blob as usize) else { continue };
             blob.add(&self.runs[index]);
-            if root != index {
+            if blob.last_run as usize != index {
                 self.runs[blob.last_run as usize].next = index as u32;
                 blob.last_run = index as u32;
             }
         }
         &self.blobs
+    }
+
+    /// The blob of a component that begins with this run.
+    fn open(&mut self, run: usize, area_px2: u32) -> u32 {
+        if area_px2 < self.least_px2 {
+            return NO_BLOB;
+        }
+        self.kept += 1;
+        if self.kept > self.most_kept {
+            return NO_BLOB;
+        }
+        self.blobs.push(Blob::starting_at(run as u32));
+        self.blobs.len() as u32 - 1
+    }
+
+    /// Components of the last mask that are large enough to be kept; beyond [`Most::kept`] they are only counted.
+    #[must_use]
+    pub const fn kept(&self) -> usize {
+        self.kept
     }
 
     /// All runs of the last mask, in raster order.
@@ -148,7 +206,7 @@ impl Components {
         &self.runs
     }
 
-    /// The components of the last mask.
+    /// The components of the last mask that are kept.
     #[must_use]
     pub fn blobs(&self) -> &[Blob] {
         &self.blobs
@@ -189,7 +247,7 @@ impl Components {
 
     fn close(&mut self, y: u32, start: u32, end: u32) {
         let parent = self.runs.len() as u32;
-        self.runs.push(Run { y, start, end, parent, next: NO_RUN });
+        self.runs.push(Run { y, start, end, parent, next: 0 });
         self.pieces += 1;
     }
 

@@ -109,6 +109,11 @@ impl Difference {
         }
     }
 
+    /// Room for an image, which is free until the next survey.
+    pub const fn spare(&mut self) -> &mut Vec<u8> {
+        &mut self.smoothed
+    }
+
     /// Writes 255 where a pixel of row `y` of the surveyed image differs by the threshold, else 0. Row 0 starts an
     /// image; the others must follow in order.
     pub fn row(&mut self, image: GrayView<'_>, y: usize, mask: &mut [u8]) {

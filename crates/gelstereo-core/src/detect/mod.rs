@@ -76,11 +76,11 @@ impl Markers {
         self.unfitted = 0;
     }
 
-    fn reserve(&mut self, markers: usize) {
+    fn reserve(&mut self, markers: usize, cut: usize) {
         self.centres_px.reserve(markers);
         self.covariance_px2.reserve(markers);
         self.area_px2.reserve(markers);
-        self.cut.reserve(markers);
+        self.cut.reserve(cut);
     }
 
     fn push(&mut self, centre_px: DVec2, covariance_px2: Symmetric<2>, area_px2: u32) {
@@ -92,6 +92,12 @@ impl Markers {
 
 /// Most markers of an image, those that the border cuts included: 90 x 90 and a few.
 pub const MOST_MARKERS: usize = 8192;
+
+/// Pixels of an image for each of the markers that it may have.
+pub const PIXELS_PER_MARKER: usize = 48;
+
+/// Smaller pieces take no pixels from a marker beside them.
+const LEAST_NEIGHBOUR_PX2: u32 = 3;
 
 /// The detection stage and its scratch.
 #[derive(Clone, Debug)]
@@ -116,7 +122,7 @@ impl Detector {
             params: params.clone(),
             difference: Difference::new(params),
             closing: Closing::new(params.morphology_kernel_px),
-            components: Components::default(),
+            components: Components::keeping(params.min_area_px2.min(LEAST_NEIGHBOUR_PX2)),
             grey_centre: GreyCentre::default(),
             disc_fit: DiscFit::new(params),
             size_px: (0, 0),
@@ -137,18 +143,18 @@ impl Detector {
         out.clear();
         self.check(image)?;
         self.find_components(image)?;
-        let Self { params, components, grey_centre, disc_fit, mask, areas_px2, .. } = self;
-        // No two markers share pixels, so that this many are the most there can be.
-        let most = (image.width() * image.height() / params.min_area_px2.max(4) as usize).min(MOST_MARKERS);
-        out.reserve(most);
+        let Self { params, difference, components, grey_centre, disc_fit, areas_px2, .. } = self;
+        let most = most_markers(params, (image.width(), image.height()));
+        // Along the border every second pixel at most begins a marker.
+        out.reserve(most, most.min(image.width() + image.height()));
         disc_fit.clear(if params.centre == Centre::Fit { most } else { 0 });
         areas_px2.clear();
         areas_px2.reserve(most);
         let size_px = (image.width(), image.height());
         let markers = components.blobs().iter().filter(|blob| is_marker(blob, params));
         let found = markers.clone().count();
-        if found > MOST_MARKERS {
-            return Err(DetectError::TooMany { found, most: MOST_MARKERS });
+        if found > most {
+            return Err(DetectError::TooMany { found, most });
         }
         let whole = markers.clone().filter(|blob| blob.sides_reached(size_px) == (false, false));
         areas_px2.extend(whole.clone().map(|blob| blob.area_px2));
@@ -169,8 +175,9 @@ impl Detector {
             }
         }
         if params.centre == Centre::Fit {
+            let mask = difference.spare();
             fill_mask(components, self.size_px, mask);
-            let others = components.blobs().iter().filter(|blob| blob.area_px2 > 2);
+            let others = components.blobs().iter().filter(|blob| blob.area_px2 >= LEAST_NEIGHBOUR_PX2);
             disc_fit.finish(image, mask, others.map(centre::binary), out);
         }
         for blob in markers.filter(in_range) {
@@ -232,7 +239,8 @@ impl Detector {
             }
         }
         self.components.finish();
-        Ok(())
+        let found = self.components.kept();
+        if found > most.kept { Err(DetectError::TooMany { found, most: most.kept }) } else { Ok(()) }
     }
 
     const fn closes(&self) -> bool {
@@ -247,6 +255,18 @@ impl Detector {
         }
         self.closing.run(&mut self.mask, width);
     }
+}
+
+/// Most markers of an image of this size (width, height), however small they may be; more are refused.
+///
+/// Dots can be told apart from a pitch of about 6 px on, and a square lattice covers at most three quarters of the image: one marker
+/// for each [`PIXELS_PER_MARKER`].
+#[must_use]
+pub fn most_markers(params: &DetectParams, size_px: (usize, usize)) -> usize {
+    let pixels = size_px.0 * size_px.1;
+    (pixels / params.min_area_px2.max(4) as usize)
+        .min((pixels / PIXELS_PER_MARKER).max(1024))
+        .min(MOST_MARKERS)
 }
 
 fn fill_mask(components: &Components, (width, height): (usize, usize), out: &mut Vec<u8>) {

@@ -77,21 +77,26 @@ struct Candidate {
 /// Whole pieces of one window that are kept; a window with more is not clear anyway.
 const MOST_CANDIDATES: usize = 4;
 
+/// Whole pieces of all windows that are kept, for each window: one is the rule.
+const MOST_ON_AVERAGE: usize = 2;
+
 /// Scratch of the search.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Search {
     pieces: Pieces,
     candidates: Vec<Candidate>,
     areas_px2: Vec<u32>,
+    most_candidates: usize,
 }
 
 impl Search {
     fn start(&mut self, positions: usize) {
         self.pieces.reserve();
+        self.most_candidates = MOST_ON_AVERAGE * positions;
         self.candidates.clear();
-        self.candidates.reserve(MOST_CANDIDATES * positions);
+        self.candidates.reserve(MOST_ON_AVERAGE * positions);
         self.areas_px2.clear();
-        self.areas_px2.reserve(MOST_CANDIDATES * positions);
+        self.areas_px2.reserve(MOST_ON_AVERAGE * positions);
     }
 }
 
@@ -118,7 +123,7 @@ impl Detector {
         self.difference.survey(image);
         self.threshold_all(image);
         self.near.start(expected_px.len());
-        out.markers.reserve(expected_px.len());
+        out.markers.reserve(expected_px.len(), 0);
         out.sights.resize(expected_px.len(), Sight::Nothing);
         let size_px = (image.width(), image.height());
         for (position, &at) in expected_px.iter().enumerate() {
@@ -140,13 +145,14 @@ impl Detector {
 
     /// Adds the window's whole pieces to the candidates; `Unclear` if there are others that matter.
     fn look(&mut self, image: GrayView<'_>, position: usize, window: &Window) -> Sight {
-        let Search { pieces, candidates, .. } = &mut self.near;
+        let Search { pieces, candidates, most_candidates, .. } = &mut self.near;
         let (params, width) = (&self.params, image.width());
         pieces.start();
         for y in window.first.1..window.end.1 {
             pieces.push(&self.mask[y * width..][window.first.0..window.end.0]);
         }
-        let (mut sight, most) = (Sight::Nothing, candidates.len() + MOST_CANDIDATES);
+        let most = (candidates.len() + MOST_CANDIDATES).min(*most_candidates);
+        let mut sight = Sight::Nothing;
         while let Some((blob, partial)) = pieces.next(window) {
             if blob.area_px2 < params.min_area_px2 {
                 continue;

@@ -33,7 +33,7 @@ const UNSEEN: u32 = 1;
 pub(super) struct Agreement {
     /// Distance of each detection from where its neighbours say, in steps.
     off: Vec<f64>,
-    doomed: Vec<u32>,
+    doomed: Doomed,
     /// Detections to be checked: all at first, then those around what was dropped.
     suspects: Vec<u32>,
     group: Vec<u32>,
@@ -44,15 +44,40 @@ pub(super) struct Agreement {
     pub worst: f64,
 }
 
+/// Detections that are to lose their place, each once, in the order in which they were doomed.
+#[derive(Clone, Debug, Default)]
+struct Doomed {
+    list: Vec<u32>,
+    listed: Vec<bool>,
+}
+
+impl Doomed {
+    fn reserve(&mut self, most: usize) {
+        self.start(0);
+        self.list.reserve(most);
+        self.listed.reserve(most);
+    }
+
+    fn start(&mut self, detections: usize) {
+        self.list.clear();
+        self.listed.clear();
+        self.listed.resize(detections, false);
+    }
+
+    fn push(&mut self, detection: usize) {
+        if !core::mem::replace(&mut self.listed[detection], true) {
+            self.list.push(detection as u32);
+        }
+    }
+}
+
 impl Agreement {
     pub fn reserve(&mut self, most: usize) {
         for list in [&mut self.suspects, &mut self.group, &mut self.queue] {
             list.clear();
             list.reserve(most);
         }
-        // A suspect dooms itself, the corners of its cell, and two markers for each of its steps.
-        self.doomed.clear();
-        self.doomed.reserve((1 + 4 + 2 * STEPS.len()) * most);
+        self.doomed.reserve(most);
         self.off.clear();
         self.off.reserve(most);
     }
@@ -67,11 +92,11 @@ impl Agreement {
         self.suspects.extend(placed(canvas).map(|(m, _)| m as u32));
         self.measure(points, canvas);
         for _ in 0..ROUNDS {
-            self.doomed.clear();
+            self.doomed.start(points.len());
             self.find_worst(canvas);
             self.find_folds(points, canvas);
             self.find_seams(points, grid, canvas);
-            if self.doomed.is_empty() {
+            if self.doomed.list.is_empty() {
                 break;
             }
             self.drop_doomed(points, canvas);
@@ -90,7 +115,7 @@ impl Agreement {
     /// Drops the doomed; what stands around them is suspect, and measured again.
     fn drop_doomed(&mut self, points: &[DVec2], canvas: &mut Canvas) {
         self.suspects.clear();
-        for &m in &self.doomed {
+        for &m in &self.doomed.list {
             let Some(place) = canvas.places[m as usize] else { continue };
             self.dropped += 1;
             self.off[m as usize] = 0.0;
@@ -123,7 +148,7 @@ impl Agreement {
                 STEPS.into_iter().filter_map(|step| canvas.at(place.step(step))).all(|n| self.off[n] <= off)
             };
             if !(off < MOST_OFF) && worst_around() {
-                self.doomed.push(m as u32);
+                self.doomed.push(m);
             }
         }
     }
@@ -133,7 +158,7 @@ impl Agreement {
             let corner = |step| canvas.at(place.step(step));
             let cell = [Some(m), corner((0, 1)), corner((1, 1)), corner((1, 0))];
             if super::folds(cell.map(|n| n.map(|n| points[n]))) {
-                self.doomed.extend(cell.iter().flatten().map(|&n| n as u32));
+                cell.into_iter().flatten().for_each(|n| self.doomed.push(n));
             }
         }
     }
@@ -150,7 +175,7 @@ impl Agreement {
                 let radius_px = MOST_OFF * predicted.at.distance(points[m]);
                 let other = grid.nearest(points, predicted.at, radius_px, |n| canvas.places[n].is_some());
                 if let Some(n) = other {
-                    self.doomed.extend([m as u32, n as u32]);
+                    [m, n].into_iter().for_each(|n| self.doomed.push(n));
                 }
             }
         }
@@ -182,7 +207,7 @@ impl Agreement {
                 });
             }
         }
-        self.doomed.clear();
+        self.doomed.start(points.len());
         if !left_over && self.dropped == 0 {
             return;
         }
@@ -200,7 +225,7 @@ impl Agreement {
             let sure = |n: usize| self.group[n] == largest.1;
             let beside = || STEPS.into_iter().filter_map(|step| canvas.at(place.step(step))).any(sure);
             if !sure(m) && (self.group[m] != DOUBTED || !beside()) {
-                self.doomed.push(m as u32);
+                self.doomed.push(m);
             }
         }
     }

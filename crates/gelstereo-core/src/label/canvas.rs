@@ -15,9 +15,10 @@ pub(super) const STEPS: [(i32, i32); 4] = [(0, 1), (1, 0), (0, -1), (-1, 0)];
 
 /// A square of places about the seed, and the place of each detection. Cleared at the cost of what was placed, not of
 /// its area.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(super) struct Canvas {
     half: i32,
+    most_half: usize,
     /// Detection at each place, plus one; zero where there is none.
     cells: Vec<u32>,
     pub places: Vec<Option<Place>>,
@@ -27,10 +28,19 @@ pub(super) struct Canvas {
     pub order: Vec<u32>,
 }
 
+impl Default for Canvas {
+    fn default() -> Self {
+        let (cells, places, steps, order) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        Self { half: 0, most_half: MOST_HALF, cells, places, steps, order }
+    }
+}
+
 impl Canvas {
-    pub fn reserve(&mut self, most: usize) {
+    /// Makes room for so many detections, of lattices with rows and columns of up to `longest`.
+    pub fn reserve(&mut self, most: usize, longest: usize) {
         self.clear();
-        self.make_room(half_side(most));
+        self.most_half = longest.min(MOST_HALF);
+        self.make_room(self.half_side(most));
         self.places.reserve(most);
         self.steps.reserve(most);
         self.order.reserve(2 * most);
@@ -39,7 +49,7 @@ impl Canvas {
     /// Forgets everything and makes room for so many detections.
     pub fn start(&mut self, detections: usize) {
         self.clear();
-        let half = half_side(detections);
+        let half = self.half_side(detections);
         self.make_room(half);
         self.half = half as i32;
         self.places.resize(detections, None);
@@ -130,9 +140,9 @@ impl Canvas {
     const fn side(&self) -> i32 {
         2 * (self.half + MARGIN) + 1
     }
-}
 
-/// Enough for a lattice 64 times as long as it is wide, grown from its end.
-fn half_side(detections: usize) -> usize {
-    ((8.0 * sqrt(detections as f64)) as usize + 8).min(MOST_HALF)
+    /// Enough for a lattice 64 times as long as it is wide, grown from its end.
+    fn half_side(&self, detections: usize) -> usize {
+        ((8.0 * sqrt(detections as f64)) as usize + 8).min(self.most_half)
+    }
 }

@@ -8,7 +8,6 @@ pub(super) struct Partial {
     pub rows: usize,
     pub cols: usize,
     pub at: Vec<Option<DVec2>>,
-    pub detection: Vec<Option<u32>>,
 }
 
 impl Partial {

@@ -75,12 +75,13 @@ pub struct LatticeFinder {
 }
 
 impl LatticeFinder {
-    /// Makes room for frames of up to `size_px` (width, height) with up to so many detections.
-    pub fn reserve(&mut self, size_px: (usize, usize), most_detections: usize) {
+    /// Makes room for frames of up to `size_px` (width, height) with up to so many detections, of a lattice whose rows and columns
+    /// have up to `longest` markers; what lies farther from where the search begins is then given no place.
+    pub fn reserve(&mut self, size_px: (usize, usize), most_detections: usize, longest: usize) {
         let most = most_detections.min(MOST_DETECTIONS);
         let area = (size_px.0 * size_px.1) as f64;
         self.grid.reserve(most, size_px, sqrt(area / most.max(1) as f64).max(1.0));
-        self.canvas.reserve(most);
+        self.canvas.reserve(most, longest);
         self.areas_px2.reserve(most);
         self.distances.reserve(2 * most);
         for list in [&mut self.left_over, &mut self.around] {

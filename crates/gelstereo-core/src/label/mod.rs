@@ -19,7 +19,7 @@ pub use anchor::{Anchor, AnchorEvidence, anchor};
 pub use finder::LatticeFinder;
 pub use foresight::foresight_sort;
 pub use found::{FoundLattice, Place, Side};
-pub use rest::rest_lattice;
+pub use rest::{rest_lattice, rest_lattice_of};
 
 use crate::math::DVec2;
 use alloc::vec::Vec;

@@ -3,6 +3,7 @@
 use super::fill::Partial;
 use super::found::{FoundLattice, Place};
 use super::{LabelError, LatticeFinder, RestLattice, check_regular};
+use crate::detect::Markers;
 use crate::math::{DVec2, atan2};
 use crate::params::LatticeParams;
 use crate::track::grid::Grid;
@@ -31,18 +32,53 @@ pub fn rest_lattice(
     lattice: &LatticeParams,
     tolerance_pitches: f64,
 ) -> Result<RestLattice, LabelError> {
+    label_all(detected_px, detected_px.len(), lattice, tolerance_pitches)
+}
+
+/// As [`rest_lattice`]; where the whole markers make no lattice, those that the image's border cuts tell that their rows and
+/// columns are printed. Where such a marker is the border hides, so that it is filled in and held until it is seen.
+///
+/// A border row without any whole marker counts only if `lattice.rows` or `lattice.cols` says so: it gives no point anyway.
+///
+/// # Errors
+/// As [`rest_lattice`].
+pub fn rest_lattice_of(
+    detected: &Markers,
+    lattice: &LatticeParams,
+    tolerance_pitches: f64,
+) -> Result<RestLattice, LabelError> {
+    let whole = &detected.centres_px;
+    let without = rest_lattice(whole, lattice, tolerance_pitches);
+    if detected.cut.is_empty()
+        || !matches!(without, Err(LabelError::Border { .. } | LabelError::Shape { .. }))
+    {
+        return without;
+    }
+    let all_px: Vec<DVec2> =
+        whole.iter().copied().chain(detected.cut.iter().map(|cut| cut.centre_px)).collect();
+    // What cut markers do not help is best told by the whole ones.
+    label_all(&all_px, whole.len(), lattice, tolerance_pitches).or(without)
+}
+
+/// Labels detections of which the first `whole` are as good as they get; the others only show that there is a marker.
+fn label_all(
+    detected_px: &[DVec2],
+    whole: usize,
+    lattice: &LatticeParams,
+    tolerance_pitches: f64,
+) -> Result<RestLattice, LabelError> {
     let (mut finder, mut found) = (LatticeFinder::default(), FoundLattice::default());
     finder.run_with_specks(detected_px, &mut found)?;
-    let window = Window::choose(&found, lattice)?;
+    let window = Window::choose(&found, whole, lattice)?;
     let (rows, cols) = (window.rows(), window.cols());
-    let detection: Vec<Option<u32>> = window.places().map(|p| found.at(p).map(|m| m as u32)).collect();
+    let taken: Vec<Option<u32>> = window.places().map(|p| found.at(p).map(|m| m as u32)).collect();
+    let detection: Vec<Option<u32>> = taken.iter().map(|d| d.filter(|&m| (m as usize) < whole)).collect();
     let at = detection.iter().map(|d| d.map(|m| detected_px[m as usize])).collect();
-    let partial = Partial { rows, cols, at, detection };
+    let partial = Partial { rows, cols, at };
     let most_px = tolerance_pitches * found.pitch_px;
     check_regular(rows, cols, most_px, |r, c| partial.get(r as isize, c as isize))?;
-    let detection = partial.detection.clone();
     let positions_px = partial.filled().ok_or(LabelError::NoLattice { found: detected_px.len() })?;
-    check_gaps(detected_px, &positions_px, &detection, most_px, cols)?;
+    check_gaps(detected_px, &positions_px, &taken, most_px, cols)?;
     let rest = RestLattice { rows, cols, positions_px, detection, pitch_px: found.pitch_px };
     turn_as_printed(&rest, lattice)
 }
@@ -79,9 +115,18 @@ impl Window {
     }
 
     /// The rows and columns that are printed.
-    fn choose(found: &FoundLattice, lattice: &LatticeParams) -> Result<Self, LabelError> {
+    fn choose(
+        found: &FoundLattice,
+        whole_markers: usize,
+        lattice: &LatticeParams,
+    ) -> Result<Self, LabelError> {
+        let counted = lattice.rows.is_none() && lattice.cols.is_none();
         let mut whole = Self { top: 0, bottom: found.rows, left: 0, right: found.cols };
-        while let Some(side) = (0..4).find(|&side| whole.line(found, side).is_of_specks()) {
+        let is_none = |within: &Self, side: usize| {
+            within.line(found, side).is_of_specks()
+                || (counted && within.side(side).is_cut(found, whole_markers))
+        };
+        while let Some(side) = (0..4).find(|&side| is_none(&whole, side)) {
             whole = whole.without(side);
             if whole.rows().min(whole.cols()) < 3 {
                 return Err(whole.error(found, lattice));
@@ -132,16 +177,26 @@ impl Window {
         [self.rows(), self.cols()]
     }
 
-    fn line(&self, found: &FoundLattice, side: usize) -> Line {
+    /// An outer row or column: upper, left, lower, right.
+    const fn side(&self, side: usize) -> Self {
         let Self { top, bottom, left, right } = *self;
-        let line = match side {
+        match side {
             0 => Self { bottom: top + 1, ..*self },
             1 => Self { right: left + 1, ..*self },
             2 => Self { top: bottom - 1, ..*self },
             _ => Self { left: right - 1, ..*self },
-        };
+        }
+    }
+
+    fn line(&self, found: &FoundLattice, side: usize) -> Line {
+        let line = self.side(side);
         let seen = line.places().filter(|&p| found.at(p).is_some()).count();
         Line { seen, length: line.rows() * line.cols() }
+    }
+
+    /// Whether none of its markers is whole.
+    fn is_cut(&self, found: &FoundLattice, whole_markers: usize) -> bool {
+        self.places().all(|p| found.at(p).is_none_or(|m| m >= whole_markers))
     }
 
     const fn without(mut self, side: usize) -> Self {

@@ -1,5 +1,6 @@
 //! Why a frame gave no result.
 
+use super::rest_record::RestRecordError;
 use crate::contact::ContactError;
 use crate::detect::DetectError;
 use crate::label::LabelError;
@@ -46,6 +47,8 @@ pub enum PipelineError {
         /// Rows and columns found in the right view.
         right: (usize, usize),
     },
+    /// A record of a rest frame is none, or not of this pipeline.
+    Record(RestRecordError),
     /// The rest frame's rows disagree between the views.
     Epipolar {
         /// Median distance of the rectified rows of one marker, pixels.
@@ -68,6 +71,7 @@ impl core::fmt::Display for PipelineError {
             Self::Label { view, error } => write!(f, "{view} view: {error}"),
             Self::Triangulate(error) => error.fmt(f),
             Self::Contact(error) => error.fmt(f),
+            Self::Record(error) => error.fmt(f),
             Self::Lattices { left, right } => write!(
                 f,
                 "the left view shows {} rows x {} columns of markers but the right one {} x {}: both must see the whole \

@@ -48,7 +48,7 @@ pub struct ViewEvidence {
 /// Everything that one stereo frame gave; marker `row * cols + col` stands at that index in every list.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Frame {
-    /// Frames since the last reset, from 0 (the rest frame).
+    /// Frames since the last reset, from 0 (the rest frame, also where it was recorded).
     pub index: u64,
     /// Markers from top to bottom, as found in the rest frame.
     pub rows: usize,
@@ -58,7 +58,7 @@ pub struct Frame {
     pub left_px: Vec<DVec2>,
     /// Positions in the right image, pixels.
     pub right_px: Vec<DVec2>,
-    /// Seen only when both views saw it and their rows agree.
+    /// Seen only when both views saw it and agree on which one it is.
     pub state: Vec<MarkerState>,
     /// Positions in the sensor frame, millimetres; of a marker that is not seen, from its last good positions.
     pub points_mm: Vec<DVec3>,
@@ -72,7 +72,8 @@ pub struct Frame {
     pub patch: Vec<bool>,
     /// Mean motion of the seen markers of the left view since the reference, pixels.
     pub motion_px: f64,
-    /// Markers that both views saw, but that no point of space explains (rows or disparity disagree).
+    /// Markers that both views saw, but that no point of space explains (rows or disparity disagree), or none of the gel's surface
+    /// (labels of the views have slipped against each other, see [`LabelSlips`](crate::contact::LabelSlips)).
     pub mismatched: usize,
     /// The left view's evidence.
     pub left: ViewEvidence,

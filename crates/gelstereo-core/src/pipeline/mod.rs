@@ -2,20 +2,22 @@
 
 mod error;
 mod frame;
+mod rest_record;
 mod view;
 mod windows;
 
 pub use error::{PipelineError, View};
 pub use frame::{Frame, LabelSource, Searched, ViewEvidence};
+pub use rest_record::{RestRecord, RestRecordError, RestView};
 
-use crate::contact::{self, Pressure, RestSurface};
+use crate::contact::{self, LabelSlips, Pressure, RestSurface};
 use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, DVec3};
 use crate::params::{Params, Saliency};
 use crate::rig::Rig;
 use crate::track::{MarkerState, Tracks};
-use crate::triangulate::{Centres, StereoPoint, Triangulator};
+use crate::triangulate::{Centres, Triangulator};
 use alloc::vec::Vec;
 use view::ViewStages;
 
@@ -30,10 +32,12 @@ pub struct Pipeline {
     pressure: Pressure,
     rest_variance_mm2: Vec<f64>,
     reference_px: Vec<DVec2>,
-    stereo: Vec<StereoPoint>,
+    slips: LabelSlips,
     points_mm: Vec<DVec3>,
     covariance_mm2: Vec<Symmetric<3>>,
     frames: u64,
+    /// No frame was processed since the rest frame was taken from a record.
+    resumes: bool,
 }
 
 impl Pipeline {
@@ -54,10 +58,11 @@ impl Pipeline {
             pressure: Pressure::default(),
             rest_variance_mm2: Vec::new(),
             reference_px: Vec::new(),
-            stereo: Vec::new(),
+            slips: LabelSlips::default(),
             points_mm: Vec::new(),
             covariance_mm2: Vec::new(),
             frames: 0,
+            resumes: false,
         })
     }
 
@@ -83,12 +88,13 @@ impl Pipeline {
     pub fn reset(&mut self) {
         self.rest = None;
         self.frames = 0;
+        self.resumes = false;
     }
 
     /// Measures [`Frame::motion_px`] from the last processed frame on: the paper's "moment before grasping" or
     /// "before insertion". Until it is called, motion is measured from the rest frame.
     pub fn mark_reference(&mut self) {
-        copy_into(&self.left.labelled.positions_px, &mut self.reference_px);
+        copy_into(&self.left.labelled().positions_px, &mut self.reference_px);
     }
 
     /// Runs all sensing stages on one stereo frame; the lists of `out` are reused.
@@ -136,7 +142,11 @@ impl Pipeline {
         } else {
             self.left.follow(&self.params);
             self.right.follow(&self.params);
-            self.follow_points(out);
+            self.follow_points(out)?;
+            if core::mem::take(&mut self.resumes) {
+                self.left.prepare(left, &self.params);
+                self.right.prepare(right, &self.params);
+            }
         }
         self.finish(out)
     }
@@ -149,61 +159,76 @@ impl Pipeline {
         if side(&self.left) != side(&self.right) {
             return Err(PipelineError::Lattices { left: side(&self.left), right: side(&self.right) });
         }
-        let (left, right) = (&self.left.labelled, &self.right.labelled);
+        let (left, right) = (self.left.labelled(), self.right.labelled());
         self.triangulator.clear_map();
+        let mut stereo = Vec::new();
         self.triangulator
-            .run(centres(left), centres(right), &mut self.stereo)
+            .run(centres(left), centres(right), &mut stereo)
             .map_err(PipelineError::Triangulate)?;
         let max_px = self.params.triangulate.max_epipolar_px;
-        let mut offsets: Vec<f64> = self.stereo.iter().map(|s| s.epipolar_px.abs()).collect();
+        let mut offsets: Vec<f64> = stereo.iter().map(|s| s.epipolar_px.abs()).collect();
         let median_px = crate::math::median(&mut offsets).unwrap_or(0.0);
         if !(median_px <= max_px) {
             return Err(PipelineError::Epipolar { median_px, max_px });
         }
         self.points_mm.clear();
-        self.points_mm.extend(self.stereo.iter().map(|s| s.point_mm));
+        self.points_mm.extend(stereo.iter().map(|s| s.point_mm));
         self.covariance_mm2.clear();
-        self.covariance_mm2.extend(self.stereo.iter().map(|s| s.covariance_mm2));
+        self.covariance_mm2.extend(stereo.iter().map(|s| s.covariance_mm2));
         let rest = RestSurface::new(&self.points_mm).map_err(PipelineError::Contact)?;
-        if self.params.contact.saliency == Saliency::Pressure {
-            let (rows, cols) = side(&self.left);
-            let decay_mm = self.params.contact.decay_mm;
-            self.pressure = Pressure::new(&rest, rows, cols, decay_mm).map_err(PipelineError::Contact)?;
-            let variances = self.covariance_mm2.iter().map(|c| contact::variance_along(c, rest.normal()));
-            self.rest_variance_mm2.clear();
-            self.rest_variance_mm2.extend(variances);
-        }
-        self.rest = Some(rest);
-        copy_into(&left.positions_px, &mut self.reference_px);
-        self.frames = 0;
+        let variances = self.covariance_mm2.iter().map(|c| contact::variance_along(c, rest.normal()));
+        self.rest_variance_mm2.clear();
+        self.rest_variance_mm2.extend(variances);
         out.mismatched = 0;
         out.state.clear();
         out.state.extend(left.state.iter().zip(&right.state).map(|(&l, &r)| l.max(r)));
-        for (stereo, state) in self.stereo.iter().zip(&mut out.state) {
+        for (stereo, state) in stereo.iter().zip(&mut out.state) {
             if stereo.epipolar_px.abs() > max_px && *state == MarkerState::Seen {
                 *state = MarkerState::Held;
                 out.mismatched += 1;
             }
         }
+        copy_into(&self.points_mm, &mut out.points_mm);
+        copy_into(&self.covariance_mm2, &mut out.covariance_mm2);
+        rest.indentation_mm(&self.points_mm, &mut out.indentation_mm).map_err(PipelineError::Contact)?;
+        self.frames = 0;
+        self.rest_on(rest)
+    }
+
+    /// Takes this surface, of the views' present tracks, for the one that nothing touches.
+    fn rest_on(&mut self, rest: RestSurface) -> Result<(), PipelineError> {
+        let (left, right) = (self.left.labelled(), self.right.labelled());
+        if self.params.contact.saliency == Saliency::Pressure {
+            let (rows, cols) = (self.left.rows, self.left.cols);
+            let decay_mm = self.params.contact.decay_mm;
+            self.pressure = Pressure::new(&rest, rows, cols, decay_mm).map_err(PipelineError::Contact)?;
+        }
+        let lattice = (self.left.cols, self.left.pitch_px);
+        self.slips.learn(&self.triangulator, &rest, [centres(left), centres(right)], lattice);
+        copy_into(&left.positions_px, &mut self.reference_px);
+        self.rest = Some(rest);
         Ok(())
     }
 
-    /// Later frames: a pair that makes no point is not this marker, which is then held where it was.
-    fn follow_points(&mut self, out: &mut Frame) {
-        if let (1, Some(rest)) = (self.frames, &self.rest) {
+    /// Later frames: a pair that makes no point, or none of this surface, is not this marker, which is then held where it was.
+    fn follow_points(&mut self, out: &mut Frame) -> Result<(), PipelineError> {
+        let Some(rest) = &self.rest else { return Ok(()) };
+        if self.frames == 1 {
             // Not in the rest frame itself, so that a single frame costs no fit.
             self.triangulator.fit_map(rest.points_mm());
         }
         let max_px = self.params.triangulate.max_epipolar_px;
         out.mismatched = 0;
         out.state.clear();
-        let (left, right) = (&self.left.labelled, &self.right.labelled);
-        for (i, point_mm) in self.points_mm.iter_mut().enumerate() {
+        copy_into(&self.points_mm, &mut out.points_mm);
+        copy_into(&self.covariance_mm2, &mut out.covariance_mm2);
+        let (left, right) = (self.left.labelled(), self.right.labelled());
+        for (i, point_mm) in out.points_mm.iter_mut().enumerate() {
             let mut state = left.state[i].max(right.state[i]);
             match self.triangulator.point(i, &centres(left).at(i), &centres(right).at(i)) {
                 Ok(stereo) if stereo.epipolar_px.abs() <= max_px => {
                     *point_mm = stereo.point_mm;
-                    self.covariance_mm2[i] = stereo.covariance_mm2;
+                    out.covariance_mm2[i] = stereo.covariance_mm2;
                 }
                 _ if state == MarkerState::Seen => {
                     state = MarkerState::Held;
@@ -213,18 +238,22 @@ impl Pipeline {
             }
             out.state.push(state);
         }
+        rest.indentation_mm(&out.points_mm, &mut out.indentation_mm).map_err(PipelineError::Contact)?;
+        let Frame { indentation_mm, state, points_mm, covariance_mm2, mismatched, .. } = out;
+        *mismatched += self.slips.hold(indentation_mm, state, |i| {
+            (points_mm[i], covariance_mm2[i]) = (self.points_mm[i], self.covariance_mm2[i]);
+        });
+        rest.indentation_mm(points_mm, indentation_mm).map_err(PipelineError::Contact)?;
+        copy_into(&out.points_mm, &mut self.points_mm);
+        copy_into(&out.covariance_mm2, &mut self.covariance_mm2);
+        Ok(())
     }
 
     fn finish(&mut self, out: &mut Frame) -> Result<(), PipelineError> {
         out.index = self.frames;
-        copy_into(&self.left.labelled.positions_px, &mut out.left_px);
-        copy_into(&self.right.labelled.positions_px, &mut out.right_px);
+        copy_into(&self.left.labelled().positions_px, &mut out.left_px);
+        copy_into(&self.right.labelled().positions_px, &mut out.right_px);
         (out.rows, out.cols) = (self.left.rows, self.left.cols);
-        copy_into(&self.points_mm, &mut out.points_mm);
-        copy_into(&self.covariance_mm2, &mut out.covariance_mm2);
-        if let Some(rest) = &self.rest {
-            rest.indentation_mm(&self.points_mm, &mut out.indentation_mm).map_err(PipelineError::Contact)?;
-        }
         let settings = &self.params.contact;
         match (settings.saliency, &self.rest) {
             (Saliency::Pressure, Some(rest)) => {

@@ -1,12 +1,13 @@
 //! One view, from image to labelled markers.
 
-use super::copy_into;
 use super::error::{PipelineError, View};
 use super::frame::{LabelSource, Searched, ViewEvidence};
+use super::rest_record::RestView;
 use super::windows::Windows;
-use crate::detect::{DetectError, Detector, Markers};
+use crate::detect::{DetectError, Detector, Markers, most_markers};
 use crate::image::GrayView;
 use crate::label::{self, RestLattice};
+use crate::math::DVec2;
 use crate::params::{LabelMethod, Params, Search};
 use crate::track::{CheckedTracker, MarkerState, Tracker, Tracks, Verdict};
 use alloc::vec::Vec;
@@ -27,9 +28,16 @@ pub(super) struct ViewStages {
     /// Of the lattice, as found in the rest frame.
     pub rows: usize,
     pub cols: usize,
-    pitch_px: f64,
+    pub pitch_px: f64,
+    /// Where the markers are when nothing touches the gel, and which of them the rest frame showed.
+    rest_px: Vec<DVec2>,
+    shown: Vec<bool>,
+    /// Labels of a recorded rest frame were not found again so far.
+    resumes: bool,
     order: Vec<usize>,
-    pub labelled: Tracks,
+    /// The tracks in the order of the sort, if that stands.
+    sorted: Tracks,
+    is_sorted: bool,
     pub evidence: ViewEvidence,
 }
 
@@ -49,8 +57,12 @@ impl ViewStages {
             rows: 0,
             cols: 0,
             pitch_px: 0.0,
+            rest_px: Vec::new(),
+            shown: Vec::new(),
+            resumes: false,
             order: Vec::new(),
-            labelled: Tracks::default(),
+            sorted: Tracks::default(),
+            is_sorted: false,
             evidence: ViewEvidence::default(),
         }
     }
@@ -117,7 +129,7 @@ impl ViewStages {
         other: Option<&RestLattice>,
     ) -> Result<RestLattice, PipelineError> {
         let tolerance_pitches = params.label.tolerance_pitches;
-        let rest = label::rest_lattice(&self.markers.centres_px, &params.lattice, tolerance_pitches)
+        let rest = label::rest_lattice_of(&self.markers, &params.lattice, tolerance_pitches)
             .map_err(|error| PipelineError::Label { view: self.view, error })?;
         let rest = other.map_or_else(|| rest.clone(), |other| rest.turned_like(other));
         self.begin(params, &rest);
@@ -127,7 +139,11 @@ impl ViewStages {
     /// Starts from a labelled rest frame, made of the present markers.
     fn begin(&mut self, params: &Params, rest: &RestLattice) {
         (self.rows, self.cols, self.pitch_px) = (rest.rows, rest.cols, rest.pitch_px);
-        let most = self.markers.centres_px.capacity();
+        self.rest_px.clone_from(&rest.positions_px);
+        self.shown.clear();
+        self.shown.extend(rest.detection.iter().map(Option::is_some));
+        self.resumes = false;
+        let most = most_markers(&params.detect, self.size_px);
         match params.label.method {
             LabelMethod::Lattice => self.checked.initialise(rest, &self.markers, most, &mut self.tracks),
             LabelMethod::Temporal | LabelMethod::Foresight => {
@@ -138,7 +154,60 @@ impl ViewStages {
         self.take_tracks(LabelSource::Rest);
     }
 
+    /// What to record of the rest frame.
+    pub fn rest_view(&self) -> RestView {
+        RestView { pitch_px: self.pitch_px, positions_px: self.rest_px.clone(), shown: self.shown.clone() }
+    }
+
+    /// Starts from a recorded rest frame: labels are those of the checked tracker until it has found all again, whatever
+    /// `label.method` says.
+    pub fn resume(&mut self, params: &Params, (rows, cols): (usize, usize), record: &RestView) {
+        (self.rows, self.cols, self.pitch_px) = (rows, cols, record.pitch_px);
+        self.rest_px.clone_from(&record.positions_px);
+        self.shown.clone_from(&record.shown);
+        self.resumes = true;
+        self.restart(params);
+        self.take_tracks(LabelSource::Held);
+    }
+
+    /// Puts the tracks where the markers are at rest, as after a gap in which nothing was certain.
+    fn restart(&mut self, params: &Params) {
+        let detection = (0..).zip(&self.shown).map(|(n, &shown)| shown.then_some(n)).collect();
+        let (rows, cols, pitch_px) = (self.rows, self.cols, self.pitch_px);
+        let rest = RestLattice { rows, cols, positions_px: self.rest_px.clone(), detection, pitch_px };
+        // Where the markers are now is known to the gate at best.
+        let markers = Markers::at(self.rest_px.clone(), params.track.gate_pitches * pitch_px);
+        let most = most_markers(&params.detect, self.size_px);
+        if params.label.method != LabelMethod::Lattice {
+            self.tracker.initialise(&rest, &markers, &mut self.tracks);
+            self.tracker.reserve(self.size_px, most);
+        }
+        self.checked.initialise(&rest, &markers, most, &mut self.tracks);
+        self.checked.hold(&mut self.tracks);
+    }
+
+    /// Follows the first frames after a record, until labels are certain.
+    fn follow_record(&mut self, params: &Params) {
+        let certain = self.track(params) == Verdict::Certain;
+        let printed = |&[row, col]: &[usize; 2]| {
+            self.tracks.state.get(row * self.cols + col).is_some_and(|&state| state == MarkerState::Seen)
+        };
+        if certain && params.lattice.missing.iter().any(printed) {
+            // The lattice looks as it did, but is turned or shifted: a marker stands where none was printed.
+            self.restart(params);
+        } else {
+            self.resumes = !certain;
+        }
+        if !self.resumes && params.label.method != LabelMethod::Lattice {
+            self.checked = CheckedTracker::new(&params.track, self.size_px);
+        }
+        self.take_tracks(if self.resumes { LabelSource::Held } else { LabelSource::Lattice });
+    }
+
     pub fn follow(&mut self, params: &Params) {
+        if self.resumes {
+            return self.follow_record(params);
+        }
         let verdict = self.track(params);
         match (params.label.method, verdict) {
             (LabelMethod::Temporal, _) => self.take_tracks(LabelSource::Tracks),
@@ -154,7 +223,7 @@ impl ViewStages {
             core::mem::swap(&mut self.tracks, &mut self.windows.tracks);
             return Verdict::Certain;
         }
-        if params.label.method == LabelMethod::Lattice {
+        if params.label.method == LabelMethod::Lattice || self.resumes {
             return self.checked.run(&self.markers, &mut self.tracks);
         }
         self.tracker.run(&self.markers, &mut self.tracks);
@@ -169,10 +238,13 @@ impl ViewStages {
         ViewEvidence { detected: markers.centres_px.len(), labels, relabelled, searched: self.searched }
     }
 
+    /// Every marker of this frame, row by row.
+    pub const fn labelled(&self) -> &Tracks {
+        if self.is_sorted { &self.sorted } else { &self.tracks }
+    }
+
     fn take_tracks(&mut self, labels: LabelSource) {
-        copy_into(&self.tracks.positions_px, &mut self.labelled.positions_px);
-        copy_into(&self.tracks.state, &mut self.labelled.state);
-        copy_into(&self.tracks.covariance_px2, &mut self.labelled.covariance_px2);
+        self.is_sorted = false;
         self.evidence = self.evidence(labels, 0);
     }
 
@@ -183,12 +255,13 @@ impl ViewStages {
         if label::foresight_sort(positions, self.rows, self.cols, tolerance_px, &mut self.order).is_err() {
             return self.take_tracks(LabelSource::Tracks);
         }
-        self.labelled.positions_px.clear();
-        self.labelled.positions_px.extend(self.order.iter().map(|&i| positions[i]));
-        self.labelled.covariance_px2.clear();
-        self.labelled.covariance_px2.extend(self.order.iter().map(|&i| self.tracks.covariance_px2[i]));
-        self.labelled.state.clear();
-        self.labelled.state.extend(self.order.iter().map(|&i| self.tracks.state[i]));
+        self.sorted.positions_px.clear();
+        self.sorted.positions_px.extend(self.order.iter().map(|&i| positions[i]));
+        self.sorted.covariance_px2.clear();
+        self.sorted.covariance_px2.extend(self.order.iter().map(|&i| self.tracks.covariance_px2[i]));
+        self.sorted.state.clear();
+        self.sorted.state.extend(self.order.iter().map(|&i| self.tracks.state[i]));
+        self.is_sorted = true;
         let relabelled = self.order.iter().enumerate().filter(|&(slot, &track)| slot != track).count();
         self.evidence = self.evidence(LabelSource::Foresight, relabelled);
     }

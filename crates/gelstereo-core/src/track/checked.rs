@@ -23,6 +23,9 @@ const EXPECTED_FRAMES: u32 = 2;
 /// mistaken, and half of that is left to those that jump.
 const UNANCHORED_PITCHES: f64 = 0.25;
 
+/// What most detections do not belong to is not the lattice.
+const MOST_PER_SITE: usize = 2;
+
 /// How the markers of a frame were identified.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Verdict {
@@ -48,6 +51,8 @@ pub struct CheckedTracker {
     pitch_px: f64,
     rows: usize,
     cols: usize,
+    /// A frame with more does not show the lattice.
+    most_detections: usize,
     rest_px: Vec<DVec2>,
     /// The border of the rest lattice tells its shift.
     anchored: bool,
@@ -70,6 +75,7 @@ impl CheckedTracker {
             pitch_px: 0.0,
             rows: 0,
             cols: 0,
+            most_detections: 0,
             rest_px: Vec::new(),
             anchored: false,
             expected_px: Vec::new(),
@@ -95,9 +101,11 @@ impl CheckedTracker {
         out.initialise(rest, detected, self.params.gate_pitches * rest.pitch_px);
         let (markers, widest) = (self.rest_px.len(), 2 * RINGS[RINGS.len() - 1]);
         let sites = (self.rows + widest) * (self.cols + widest);
+        self.most_detections = MOST_PER_SITE * sites;
+        let most_detections = most_detections.min(self.most_detections);
         self.expected_px.clone_from(&self.rest_px);
         self.matching.reserve(sites, most_detections, self.size_px, self.pitch_px);
-        self.relabel.reserve(self.size_px, most_detections);
+        self.relabel.reserve(self.size_px, most_detections, self.rows.max(self.cols));
         self.anchor.reserve(markers, sites);
         self.carry.reserve(markers);
         self.canvas.lay(&self.rest_px, self.rows, self.cols, RINGS[RINGS.len() - 1]);
@@ -127,6 +135,10 @@ impl CheckedTracker {
     /// Updates the tracks by the detections of the next frame. `out` holds the tracks of the frame before.
     pub fn run(&mut self, detected: &Markers, out: &mut Tracks) -> Verdict {
         if self.rest_px.is_empty() || out.positions_px.len() != self.rest_px.len() {
+            return Verdict::Uncertain;
+        }
+        if detected.centres_px.len() > self.most_detections {
+            self.hold(out);
             return Verdict::Uncertain;
         }
         let _ = self.predict(out);
@@ -170,7 +182,7 @@ impl CheckedTracker {
             let whole = relabel.complete(canvas)
                 || matching.check(canvas, detected_px, missed, tracks.stale, *pitch_px);
             let matched = canvas.found.iter().filter(|&&m| m != NONE).count();
-            if !whole || 2 * matched < detected_px.len() {
+            if !whole || MOST_PER_SITE * matched < detected_px.len() {
                 continue;
             }
             let found = self.anchor.run(canvas, expectations(tracks), self.size_px, *pitch_px);
@@ -188,9 +200,8 @@ impl CheckedTracker {
         let missed = |n: usize| tracks.missed_frames[n];
         let gate_px = (rings == RINGS[0]).then_some(self.params.gate_pitches * *pitch_px);
         let whole = matching.run(canvas, detected_px, missed, tracks.stale, gate_px, *pitch_px);
-        // What most detections do not belong to is not the lattice.
         let matched = canvas.found.iter().filter(|&&m| m != NONE).count();
-        if !whole || 2 * matched < detected_px.len() {
+        if !whole || MOST_PER_SITE * matched < detected_px.len() {
             return None;
         }
         let found = self.anchor.run(canvas, expectations(tracks), self.size_px, *pitch_px);
@@ -231,7 +242,8 @@ impl CheckedTracker {
         (out.steady, out.stale) = (true, false);
     }
 
-    fn hold(&self, out: &mut Tracks) {
+    /// Holds all markers where they are, as in a frame in which nothing is certain.
+    pub fn hold(&self, out: &mut Tracks) {
         for n in 0..self.rest_px.len() {
             out.update_state(n, false, self.params.max_held_frames);
         }

@@ -9,6 +9,9 @@ use crate::math::DVec2;
 /// is half a pitch off.
 const REGULAR: f64 = 1.0 / 3.0;
 
+/// Places beyond the lattice's ends, where specks may stand.
+const SPECKS_BEYOND: usize = 8;
+
 /// The lattice of a single frame.
 ///
 /// Matching against a prediction fails where the gel has moved by half a pitch since; rows and columns within one frame
@@ -23,8 +26,9 @@ pub(super) struct Relabel {
 }
 
 impl Relabel {
-    pub fn reserve(&mut self, size_px: (usize, usize), most_detections: usize) {
-        self.finder.reserve(size_px, most_detections);
+    /// Makes room for frames with up to `most_detections`, of a lattice whose rows and columns have up to `longest` markers.
+    pub fn reserve(&mut self, size_px: (usize, usize), most_detections: usize, longest: usize) {
+        self.finder.reserve(size_px, most_detections, longest + SPECKS_BEYOND);
         self.found.places.reserve(most_detections);
         // An outer line is kept only if a quarter of it is there.
         self.found.detection.reserve(4 * most_detections);

@@ -360,7 +360,7 @@ impl DiscFit {
         // Beyond this a neighbour takes no pixel away.
         let far_px = 2.0 * widest + REACH_PX + 4.0 * FIRST_BLUR_PX;
         self.centres.clear();
-        let most = Most::of(image.width(), image.height()).components;
+        let most = Most::of(image.width(), image.height()).kept;
         self.centres.reserve(most);
         self.centres.extend(others_px);
         self.grid.reserve(most, (image.width(), image.height()), LEAST_FAR_PX);

@@ -1,0 +1,240 @@
+//! What is kept of a rest frame, so that a later run may begin under contact.
+
+use super::{Pipeline, PipelineError, View};
+use crate::contact::RestSurface;
+use crate::math::{DVec2, DVec3};
+use crate::params::{DetectParams, LatticeParams, Search, TriangulateParams};
+use crate::rig::Rig;
+use alloc::vec::Vec;
+
+/// A sensor's rest state: where its markers are when nothing touches the gel, and what they were measured
+/// with.
+///
+/// It is good for as long as gel and cameras stay where they are in the sensor. [`Pipeline::rest_record`]
+/// makes it, [`Pipeline::resume`] takes it.
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
+pub struct RestRecord {
+    /// Markers from top to bottom.
+    pub rows: usize,
+    /// Markers from left to right.
+    pub cols: usize,
+    /// Rest surface, marker `row * cols + col` at that index (sensor frame, millimetres).
+    pub points_mm: Vec<DVec3>,
+    /// Variances of the points along the rest plane's normal, mm².
+    pub variance_mm2: Vec<f64>,
+    /// The left view.
+    pub left: RestView,
+    /// The right view.
+    pub right: RestView,
+    /// What the points were triangulated with.
+    pub rig: Rig,
+    /// The lattice's settings.
+    pub lattice: LatticeParams,
+    /// How the markers were found.
+    pub detect: DetectParams,
+    /// How the points were made.
+    pub triangulate: TriangulateParams,
+}
+
+/// One view of the rest frame.
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
+pub struct RestView {
+    /// Median distance of neighbours, pixels.
+    pub pitch_px: f64,
+    /// Positions of all markers, row by row, pixels.
+    pub positions_px: Vec<DVec2>,
+    /// Which of them the rest frame showed; the others were filled in, since they are not printed or were
+    /// hidden.
+    pub shown: Vec<bool>,
+}
+
+/// Why a record of a rest frame cannot be used.
+#[derive(Clone, Debug, PartialEq)]
+pub enum RestRecordError {
+    /// Too few or too many rows or columns.
+    Lattice {
+        /// Rows found.
+        rows: usize,
+        /// Columns found.
+        cols: usize,
+    },
+    /// A list has not one entry for each marker.
+    Length {
+        /// Which list.
+        list: &'static str,
+        /// Entries found.
+        found: usize,
+        /// Rows times columns.
+        expected: usize,
+    },
+    /// A number is NaN, infinite, or negative where it may not be.
+    Value {
+        /// Which list.
+        list: &'static str,
+        /// Which marker.
+        index: usize,
+    },
+    /// A pitch is not a length between 1 pixel and the image's size.
+    Pitch {
+        /// In which view.
+        view: View,
+        /// What was found, pixels.
+        pitch_px: f64,
+    },
+    /// It was made with another rig.
+    Rig,
+    /// It was made with other settings.
+    Settings {
+        /// Which table of settings differs.
+        table: &'static str,
+    },
+}
+
+impl core::fmt::Display for RestRecordError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Lattice { rows, cols } => {
+                write!(f, "the rest record has {rows} rows x {cols} columns; valid is 3 to 1000 of both")
+            }
+            Self::Length { list, found, expected } => write!(
+                f,
+                "the rest record's {list} has {found} entries but the lattice {expected} markers: the file is damaged"
+            ),
+            Self::Value { list, index } => write!(
+                f,
+                "the rest record's {list} is not finite, or negative where it may not be, at marker {index}: the file is \
+                 damaged"
+            ),
+            Self::Pitch { view, pitch_px } => write!(
+                f,
+                "the rest record's pitch in the {view} view is {pitch_px} px; valid is 1 px to the image's width"
+            ),
+            Self::Rig => write!(
+                f,
+                "the rest record was made with another rig: use that one, or record a rest frame with this one"
+            ),
+            Self::Settings { table } => write!(
+                f,
+                "the rest record was made with other settings of [{table}]: use those, or record a rest frame with these"
+            ),
+        }
+    }
+}
+
+impl core::error::Error for RestRecordError {}
+
+impl RestRecord {
+    /// Checks that the numbers describe a rest state.
+    ///
+    /// # Errors
+    /// [`RestRecordError`] but for the two that are about another pipeline.
+    pub fn validate(&self) -> Result<(), RestRecordError> {
+        let Self { rows, cols, .. } = *self;
+        if !(3..=1000).contains(&rows) || !(3..=1000).contains(&cols) {
+            return Err(RestRecordError::Lattice { rows, cols });
+        }
+        let finite = |p: &DVec2| p.is_finite();
+        check("points_mm", rows * cols, &self.points_mm, DVec3::is_finite)?;
+        check("variance_mm2", rows * cols, &self.variance_mm2, |v| v.is_finite() && v >= 0.0)?;
+        check("left.positions_px", rows * cols, &self.left.positions_px, |p| finite(&p))?;
+        check("right.positions_px", rows * cols, &self.right.positions_px, |p| finite(&p))?;
+        check("left.shown", rows * cols, &self.left.shown, |_| true)?;
+        check("right.shown", rows * cols, &self.right.shown, |_| true)?;
+        for (view, rest, camera) in
+            [(View::Left, &self.left, &self.rig.left), (View::Right, &self.right, &self.rig.right)]
+        {
+            if !(1.0..=camera.width_px as f64).contains(&rest.pitch_px) {
+                return Err(RestRecordError::Pitch { view, pitch_px: rest.pitch_px });
+            }
+        }
+        Ok(())
+    }
+}
+
+fn check<T: Copy>(
+    list: &'static str,
+    expected: usize,
+    values: &[T],
+    valid: impl Fn(T) -> bool,
+) -> Result<(), RestRecordError> {
+    let found = values.len();
+    if found != expected {
+        return Err(RestRecordError::Length { list, found, expected });
+    }
+    match values.iter().position(|&value| !valid(value)) {
+        Some(index) => Err(RestRecordError::Value { list, index }),
+        None => Ok(()),
+    }
+}
+
+impl Pipeline {
+    /// What [`Self::resume`] needs to begin without a rest frame; `None` before the rest frame.
+    #[must_use]
+    pub fn rest_record(&self) -> Option<RestRecord> {
+        let rest = self.rest.as_ref()?;
+        Some(RestRecord {
+            rows: self.left.rows,
+            cols: self.left.cols,
+            points_mm: rest.points_mm().to_vec(),
+            variance_mm2: self.rest_variance_mm2.clone(),
+            left: self.left.rest_view(),
+            right: self.right.rest_view(),
+            rig: self.rig().clone(),
+            lattice: self.params.lattice.clone(),
+            detect: self.params.detect.clone(),
+            triangulate: self.params.triangulate.clone(),
+        })
+    }
+
+    /// Begins with a recorded rest frame: the next frame is index 1, whatever touches the gel in it.
+    ///
+    /// Rows and columns are found as after a gap in tracking: those of the record that agree with the lattice
+    /// in the image, its border, and the places of `lattice.missing`, where nothing was printed. Until that
+    /// is certain all markers are held, and [`LabelSource::Held`](super::LabelSource::Held) says so.
+    ///
+    /// # Errors
+    /// [`PipelineError::Record`] for a record that is damaged, or was made with another rig, lattice,
+    /// detection or triangulation; [`PipelineError::Contact`] for points that are no surface. The pipeline is
+    /// then as before.
+    pub fn resume(&mut self, record: &RestRecord) -> Result<(), PipelineError> {
+        self.check_record(record).map_err(PipelineError::Record)?;
+        let rest = RestSurface::new(&record.points_mm).map_err(PipelineError::Contact)?;
+        let lattice = (record.rows, record.cols);
+        self.left.resume(&self.params, lattice, &record.left);
+        self.right.resume(&self.params, lattice, &record.right);
+        self.triangulator.clear_map();
+        self.points_mm.clone_from(&record.points_mm);
+        self.rest_variance_mm2.clone_from(&record.variance_mm2);
+        // The least certain direction is the normal's, nearly.
+        self.covariance_mm2.clear();
+        self.covariance_mm2.extend(
+            record
+                .variance_mm2
+                .iter()
+                .map(|&variance| [[variance, 0.0, 0.0], [0.0, variance, 0.0], [0.0, 0.0, variance]]),
+        );
+        (self.frames, self.resumes) = (1, true);
+        self.rest_on(rest)
+    }
+
+    fn check_record(&self, record: &RestRecord) -> Result<(), RestRecordError> {
+        record.validate()?;
+        if record.rig != *self.rig() {
+            return Err(RestRecordError::Rig);
+        }
+        // Where a marker is searched for says nothing of where it is.
+        let detect = |params: &DetectParams| DetectParams { search: Search::Whole, ..params.clone() };
+        for (table, same) in [
+            ("lattice", record.lattice == self.params.lattice),
+            ("detect", detect(&record.detect) == detect(&self.params.detect)),
+            ("triangulate", record.triangulate == self.params.triangulate),
+        ] {
+            if !same {
+                return Err(RestRecordError::Settings { table });
+            }
+        }
+        Ok(())
+    }
+}

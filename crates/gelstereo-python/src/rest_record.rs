@@ -1,0 +1,113 @@
+//! Recorded rest frames.
+
+use crate::arrays::{self, Array1, Matrix};
+use crate::contact::RestSurface;
+use crate::errors::{ContactError, raise};
+use crate::rig::Rig;
+use crate::tree;
+use gelstereo_core::contact::RestSurface as Surface;
+use gelstereo_core::pipeline as core;
+use pyo3::prelude::*;
+use pyo3::types::PyType;
+use std::path::PathBuf;
+
+/// A sensor's rest state, by which a `Pipeline` may begin while something touches the gel; a value that never
+/// changes.
+///
+/// `Pipeline.rest_record` makes it, `Pipeline.resume` takes it. It is good for as long as gel and cameras
+/// stay where they are in the sensor.
+#[pyclass(frozen, module = "gelstereo", eq)]
+#[derive(PartialEq)]
+pub struct RestRecord {
+    pub inner: core::RestRecord,
+}
+
+impl RestRecord {
+    fn checked(inner: core::RestRecord) -> PyResult<Self> {
+        inner.validate().map_err(raise)?;
+        Ok(Self { inner })
+    }
+}
+
+#[pymethods]
+impl RestRecord {
+    /// Markers from top to bottom.
+    #[getter]
+    const fn rows(&self) -> usize {
+        self.inner.rows
+    }
+
+    /// Markers from left to right.
+    #[getter]
+    const fn cols(&self) -> usize {
+        self.inner.cols
+    }
+
+    /// The rest surface.
+    #[getter]
+    fn rest(&self) -> PyResult<RestSurface> {
+        Ok(RestSurface::from_core(Surface::new(&self.inner.points_mm).map_err(raise)?))
+    }
+
+    /// The rig that it was measured with.
+    #[getter]
+    fn rig(&self) -> Rig {
+        Rig { inner: self.inner.rig.clone() }
+    }
+
+    /// (N, 2) positions in the left image.
+    #[getter]
+    fn left_px(&self, py: Python<'_>) -> PyResult<Matrix> {
+        arrays::rows::<_, 2>(py, self.inner.left.positions_px.clone())
+    }
+
+    /// (N, 2) positions in the right image.
+    #[getter]
+    fn right_px(&self, py: Python<'_>) -> PyResult<Matrix> {
+        arrays::rows::<_, 2>(py, self.inner.right.positions_px.clone())
+    }
+
+    /// (N,) bool, whether both views of the rest frame showed the marker.
+    #[getter]
+    fn shown(&self, py: Python<'_>) -> Array1<bool> {
+        let both = self.inner.left.shown.iter().zip(&self.inner.right.shown).map(|(&l, &r)| l && r);
+        arrays::list(py, both.collect())
+    }
+
+    /// A record from TOML text.
+    ///
+    /// Raises
+    /// ------
+    /// ContactError
+    ///     Naming the line, or the list that is damaged.
+    #[classmethod]
+    fn from_toml(_cls: &Bound<'_, PyType>, text: &str) -> PyResult<Self> {
+        Self::checked(tree::from_toml(text).map_err(ContactError::new_err)?)
+    }
+
+    /// The record as TOML text; `from_toml` gives back an equal value.
+    fn to_toml(&self) -> PyResult<String> {
+        tree::to_toml(&self.inner).map_err(ContactError::new_err)
+    }
+
+    /// A record from a TOML file; see `from_toml`.
+    #[classmethod]
+    fn load(cls: &Bound<'_, PyType>, path: PathBuf) -> PyResult<Self> {
+        let text = tree::read(cls.py(), path.clone())?;
+        Self::from_toml(cls, &text).map_err(|error| tree::in_file(cls.py(), &error, &path))
+    }
+
+    /// Write the record to a TOML file.
+    fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
+        tree::write(py, path, &self.to_toml()?)
+    }
+
+    fn __repr__(&self) -> String {
+        let markers = self.inner.rows * self.inner.cols;
+        format!("<RestRecord: {} rows x {} columns, {markers} markers>", self.inner.rows, self.inner.cols)
+    }
+
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (String,))> {
+        Ok((py.get_type::<Self>().getattr("from_toml")?, (self.to_toml()?,)))
+    }
+}
