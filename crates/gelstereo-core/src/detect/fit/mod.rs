@@ -13,6 +13,8 @@ mod noise;
 mod solve;
 
 pub use noise::Noise;
+pub(super) use noise::NoiseMeter;
+pub(super) use solve::Factor;
 
 use super::Markers;
 use super::components::Most;
@@ -25,8 +27,6 @@ use alloc::vec::Vec;
 use disc::{Levels, Outline, Window};
 use edge::Edge;
 use influence::Influence;
-use noise::NoiseMeter;
-use solve::Factor;
 
 /// Gel around the outline that takes part: farther pixels say nothing of the edge and little of the light.
 const REACH_PX: f64 = 3.5;
@@ -166,7 +166,7 @@ impl DiscFit {
 
     /// Learns noise and blur of an image from its gel (`mask` is 0 there) and some of its markers.
     pub fn learn(&mut self, image: GrayView<'_>, mask: &[u8], starts: &[Start]) {
-        self.noise = self.meter.run(image, mask).unwrap_or_default();
+        self.noise = self.meter.run(image, mask, 1).unwrap_or_default();
         self.blur_px = self.given_blur_px.unwrap_or(FIRST_BLUR_PX);
         self.radius_off_px = 0.0;
         self.edge.weigh(self.blur_px, &self.noise);

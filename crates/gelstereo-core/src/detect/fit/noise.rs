@@ -72,7 +72,7 @@ impl Noise {
 
 /// Measures [`Noise`], with its scratch.
 #[derive(Clone, Debug, Default)]
-pub(super) struct NoiseMeter {
+pub(in crate::detect) struct NoiseMeter {
     /// Non-zero where a row's pixel is near a marker.
     near: Vec<u8>,
     /// One value per row and lag.
@@ -80,23 +80,37 @@ pub(super) struct NoiseMeter {
 }
 
 impl NoiseMeter {
-    /// From all pixels of `image` (faint grain shows in no fewer) that lie [`CLEARANCE_PX`] off the set pixels of `mask`: medians over the rows, which
-    /// a scratch or a smear does not reach. `None` when there is no such gel.
-    pub fn run(&mut self, image: GrayView<'_>, mask: &[u8]) -> Option<Noise> {
+    /// From the pixels of every so many rows of `image` (faint grain shows in no fewer than all) that lie [`CLEARANCE_PX`]
+    /// off the set pixels of `mask`: medians over the rows, which a scratch or a smear does not reach. `None` when there is
+    /// no such gel.
+    pub fn run(&mut self, image: GrayView<'_>, mask: &[u8], every: usize) -> Option<Noise> {
+        let width = image.width();
+        self.run_rows(image, every, |rows, near| {
+            // A marker is at least two rows high.
+            for row in rows.step_by(2) {
+                for (near, &set) in near.iter_mut().zip(&mask[row * width..]) {
+                    *near |= set;
+                }
+            }
+        })
+    }
+
+    /// As [`Self::run`]; `cover` sets the pixels of one row that have some of the mask in the same column of these rows.
+    pub fn run_rows(
+        &mut self,
+        image: GrayView<'_>,
+        every: usize,
+        mut cover: impl FnMut(core::ops::RangeInclusive<usize>, &mut [u8]),
+    ) -> Option<Noise> {
         let (width, height) = (image.width(), image.height());
         for rows in &mut self.rows {
             rows.clear();
             rows.reserve(height);
         }
-        for y in CLEARANCE_PX..height.saturating_sub(CLEARANCE_PX) {
+        for y in (CLEARANCE_PX..height.saturating_sub(CLEARANCE_PX)).step_by(every) {
             self.near.clear();
             self.near.resize(width, 0);
-            // A marker is at least two rows high.
-            for row in (y - CLEARANCE_PX..=y + CLEARANCE_PX).step_by(2) {
-                for (near, &set) in self.near.iter_mut().zip(&mask[row * width..]) {
-                    *near |= set;
-                }
-            }
+            cover(y - CLEARANCE_PX..=y + CLEARANCE_PX, &mut self.near);
             self.row(image.row(y));
         }
         let mut variogram = [0.0; 3];

@@ -1,0 +1,194 @@
+//! Centres by one step of a matched template: weights that were made once say how far a blurred disc is from where it
+//! was thought to be.
+//!
+//! The weights are those of the best linear unbiased estimator of the displacement in the image's noise and grain, for a
+//! disc of that radius and blur at the nearest of 4 x 4 places within a pixel (Lucas and Kanade's step with the template's
+//! slopes instead of the image's: Baker and Matthews, "Lucas-Kanade 20 years on", IJCV 2004, section 3.2). Its sums are of
+//! whole numbers. They do not answer to contrast, ground, slope of light, radius, stretch and blur, and what is left of a
+//! displacement after a step is of third order in it.
+
+mod correlate;
+mod design;
+mod disc;
+mod learn;
+mod tables;
+
+use super::Markers;
+use super::fit::Noise;
+use crate::image::GrayView;
+use crate::math::linalg::Symmetric;
+use crate::math::{DVec2, floor, sqrt};
+use crate::params::{DetectParams, Polarity};
+use correlate::Patch;
+use tables::{Kind, PLACES, Set, Tables};
+
+/// Steps at most. A binary centroid needs one, a prediction two or three.
+const MOST_STEPS: usize = 4;
+/// A displacement from the weights' own place below which a step is the last: what is left is below 0.005 px.
+const SETTLED_PX: f64 = 0.4;
+/// Responses beyond this are no displacements.
+const MOST_RESPONSE_PX: f64 = 1.5;
+/// Least contrast over the standard deviation of a pixel.
+const LEAST_CONTRAST: f64 = 1.0;
+/// Rms of what noise and model leave over the contrast, above which the patch is no single whole disc.
+pub(crate) const MOST_MISFIT: f64 = 0.12;
+
+/// A marker's centre by a matched step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Refined {
+    /// Centre, pixels.
+    pub centre_px: DVec2,
+    /// Its covariance, px², from the image's noise and grain.
+    pub covariance_px2: Symmetric<2>,
+    /// Level of the dot less that of the gel, grey levels.
+    pub contrast_levels: f64,
+    /// Rms of what the disc leaves of the levels, noise and grain taken off, over the contrast. Below [`MOST_MISFIT`] for
+    /// one whole marker; neighbours within the support, merged pairs, covered halves and smears have more.
+    pub misfit: f64,
+}
+
+/// The step, the weights made so far, and what was last learned of an image.
+#[derive(Clone, Debug)]
+pub(crate) struct Matched {
+    given_blur_px: Option<f64>,
+    bright: bool,
+    noise: Noise,
+    blur_px: f64,
+    /// Radius of discs less that of components of the same area.
+    radius_off_px: f64,
+    tables: Tables,
+    samples: learn::Samples,
+}
+
+/// Where the weights of one step lie, and their answer.
+struct Step {
+    set: usize,
+    place: usize,
+    /// First column and row of the support.
+    first: (usize, usize),
+    at_px: DVec2,
+    moved_px: DVec2,
+    contrast: f64,
+}
+
+impl Matched {
+    /// With these settings.
+    pub fn new(params: &DetectParams) -> Self {
+        Self {
+            given_blur_px: params.fit.blur_px,
+            bright: params.polarity == Polarity::Bright,
+            noise: Noise::default(),
+            blur_px: learn::FIRST_BLUR_PX,
+            radius_off_px: 0.0,
+            tables: Tables::default(),
+            samples: learn::Samples::default(),
+        }
+    }
+
+    /// Learns blur and radius of an image's discs from some of its markers, given by their approximate centres and areas,
+    /// and chooses the weights for that, for its noise and for the distance of neighbours. What was learned serves later
+    /// images of the same camera and light.
+    pub fn prepare(&mut self, image: GrayView<'_>, noise: Noise, markers: &Markers) {
+        self.noise = noise;
+        self.learn(image, markers);
+    }
+
+    /// Radius of a disc whose component has this area.
+    pub fn radius_px(&self, area_px2: u32) -> f64 {
+        sqrt(f64::from(area_px2) * core::f64::consts::FRAC_1_PI) + self.radius_off_px
+    }
+
+    /// Replaces centre and covariance of a marker of the list, of which centre and area are known; whether it could.
+    pub fn replace(&mut self, image: GrayView<'_>, index: usize, markers: &mut Markers) -> bool {
+        let (near_px, radius_px) = (markers.centres_px[index], self.radius_px(markers.area_px2[index]));
+        let found = self.refine(image, near_px, radius_px).filter(|refined| refined.misfit <= MOST_MISFIT);
+        match found {
+            Some(refined) => {
+                markers.centres_px[index] = refined.centre_px;
+                markers.covariance_px2[index] = refined.covariance_px2;
+            }
+            None => markers.unfitted += 1,
+        }
+        found.is_some()
+    }
+
+    /// Finds the disc of about this radius whose centre lies within about a pixel of `near_px`. `None` where the support
+    /// leaves the image, nothing of that polarity is there, or steps do not settle.
+    #[inline]
+    pub fn refine(&mut self, image: GrayView<'_>, near_px: DVec2, radius_px: f64) -> Option<Refined> {
+        let mut near = near_px;
+        for _ in 0..MOST_STEPS {
+            let step = self.step(image, near, radius_px)?;
+            near = step.at_px + step.moved_px;
+            if step.moved_px.length_squared() <= SETTLED_PX * SETTLED_PX {
+                return Some(self.judge(image, &step));
+            }
+        }
+        None
+    }
+
+    #[inline]
+    fn step(&mut self, image: GrayView<'_>, near_px: DVec2, radius_px: f64) -> Option<Step> {
+        let index = self.tables.find(radius_px)?;
+        let set = self.tables.set(index);
+        let (place, first, at_px) = locate(image, set, near_px)?;
+        let patch = Patch { image, first, side: set.side };
+        let kernel = |kind| self.tables.kernel(set, place, kind);
+        let kernels = [kernel(Kind::X), kernel(Kind::Y), kernel(Kind::Contrast)];
+        let [x, y, contrast] = patch.correlate(set.columns, kernels).map(f64::from);
+        let contrast = contrast * set.contrast_per_unit;
+        let toward = if self.bright { contrast } else { -contrast };
+        if !(toward * toward > LEAST_CONTRAST * LEAST_CONTRAST * self.noise.variance_levels2()
+            && toward > 0.0)
+        {
+            return None;
+        }
+        let response = DVec2::new(x, y) * (set.px_per_unit / contrast);
+        let long2 = response.length_squared();
+        if !(long2 <= MOST_RESPONSE_PX * MOST_RESPONSE_PX) {
+            return None;
+        }
+        let moved_px = response * (1.0 + set.bend_per_px2 * long2);
+        Some(Step { set: index, place, first, at_px, moved_px, contrast })
+    }
+
+    #[inline]
+    fn judge(&self, image: GrayView<'_>, step: &Step) -> Refined {
+        let set = self.tables.set(step.set);
+        let patch = Patch { image, first: step.first, side: set.side };
+        let kernel = self.tables.kernel(set, step.place, Kind::Share);
+        // 64 and WHOLE are 2^16.
+        let contrast = (64.0 * step.contrast).clamp(-16383.0, 16383.0) as i16;
+        let (sum, square) = patch.residual(set.columns, kernel, self.tables.mask(set), contrast);
+        let pixels = f64::from(set.pixels);
+        let (sum, square) = (f64::from(sum), f64::from(square));
+        let left2 = (square - sum * sum / pixels) / (pixels - 1.0) - self.noise.variance_levels2();
+        let per_contrast2 = 1.0 / (step.contrast * step.contrast);
+        let variance = set.variance(&self.noise) * per_contrast2;
+        Refined {
+            centre_px: step.at_px + step.moved_px,
+            covariance_px2: [[variance, 0.0], [0.0, variance]],
+            contrast_levels: step.contrast,
+            misfit: sqrt(left2.max(0.0) * per_contrast2),
+        }
+    }
+}
+
+/// The place within its pixel that is nearest, the support's first pixel, and where that place is; `None` where the support
+/// leaves the image.
+#[inline]
+fn locate(image: GrayView<'_>, set: &Set, near_px: DVec2) -> Option<(usize, (usize, usize), DVec2)> {
+    let axis = |at: f64, size: usize| {
+        let quarter = floor((at + 0.5) * PLACES as f64);
+        let half = (set.side / 2) as f64;
+        let pixel = floor(quarter / PLACES as f64);
+        if !(pixel >= half && pixel + half < size as f64) {
+            return None;
+        }
+        let middle = (quarter + 0.5) / PLACES as f64 - 0.5;
+        Some(((quarter - pixel * PLACES as f64) as usize, (pixel - half) as usize, middle))
+    };
+    let ((column, x, at_x), (row, y, at_y)) =
+        (axis(near_px.x, image.width())?, axis(near_px.y, image.height())?);
+    Some((row * PLACES + column, (x, y), DVec2::new(at_x, at_y)))
+}
