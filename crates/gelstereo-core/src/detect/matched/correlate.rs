@@ -1,91 +1,96 @@
-//! Sums of products of levels with weights, in whole numbers: plain loops over rows of fixed width.
+//! Sums of products of levels with weights, in whole numbers. Plain loops, of the kind that compilers turn into vector
+//! instructions.
 
+use super::design::MOST_SIDE_PX;
 use crate::image::GrayView;
 
-/// Widest row of weights.
-pub(super) const MOST_COLUMNS: usize = 32;
+/// Numbers that are multiplied at once.
+const BLOCK: usize = 32;
+/// Pixels that are widened at once.
+const EIGHT: usize = 8;
+/// Most numbers of a patch.
+const MOST: usize = (MOST_SIDE_PX + 1) * BLOCK;
 
-/// Where a support lies in an image.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Patch<'a> {
-    pub image: GrayView<'a>,
-    /// First column and row, and pixels on a side; all lie within the image.
-    pub first: (usize, usize),
-    pub side: usize,
+/// Columns of a patch of this side, with those that fill rows up to whole eights.
+pub(super) const fn columns(side: usize) -> usize {
+    side.next_multiple_of(EIGHT)
 }
 
-impl Patch<'_> {
-    /// Sums of the products of the levels with each kernel, in rows of `columns` numbers (a multiple of eight).
-    #[inline]
-    pub fn correlate<const N: usize>(&self, columns: usize, kernels: [&[i16]; N]) -> [i32; N] {
-        match columns {
-            8 => self.correlate_rows::<N, 8>(kernels),
-            16 => self.correlate_rows::<N, 16>(kernels),
-            24 => self.correlate_rows::<N, 24>(kernels),
-            _ => self.correlate_rows::<N, MOST_COLUMNS>(kernels),
-        }
-    }
+/// Numbers of a patch of this side: whole blocks.
+pub(super) const fn numbers(side: usize) -> usize {
+    (side * columns(side)).next_multiple_of(BLOCK)
+}
 
-    fn correlate_rows<const N: usize, const WIDTH: usize>(&self, kernels: [&[i16]; N]) -> [i32; N] {
-        let kernels = kernels.map(|kernel| kernel.as_chunks::<WIDTH>().0);
-        let mut sums = [[0_i32; 4]; N];
-        for row in 0..self.side {
-            let levels: [i16; WIDTH] = self.row(row).map(i16::from);
-            for (sums, kernel) in sums.iter_mut().zip(kernels) {
-                add_products(sums, &levels, &kernel[row]);
+/// Levels of a square of pixels, row by row; what fills up has no weight.
+#[derive(Clone, Debug)]
+pub(super) struct Patch {
+    levels: [[i16; BLOCK]; MOST / BLOCK],
+    rest: [[i16; BLOCK]; MOST / BLOCK],
+}
+
+impl Default for Patch {
+    fn default() -> Self {
+        Self { levels: [[0; BLOCK]; MOST / BLOCK], rest: [[0; BLOCK]; MOST / BLOCK] }
+    }
+}
+
+impl Patch {
+    /// Copies the square whose first pixel is `first`; all of it lies within the image.
+    #[inline]
+    pub fn load(&mut self, image: GrayView<'_>, (x, y): (usize, usize), side: usize) {
+        let columns = columns(side);
+        let rows = self.levels.as_flattened_mut().chunks_exact_mut(columns);
+        for (row, to) in rows.take(side).enumerate() {
+            let from = &image.row(y + row)[x..];
+            if let Some(from) = from.get(..columns) {
+                widen(from, to);
+            } else {
+                // The image ends here, and no weight lies beyond.
+                to.iter_mut().zip(from).for_each(|(to, &from)| *to = i16::from(from));
             }
         }
-        sums.map(|sums| sums.iter().fold(0, |all: i32, &sum| all.wrapping_add(sum)))
     }
 
-    /// Σ r and Σ r² of what is left of the levels without a disc of this contrast, over the pixels of the mask.
+    /// Sum of the products of the levels with a kernel.
     #[inline]
-    pub fn residual(&self, columns: usize, share: &[i16], mask: &[i16], contrast: i16) -> (i32, i32) {
-        match columns {
-            8 => self.residual_rows::<8>(share, mask, contrast),
-            16 => self.residual_rows::<16>(share, mask, contrast),
-            24 => self.residual_rows::<24>(share, mask, contrast),
-            _ => self.residual_rows::<MOST_COLUMNS>(share, mask, contrast),
-        }
+    pub fn correlate(&self, kernel: &[i16]) -> i32 {
+        product(&self.levels, kernel.as_chunks().0)
     }
 
-    fn residual_rows<const WIDTH: usize>(&self, share: &[i16], mask: &[i16], contrast: i16) -> (i32, i32) {
-        let (share, mask) = (share.as_chunks::<WIDTH>().0, mask.as_chunks::<WIDTH>().0);
-        let (mut sums, mut squares) = ([0_i32; 4], [0_i32; 4]);
-        for row in 0..self.side {
-            let levels = self.row::<WIDTH>(row);
-            let (share, mask) = (&share[row], &mask[row]);
-            let left: [i16; WIDTH] = core::array::from_fn(|k| {
-                let disc = (i32::from(share[k]) * i32::from(contrast)) >> 16;
-                i16::from(levels[k]).wrapping_sub(disc as i16) & mask[k]
-            });
-            add_products(&mut sums, &left, mask);
-            add_products(&mut squares, &left, &left);
-        }
-        let all = |sums: [i32; 4]| sums.iter().fold(0, |all: i32, &sum| all.wrapping_add(sum));
-        (all(sums).wrapping_neg(), all(squares))
-    }
-
-    /// A row's levels; beyond the image's right border, where no weight is, zero.
+    /// Σ r and Σ r² of what a disc of this contrast leaves of the levels, over the pixels where the mask is -1.
     #[inline]
-    fn row<const WIDTH: usize>(&self, row: usize) -> [u8; WIDTH] {
-        let row = &self.image.row(self.first.1 + row)[self.first.0..];
-        row.first_chunk().copied().unwrap_or_else(|| {
-            let mut padded = [0; WIDTH];
-            padded[..row.len()].copy_from_slice(row);
-            padded
-        })
+    pub fn residual(&mut self, share: &[i16], mask: &[i16], contrast: i16) -> (i32, i32) {
+        let (share, mask) = (share.as_chunks::<BLOCK>().0, mask.as_chunks::<BLOCK>().0);
+        for (((rest, levels), share), mask) in self.rest.iter_mut().zip(&self.levels).zip(share).zip(mask) {
+            for k in 0..BLOCK {
+                let disc = share[k].wrapping_mul(contrast) >> super::tables::SHARE_BITS;
+                rest[k] = levels[k].wrapping_sub(disc) & mask[k];
+            }
+        }
+        (product(&self.rest, mask).wrapping_neg(), product(&self.rest, &self.rest[..mask.len()]))
     }
 }
 
-/// Adds products of neighbours in pairs, as vector instructions do.
+/// Bytes to numbers, eight by eight.
 #[inline]
-fn add_products<const WIDTH: usize>(sums: &mut [i32; 4], a: &[i16; WIDTH], b: &[i16; WIDTH]) {
-    let ((a, _), (b, _)) = (a.as_chunks::<8>(), b.as_chunks::<8>());
-    for (a, b) in a.iter().zip(b) {
-        for (k, sum) in sums.iter_mut().enumerate() {
-            let product = |k: usize| i32::from(a[k]) * i32::from(b[k]);
-            *sum = sum.wrapping_add(product(2 * k).wrapping_add(product(2 * k + 1)));
+fn widen(from: &[u8], to: &mut [i16]) {
+    for (from, to) in from.as_chunks::<EIGHT>().0.iter().zip(to.as_chunks_mut::<EIGHT>().0) {
+        for k in 0..EIGHT {
+            to[k] = i16::from(from[k]);
         }
     }
+}
+
+/// Σ a b over the shorter of the two.
+#[inline(never)]
+fn product(a: &[[i16; BLOCK]], b: &[[i16; BLOCK]]) -> i32 {
+    let mut sum = 0_i32;
+    for (a, b) in a.iter().zip(b) {
+        let mut block = 0_i32;
+        for k in 0..BLOCK {
+            block = block.wrapping_add(i32::from(a[k]) * i32::from(b[k]));
+        }
+        sum = sum.wrapping_add(block);
+    }
+    sum
 }

@@ -154,7 +154,7 @@ impl Design {
     pub fn gains(&mut self, support: Support, sizes_px: &[f64; 3]) -> [f64; 4] {
         let white = dot(&self.weights.x, &self.weights.x);
         let mut grain = sizes_px.map(|grain_size_px| {
-            let noise = Noise { white_levels2: 0.0, grain_levels2: 1.0, grain_size_px };
+            let noise = Noise { white_levels2: 0.0, grain_levels2: 1.0, grain_size_px, gel_level: 0.0 };
             self.covariance.exactly(support, &noise);
             let Gradients { image, rows, .. } = &mut self.scratch;
             self.covariance.times(&self.weights.x, image, rows);

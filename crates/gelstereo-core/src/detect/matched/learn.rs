@@ -1,7 +1,6 @@
 //! What an image's discs have in common, from some of them.
 
-use super::correlate::Patch;
-use super::tables::{Conditions, Kind};
+use super::tables::{Conditions, Kind, REACH_PX};
 use super::{Matched, locate};
 use crate::detect::Markers;
 use crate::image::GrayView;
@@ -9,15 +8,12 @@ use crate::math::{DVec2, median};
 use alloc::vec::Vec;
 
 /// Markers that are looked at, spread evenly over the list.
-const SAMPLES: usize = 16;
+const SAMPLES: usize = 32;
 const ROUNDS: usize = 3;
 /// A pixel's own width and a little defocus.
 pub(super) const FIRST_BLUR_PX: f64 = 0.8;
 /// Blurs that are believed.
 const BLURS_PX: core::ops::RangeInclusive<f64> = 0.4..=5.0;
-/// Gel around the outline that takes part, at most and at least: farther pixels say little of the light.
-const MOST_REACH_PX: f64 = 3.0;
-const LEAST_REACH_PX: f64 = 1.0;
 
 /// Scratch.
 #[derive(Clone, Debug, Default)]
@@ -43,10 +39,11 @@ impl Matched {
         let usual_px2 = median(&mut self.samples.radius).unwrap_or(0.0);
         for round in 0..=ROUNDS {
             let usual_px = self.radius_px(usual_px2 as u32);
-            let reach_px = (half_way_px - usual_px).min(MOST_REACH_PX);
             self.blur_px = blur_px;
-            let reach_px = reach_px.max(LEAST_REACH_PX);
-            self.tables.choose(Conditions::new(blur_px, reach_px, &self.noise, self.bright));
+            let widest_px =
+                if half_way_px > 1.25 * usual_px + REACH_PX { f64::INFINITY } else { half_way_px };
+            self.tables.choose(Conditions::new(blur_px, widest_px, &self.noise, self.bright), &self.noise);
+
             if round == ROUNDS {
                 break;
             }
@@ -73,12 +70,13 @@ impl Matched {
     fn form(&mut self, image: GrayView<'_>, near_px: DVec2, radius_px: f64) -> Option<(f64, f64)> {
         let step = self.step(image, near_px, radius_px)?;
         let set = self.tables.set(step.set);
-        let (place, first, _) = locate(image, set, step.at_px + step.moved_px)?;
-        let patch = Patch { image, first, side: set.side };
-        let kernel = |kind| self.tables.kernel(set, place, kind);
-        let kernels = [kernel(Kind::Radius), kernel(Kind::Blur)];
-        let form = patch.correlate(set.columns, kernels).map(f64::from);
-        let [wider, blurred] = form.map(|sum| sum * set.form_per_unit / step.contrast);
+        let (place, first, _) = locate(image, set.side, step.at_px + step.moved_px)?;
+        self.patch.load(image, first, set.side);
+        let of = |kind| {
+            let sum = f64::from(self.patch.correlate(self.tables.kernel(set, place, kind)));
+            sum * set.form_per_unit / step.contrast
+        };
+        let (wider, blurred) = (of(Kind::Radius), of(Kind::Blur));
         Some((set.radius_px + wider, self.tables.conditions().blur_px() + blurred))
     }
 }

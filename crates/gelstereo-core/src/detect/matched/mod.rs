@@ -17,15 +17,19 @@ use super::Markers;
 use super::fit::Noise;
 use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
-use crate::math::{DVec2, floor, sqrt};
+use crate::math::{DVec2, round_even, sqrt};
 use crate::params::{DetectParams, Polarity};
 use correlate::Patch;
-use tables::{Kind, PLACES, Set, Tables};
+use tables::{Kind, PLACES, Tables};
 
 /// Steps at most. A binary centroid needs one, a prediction two or three.
 const MOST_STEPS: usize = 4;
 /// A displacement from the weights' own place below which a step is the last: what is left is below 0.005 px.
 const SETTLED_PX: f64 = 0.4;
+/// The same for later steps, which begin near a place of the weights.
+const SETTLED_LATER_PX: f64 = 0.4;
+/// Standard deviations of what noise leaves that are chance.
+const CHANCE: f64 = 3.0;
 /// Responses beyond this are no displacements.
 const MOST_RESPONSE_PX: f64 = 1.5;
 /// Least contrast over the standard deviation of a pixel.
@@ -57,6 +61,7 @@ pub(crate) struct Matched {
     /// Radius of discs less that of components of the same area.
     radius_off_px: f64,
     tables: Tables,
+    patch: Patch,
     samples: learn::Samples,
 }
 
@@ -64,11 +69,10 @@ pub(crate) struct Matched {
 struct Step {
     set: usize,
     place: usize,
-    /// First column and row of the support.
-    first: (usize, usize),
     at_px: DVec2,
     moved_px: DVec2,
     contrast: f64,
+    variances: [f64; 2],
 }
 
 impl Matched {
@@ -81,6 +85,7 @@ impl Matched {
             blur_px: learn::FIRST_BLUR_PX,
             radius_off_px: 0.0,
             tables: Tables::default(),
+            patch: Patch::default(),
             samples: learn::Samples::default(),
         }
     }
@@ -116,60 +121,61 @@ impl Matched {
     /// leaves the image, nothing of that polarity is there, or steps do not settle.
     #[inline]
     pub fn refine(&mut self, image: GrayView<'_>, near_px: DVec2, radius_px: f64) -> Option<Refined> {
-        let mut near = near_px;
+        let (mut near, mut settled_px) = (near_px, SETTLED_PX);
         for _ in 0..MOST_STEPS {
             let step = self.step(image, near, radius_px)?;
             near = step.at_px + step.moved_px;
-            if step.moved_px.length_squared() <= SETTLED_PX * SETTLED_PX {
-                return Some(self.judge(image, &step));
+            if step.moved_px.length_squared() <= settled_px * settled_px {
+                return Some(self.judge(&step));
             }
+            settled_px = SETTLED_LATER_PX;
         }
         None
     }
 
     #[inline]
     fn step(&mut self, image: GrayView<'_>, near_px: DVec2, radius_px: f64) -> Option<Step> {
-        let index = self.tables.find(radius_px)?;
+        let (index, variances) = self.tables.find(radius_px)?;
         let set = self.tables.set(index);
-        let (place, first, at_px) = locate(image, set, near_px)?;
-        let patch = Patch { image, first, side: set.side };
-        let kernel = |kind| self.tables.kernel(set, place, kind);
-        let kernels = [kernel(Kind::X), kernel(Kind::Y), kernel(Kind::Contrast)];
-        let [x, y, contrast] = patch.correlate(set.columns, kernels).map(f64::from);
-        let contrast = contrast * set.contrast_per_unit;
+        let (place, first, at_px) = locate(image, set.side, near_px)?;
+        self.patch.load(image, first, set.side);
+        let sum = |kind| f64::from(self.patch.correlate(self.tables.kernel(set, place, kind)));
+        let contrast = sum(Kind::Contrast) * set.contrast_per_unit;
         let toward = if self.bright { contrast } else { -contrast };
-        if !(toward * toward > LEAST_CONTRAST * LEAST_CONTRAST * self.noise.variance_levels2()
-            && toward > 0.0)
+        if !(toward > 0.0
+            && toward * toward > LEAST_CONTRAST * LEAST_CONTRAST * self.noise.variance_levels2())
         {
             return None;
         }
-        let response = DVec2::new(x, y) * (set.px_per_unit / contrast);
+        let response = DVec2::new(sum(Kind::X), sum(Kind::Y)) * (set.px_per_unit / contrast);
         let long2 = response.length_squared();
         if !(long2 <= MOST_RESPONSE_PX * MOST_RESPONSE_PX) {
             return None;
         }
         let moved_px = response * (1.0 + set.bend_per_px2 * long2);
-        Some(Step { set: index, place, first, at_px, moved_px, contrast })
+        Some(Step { set: index, place, at_px, moved_px, contrast, variances })
     }
 
+    /// Covariance and misfit after the last step.
     #[inline]
-    fn judge(&self, image: GrayView<'_>, step: &Step) -> Refined {
+    fn judge(&mut self, step: &Step) -> Refined {
         let set = self.tables.set(step.set);
-        let patch = Patch { image, first: step.first, side: set.side };
-        let kernel = self.tables.kernel(set, step.place, Kind::Share);
-        // 64 and WHOLE are 2^16.
-        let contrast = (64.0 * step.contrast).clamp(-16383.0, 16383.0) as i16;
-        let (sum, square) = patch.residual(set.columns, kernel, self.tables.mask(set), contrast);
-        let pixels = f64::from(set.pixels);
-        let (sum, square) = (f64::from(sum), f64::from(square));
-        let left2 = (square - sum * sum / pixels) / (pixels - 1.0) - self.noise.variance_levels2();
+        let (share, mask) = (self.tables.kernel(set, step.place, Kind::Share), self.tables.mask(set));
+        let whole = round_even(step.contrast).clamp(-255.0, 255.0) as i16;
+        let (sum, square) = self.patch.residual(share, mask, whole);
+        let (sum, square, pixels) = (f64::from(sum), f64::from(square), f64::from(set.pixels));
+        let left2 = (square - sum * sum / pixels) / (pixels - 1.0);
+        // What is left of the levels is the gel's.
+        let grain_share = self.noise.grain_share(sum / pixels);
+        let noise2 = self.noise.white_levels2 + grain_share * self.noise.grain_levels2;
+        let explained2 = noise2 * (1.0 + CHANCE * sqrt(2.0 / pixels));
         let per_contrast2 = 1.0 / (step.contrast * step.contrast);
-        let variance = set.variance(&self.noise) * per_contrast2;
+        let variance = (step.variances[0] + grain_share * step.variances[1]) * per_contrast2;
         Refined {
             centre_px: step.at_px + step.moved_px,
             covariance_px2: [[variance, 0.0], [0.0, variance]],
             contrast_levels: step.contrast,
-            misfit: sqrt(left2.max(0.0) * per_contrast2),
+            misfit: sqrt((left2 - explained2).max(0.0) * per_contrast2),
         }
     }
 }
@@ -177,16 +183,17 @@ impl Matched {
 /// The place within its pixel that is nearest, the support's first pixel, and where that place is; `None` where the support
 /// leaves the image.
 #[inline]
-fn locate(image: GrayView<'_>, set: &Set, near_px: DVec2) -> Option<(usize, (usize, usize), DVec2)> {
+fn locate(image: GrayView<'_>, side: usize, near_px: DVec2) -> Option<(usize, (usize, usize), DVec2)> {
+    let half = side as i64 / 2;
     let axis = |at: f64, size: usize| {
-        let quarter = floor((at + 0.5) * PLACES as f64);
-        let half = (set.side / 2) as f64;
-        let pixel = floor(quarter / PLACES as f64);
-        if !(pixel >= half && pixel + half < size as f64) {
+        // Positions below -1 become negative all the same.
+        let quarter = ((at + 1.5) * PLACES as f64) as i64 - PLACES as i64;
+        let pixel = quarter.div_euclid(PLACES as i64);
+        if !(pixel >= half && pixel + half < size as i64) {
             return None;
         }
-        let middle = (quarter + 0.5) / PLACES as f64 - 0.5;
-        Some(((quarter - pixel * PLACES as f64) as usize, (pixel - half) as usize, middle))
+        let middle = (quarter as f64 + 0.5) / PLACES as f64 - 0.5;
+        Some((quarter.rem_euclid(PLACES as i64) as usize, (pixel - half) as usize, middle))
     };
     let ((column, x, at_x), (row, y, at_y)) =
         (axis(near_px.x, image.width())?, axis(near_px.y, image.height())?);

@@ -1,5 +1,6 @@
 //! Weights as whole numbers for every disc and place within a pixel that an image has needed so far.
 
+use super::correlate::{columns, numbers};
 use super::design::{Design, MOST_SIDE_PX, Support, Weights};
 use super::disc::Disc;
 use crate::detect::fit::Noise;
@@ -21,8 +22,8 @@ pub(super) enum Kind {
 const KINDS: usize = 6;
 /// Largest weight: its products with levels fill 31 bits only for sums of more than 1000 pixels.
 const MOST_WEIGHT: f64 = 8191.0;
-/// The share of a disc is stored times this.
-pub(super) const WHOLE: f64 = 1024.0;
+/// The share of a disc is stored with so many fractional bits: its product with a contrast of 255 fits 16 bits.
+pub(super) const SHARE_BITS: u32 = 7;
 /// Room for numbers: a dozen discs 4 px wide at four places by four. Without room all are forgotten.
 const ROOM: usize = 1 << 18;
 const MOST_SETS: usize = 64;
@@ -33,15 +34,15 @@ const SIZES: [f64; 3] = [0.7, 1.0, 1.4];
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Conditions {
     blur: u8,
-    /// Half pixels of gel around the outline.
-    reach: u8,
+    /// Quarters of a pixel to the middle between neighbours; the most for far ones.
+    half_way: u8,
     grain: u8,
     grain_size: u8,
     bright: bool,
 }
 
 impl Conditions {
-    pub fn new(blur_px: f64, reach_px: f64, noise: &Noise, bright: bool) -> Self {
+    pub fn new(blur_px: f64, half_way_px: f64, noise: &Noise, bright: bool) -> Self {
         let step = |value: f64, first: f64, ratio: f64, most: f64| {
             round(ln(value / first) / ln(ratio)).clamp(0.0, most) as u8
         };
@@ -49,11 +50,17 @@ impl Conditions {
         let grain = if share < 0.03 { 0 } else { 1 + step(share, 0.125, 4.0, 3.0) };
         Self {
             blur: step(blur_px, LEAST_BLUR_PX, BLUR_STEP, 40.0),
-            reach: floor(2.0 * reach_px) as u8,
+            half_way: floor(4.0 * half_way_px) as u8,
             grain,
             grain_size: if grain == 0 { 2 } else { step(noise.grain_size_px, 0.7, 1.5, 5.0) },
             bright,
         }
+    }
+
+    /// Radius of the support of a disc: to the middle between neighbours at most, `None` if they are too near.
+    fn reach_px(self, radius_px: f64) -> Option<f64> {
+        let half_way = if self.half_way == u8::MAX { f64::INFINITY } else { 0.25 * f64::from(self.half_way) };
+        (half_way >= radius_px + LEAST_REACH_PX).then(|| half_way.min(radius_px + REACH_PX))
     }
 
     pub fn blur_px(self) -> f64 {
@@ -64,33 +71,27 @@ impl Conditions {
         let grain_levels2 =
             if self.grain == 0 { 0.0 } else { 0.125 * exp(f64::from(self.grain - 1) * ln(4.0)) };
         let grain_size_px = 0.7 * exp(f64::from(self.grain_size) * ln(1.5));
-        Noise { white_levels2: 1.0, grain_levels2, grain_size_px }
+        Noise { white_levels2: 1.0, grain_levels2, grain_size_px, gel_level: 0.0 }
     }
 }
 
+/// Gel around the outline that takes part, at most and at least: farther pixels say little of the light.
+pub(super) const REACH_PX: f64 = 3.0;
+const LEAST_REACH_PX: f64 = 1.0;
 const LEAST_BLUR_PX: f64 = 0.4;
 const BLUR_STEP: f64 = 1.12;
 
-/// Steps of the radius: a quarter of a pixel up to 4 px, and a sixteenth of it beyond.
-pub(super) fn radius_step(radius_px: f64) -> usize {
-    let steps = if radius_px < 4.0 { 4.0 * radius_px } else { 16.0 + 16.0 * ln(radius_px / 4.0) };
-    round(steps.clamp(0.0, (RADII - 1) as f64)) as usize
-}
-
-fn stepped_radius_px(step: usize) -> f64 {
-    if step < 16 { 0.25 * step as f64 } else { 4.0 * exp((step as f64 - 16.0) / 16.0) }
-}
-
-const RADII: usize = 40;
+/// Steps of the radius, and their number.
+const RADIUS_STEP_PX: f64 = 0.25;
+const RADII: usize = 60;
 
 /// The weights of one disc.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Set {
     conditions: Conditions,
     radius: u8,
-    /// Pixels on a side, and columns with those of no weight that fill rows up to a multiple of eight.
+    /// Pixels on a side.
     pub side: usize,
-    pub columns: usize,
     /// Pixels that count.
     pub pixels: u32,
     first: usize,
@@ -106,19 +107,30 @@ pub(super) struct Set {
 }
 
 impl Set {
-    /// Variance of one coordinate, px², for a contrast of one level.
-    pub fn variance(&self, noise: &Noise) -> f64 {
+    /// Variances of one coordinate for a contrast of one level, px²: from white noise and from grain.
+    fn variances(&self, noise: &Noise) -> [f64; 2] {
         let [white, grain @ ..] = self.gains;
         // Lagrange's parabola over the logarithm of the size.
-        let at = |k: usize| ln(SIZES[k]);
-        let size = ln(noise.grain_size_px / self.grain_size_px).clamp(2.0 * at(0), 2.0 * at(2));
+        let at = SIZES.map(ln);
+        let size = ln(noise.grain_size_px / self.grain_size_px).clamp(2.0 * at[0], 2.0 * at[2]);
         let mut gain = 0.0;
         for k in 0..3 {
-            let others = (0..3).filter(|&j| j != k).map(|j| (size - at(j)) / (at(k) - at(j)));
+            let others = (0..3).filter(|&j| j != k).map(|j| (size - at[j]) / (at[k] - at[j]));
             gain += grain[k] * others.product::<f64>();
         }
-        white * noise.white_levels2 + gain.max(0.0) * noise.grain_levels2
+        [white * noise.white_levels2, gain.max(0.0) * noise.grain_levels2]
     }
+}
+
+/// What is known of a radius in the conditions that hold.
+#[derive(Clone, Copy, Debug, Default)]
+enum Known {
+    #[default]
+    Nothing,
+    /// There are no weights for it.
+    None,
+    /// Index of the set, and [`Set::variances`].
+    Set(usize, [f64; 2]),
 }
 
 /// All weights, and those of the conditions that hold.
@@ -127,42 +139,44 @@ pub(super) struct Tables {
     numbers: Vec<i16>,
     sets: Vec<Set>,
     conditions: Conditions,
-    /// For each radius: 0 for not looked for yet, 1 for none, else 2 more than the set's index.
-    by_radius: Vec<u8>,
+    noise: Noise,
+    by_radius: Vec<Known>,
     disc: Disc,
     design: Design,
 }
 
 impl Tables {
-    /// Chooses the conditions that hold from now on. Room is taken when first called.
-    pub fn choose(&mut self, conditions: Conditions) {
+    /// Chooses the conditions that hold from now on, and the noise of which variances follow. Room is taken when first
+    /// called.
+    pub fn choose(&mut self, conditions: Conditions, noise: &Noise) {
         if self.by_radius.is_empty() {
             self.numbers.reserve(ROOM);
             self.sets.reserve(MOST_SETS);
-            self.by_radius.resize(RADII, 0);
+            self.by_radius.resize(RADII, Known::Nothing);
             self.design.reserve();
-        } else if conditions != self.conditions {
-            self.by_radius.fill(0);
         }
-        self.conditions = conditions;
+        self.by_radius.fill(Known::Nothing);
+        (self.conditions, self.noise) = (conditions, *noise);
     }
 
     pub const fn conditions(&self) -> Conditions {
         self.conditions
     }
 
-    /// Index of the weights for a disc of this radius, made if need be; `None` if there are none for it.
+    /// Index of the weights for a disc of this radius, made if need be, and variances for a contrast of one level, px²:
+    /// from white noise and from grain. `None` if there are no weights.
     #[inline]
-    pub fn find(&mut self, radius_px: f64) -> Option<usize> {
-        let step = radius_step(radius_px);
-        match self.by_radius.get(step)? {
-            0 => {
-                let found = self.look(step);
-                self.by_radius[step] = found.map_or(1, |set| set as u8 + 2);
+    pub fn find(&mut self, radius_px: f64) -> Option<(usize, [f64; 2])> {
+        let step = (radius_px * (1.0 / RADIUS_STEP_PX) + 0.5) as usize;
+        match *self.by_radius.get(step)? {
+            Known::Set(set, variances) => Some((set, variances)),
+            Known::None => None,
+            Known::Nothing => {
+                let found = self.look(step).map(|set| (set, self.sets[set].variances(&self.noise)));
+                self.by_radius[step] =
+                    found.map_or(Known::None, |(set, variances)| Known::Set(set, variances));
                 found
             }
-            1 => None,
-            set => Some(usize::from(*set) - 2),
         }
     }
 
@@ -174,14 +188,14 @@ impl Tables {
     /// The weights of one kind for one place within the pixel.
     #[inline]
     pub fn kernel(&self, set: &Set, place: usize, kind: Kind) -> &[i16] {
-        let count = set.side * set.columns;
+        let count = numbers(set.side);
         &self.numbers[set.first + (place * KINDS + kind as usize) * count..][..count]
     }
 
     /// -1 where a pixel counts, otherwise 0.
     #[inline]
     pub fn mask(&self, set: &Set) -> &[i16] {
-        let count = set.side * set.columns;
+        let count = numbers(set.side);
         &self.numbers[set.first + PLACES * PLACES * KINDS * count..][..count]
     }
 
@@ -191,28 +205,30 @@ impl Tables {
     }
 
     fn make(&mut self, step: usize) -> Option<usize> {
-        let radius_px = stepped_radius_px(step);
-        let support = Support::new(radius_px + 0.5 * f64::from(self.conditions.reach));
+        let radius_px = RADIUS_STEP_PX * step as f64;
+        let support = Support::new(self.conditions.reach_px(radius_px)?);
         if !(radius_px >= 0.75 && support.side <= MOST_SIDE_PX) {
             return None;
         }
-        let (side, columns) = (support.side, support.side.next_multiple_of(8));
-        let count = side * columns;
+        let side = support.side;
+        let count = numbers(side);
         let needed = (PLACES * PLACES * KINDS + 1) * count;
         if self.sets.len() == MOST_SETS || self.numbers.len() + needed > ROOM {
             self.sets.clear();
             self.numbers.clear();
-            self.by_radius.fill(0);
+            self.by_radius.fill(Known::Nothing);
         }
         let first = self.numbers.len();
         self.numbers.resize(first + needed, 0);
-        let found = self.fill(first, support, columns, radius_px);
+        let found = self.fill(first, support, radius_px);
         let Some([px_per_unit, contrast_per_unit, form_per_unit, bend_per_px2, gains @ ..]) = found else {
             self.numbers.truncate(first);
             return None;
         };
         let mut pixels = 0;
-        for (row, numbers) in self.numbers[first + needed - count..].chunks_exact_mut(columns).enumerate() {
+        for (row, numbers) in
+            self.numbers[first + needed - count..].chunks_exact_mut(columns(side)).take(side).enumerate()
+        {
             for (column, number) in numbers[..side].iter_mut().enumerate() {
                 let half = support.half() as f64;
                 let inside = support.has(DVec2::new(column as f64 - half, row as f64 - half));
@@ -224,7 +240,6 @@ impl Tables {
             conditions: self.conditions,
             radius: step as u8,
             side,
-            columns,
             pixels,
             first,
             radius_px,
@@ -239,7 +254,7 @@ impl Tables {
     }
 
     /// Fills a set's kernels: units of displacement, contrast and form, bend and four gains.
-    fn fill(&mut self, first: usize, support: Support, columns: usize, radius_px: f64) -> Option<[f64; 8]> {
+    fn fill(&mut self, first: usize, support: Support, radius_px: f64) -> Option<[f64; 8]> {
         let noise = self.conditions.noise();
         self.disc.draw(radius_px, self.conditions.blur_px());
         let (mut units, mut bend, mut gains) = ([0.0; 3], 0.0, [0.0; 4]);
@@ -270,9 +285,9 @@ impl Tables {
             for (left, up) in mirrors {
                 let place = |at: usize, mirrored: bool| if mirrored { PLACES - 1 - at } else { at };
                 let place = place(row, up) * PLACES + place(column, left);
-                let count = support.side * columns;
-                let numbers = &mut self.numbers[first + place * KINDS * count..][..KINDS * count];
-                write(numbers, weights, &units, (support.side, columns), (left, up));
+                let count = numbers(support.side);
+                let kernels = &mut self.numbers[first + place * KINDS * count..][..KINDS * count];
+                write(kernels, weights, &units, support.side, (left, up));
             }
         }
         Some([units[0], units[1], units[2], bend, gains[0], gains[1], gains[2], gains[3]])
@@ -280,22 +295,16 @@ impl Tables {
 }
 
 /// Writes the kernels of one place, mirrored about the middle column, row or both.
-fn write(
-    numbers: &mut [i16],
-    weights: &Weights,
-    units: &[f64; 3],
-    (side, columns): (usize, usize),
-    (left, up): (bool, bool),
-) {
+fn write(kernels: &mut [i16], weights: &Weights, units: &[f64; 3], side: usize, (left, up): (bool, bool)) {
     let lists: [(&[f64], f64); KINDS] = [
         (&weights.x, if left { -1.0 } else { 1.0 } / units[0]),
         (&weights.y, if up { -1.0 } else { 1.0 } / units[0]),
         (&weights.contrast, 1.0 / units[1]),
-        (&weights.share, WHOLE),
+        (&weights.share, f64::from(1 << SHARE_BITS)),
         (&weights.radius, 1.0 / units[2]),
         (&weights.blur, 1.0 / units[2]),
     ];
-    for (kernel, (list, per_unit)) in numbers.chunks_exact_mut(side * columns).zip(lists) {
+    for (kernel, (list, per_unit)) in kernels.chunks_exact_mut(numbers(side)).zip(lists) {
         // What rounding leaves goes to the next pixel, so that sums and slopes stay right.
         let mut left_over = 0.0;
         for row in 0..side {
@@ -304,7 +313,7 @@ fn write(
                 let exact = list[from(row, up) * side + from(column, left)] * per_unit;
                 let number = if exact == 0.0 { 0.0 } else { round(exact + left_over) };
                 left_over += exact - number;
-                kernel[row * columns + column] = number.clamp(-MOST_WEIGHT, MOST_WEIGHT) as i16;
+                kernel[row * columns(side) + column] = number.clamp(-MOST_WEIGHT, MOST_WEIGHT) as i16;
             }
         }
     }
