@@ -6,14 +6,12 @@ use crate::image::GrayView;
 
 /// Numbers that are multiplied at once.
 const BLOCK: usize = 32;
-/// Pixels that are widened at once.
-const EIGHT: usize = 8;
 /// Most numbers of a patch.
 const MOST: usize = (MOST_SIDE_PX + 1) * BLOCK;
 
 /// Columns of a patch of this side, with those that fill rows up to whole eights.
 pub(super) const fn columns(side: usize) -> usize {
-    side.next_multiple_of(EIGHT)
+    side.next_multiple_of(8)
 }
 
 /// Numbers of a patch of this side: whole blocks.
@@ -37,13 +35,24 @@ impl Default for Patch {
 impl Patch {
     /// Copies the square whose first pixel is `first`; all of it lies within the image.
     #[inline]
-    pub fn load(&mut self, image: GrayView<'_>, (x, y): (usize, usize), side: usize) {
-        let columns = columns(side);
-        let rows = self.levels.as_flattened_mut().chunks_exact_mut(columns);
-        for (row, to) in rows.take(side).enumerate() {
+    pub fn load(&mut self, image: GrayView<'_>, first: (usize, usize), side: usize) {
+        match columns(side) {
+            8 => self.load_rows::<8>(image, first, side),
+            16 => self.load_rows::<16>(image, first, side),
+            24 => self.load_rows::<24>(image, first, side),
+            _ => self.load_rows::<32>(image, first, side),
+        }
+    }
+
+    #[inline]
+    fn load_rows<const WIDTH: usize>(&mut self, image: GrayView<'_>, (x, y): (usize, usize), side: usize) {
+        let rows = self.levels.as_flattened_mut().as_chunks_mut::<WIDTH>().0;
+        for (row, to) in rows.iter_mut().take(side).enumerate() {
             let from = &image.row(y + row)[x..];
-            if let Some(from) = from.get(..columns) {
-                widen(from, to);
+            if let Some(from) = from.first_chunk::<WIDTH>() {
+                for k in 0..WIDTH {
+                    to[k] = i16::from(from[k]);
+                }
             } else {
                 // The image ends here, and no weight lies beyond.
                 to.iter_mut().zip(from).for_each(|(to, &from)| *to = i16::from(from));
@@ -68,16 +77,6 @@ impl Patch {
             }
         }
         (product(&self.rest, mask).wrapping_neg(), product(&self.rest, &self.rest[..mask.len()]))
-    }
-}
-
-/// Bytes to numbers, eight by eight.
-#[inline]
-fn widen(from: &[u8], to: &mut [i16]) {
-    for (from, to) in from.as_chunks::<EIGHT>().0.iter().zip(to.as_chunks_mut::<EIGHT>().0) {
-        for k in 0..EIGHT {
-            to[k] = i16::from(from[k]);
-        }
     }
 }
 

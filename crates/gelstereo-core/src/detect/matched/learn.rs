@@ -8,7 +8,7 @@ use crate::math::{DVec2, median};
 use alloc::vec::Vec;
 
 /// Markers that are looked at, spread evenly over the list.
-const SAMPLES: usize = 32;
+const SAMPLES: usize = 24;
 const ROUNDS: usize = 3;
 /// A pixel's own width and a little defocus.
 pub(super) const FIRST_BLUR_PX: f64 = 0.8;

@@ -25,7 +25,7 @@ use tables::{Kind, PLACES, Tables};
 /// Steps at most. A binary centroid needs one, a prediction two or three.
 const MOST_STEPS: usize = 4;
 /// A displacement from the weights' own place below which a step is the last: what is left is below 0.005 px.
-const SETTLED_PX: f64 = 0.4;
+const SETTLED_PX: f64 = 0.25;
 /// The same for later steps, which begin near a place of the weights.
 const SETTLED_LATER_PX: f64 = 0.4;
 /// Standard deviations of what noise leaves that are chance.
