@@ -17,15 +17,11 @@ const BLUR: usize = 9;
 const PRIOR_PX: f64 = 0.15;
 /// Noise over contrast that goes with it.
 const NOISE_SHARE: f64 = 1.0 / 40.0;
-/// Light scales paint as it scales gel: where the dot is, a slope of the gel's light is steeper by this share, for
-/// contrasts of 70 % of the brighter one. The slope itself is small.
-const DARK_DOT_SLOPE: f64 = -0.7;
-const BRIGHT_DOT_SLOPE: f64 = 2.3;
 /// White noise that is assumed over that at the lowest frequency: in grain alone the weights would swing ever more between
 /// neighbouring pixels.
 const LEAST_SHARE: f64 = 0.03;
 /// Residual of the conjugate gradients: the weights are rounded to 1e-4 later.
-const TOLERANCE: f64 = 1e-5;
+const TOLERANCE: f64 = 1e-4;
 const MOST_ROUNDS: usize = 100;
 /// Most columns and rows of a support.
 pub(super) const MOST_SIDE_PX: usize = 31;
@@ -102,17 +98,17 @@ impl Design {
 
     /// The best linear unbiased estimator K = (Jᵀ C⁻¹ J)⁻¹ Jᵀ C⁻¹ (Kay, Estimation Theory, section 6.5) for the
     /// derivatives J of the levels by all parameters and the covariance C of the noise, so that no error of the other
-    /// parameters moves the centre to first order. `None` for a disc that its pixels do not determine.
+    /// parameters moves the centre to first order. `per_ground` is the contrast over the gel's level. `None` for a disc that its pixels do not determine.
     pub fn run(
         &mut self,
         disc: &Disc,
         support: Support,
         off_px: DVec2,
         noise: &Noise,
-        bright: bool,
+        per_ground: f64,
     ) -> Option<&Weights> {
         let Self { columns, whitened, covariance, scratch, weights } = self;
-        derive(columns, disc, support, off_px, if bright { BRIGHT_DOT_SLOPE } else { DARK_DOT_SLOPE });
+        derive(columns, disc, support, off_px, per_ground);
         covariance.limited(support, noise);
         for (column, whitened) in columns.iter().zip(whitened.iter_mut()) {
             covariance.solve(column, whitened, scratch);
@@ -165,14 +161,15 @@ impl Design {
     }
 }
 
-fn derive(columns: &mut [Vec<f64>; COLUMNS], disc: &Disc, support: Support, off_px: DVec2, dot_slope: f64) {
+fn derive(columns: &mut [Vec<f64>; COLUMNS], disc: &Disc, support: Support, off_px: DVec2, per_ground: f64) {
     columns.iter_mut().for_each(Vec::clear);
     for at in support.places() {
         let mut terms = [0.0; COLUMNS];
         if support.has(at) {
             let (from, share) = (at - off_px, disc.at((at - off_px).length()));
             let along = from / from.length().max(1e-9);
-            let light = 1.0 + dot_slope * share.inside;
+            // Light scales paint as it scales gel.
+            let light = 1.0 + per_ground * share.inside;
             // A stretch moves the edge by cos 2t, as bounds of such fits have it: to first order in its width over the radius.
             terms = [
                 -share.by_distance * along.x,
@@ -198,6 +195,7 @@ struct Covariance {
     side: usize,
     white: f64,
     grain: f64,
+    /// G from the farthest pixel on one side to that on the other.
     alike: Vec<f64>,
     mask: Vec<f64>,
 }
@@ -224,7 +222,8 @@ impl Covariance {
         let l2 = noise.grain_size_px * noise.grain_size_px;
         (self.side, self.white, self.grain) = (support.side, noise.white_levels2, noise.grain_levels2);
         self.alike.clear();
-        self.alike.extend((0..support.side).map(|d| exp(-0.25 * (d * d) as f64 / l2)));
+        let last = support.side - 1;
+        self.alike.extend((0..=2 * last).map(|k| k.abs_diff(last)).map(|d| exp(-0.25 * (d * d) as f64 / l2)));
         self.mask.clear();
         self.mask.extend(support.places().map(|at| f64::from(u8::from(support.has(at)))));
     }
@@ -238,12 +237,13 @@ impl Covariance {
         if self.grain > 0.0 {
             for (v, row) in v.chunks_exact(side).zip(rows.chunks_exact_mut(side)) {
                 for (x, &value) in v.iter().enumerate() {
-                    row.iter_mut().enumerate().for_each(|(k, sum)| *sum += value * self.alike[x.abs_diff(k)]);
+                    let alike = &self.alike[side - 1 - x..][..side];
+                    row.iter_mut().zip(alike).for_each(|(sum, &share)| *sum += value * share);
                 }
             }
             for (y, out) in out.chunks_exact_mut(side).enumerate() {
                 for (k, row) in rows.chunks_exact(side).enumerate() {
-                    let share = self.alike[y.abs_diff(k)];
+                    let share = self.alike[side - 1 - y + k];
                     out.iter_mut().zip(row).for_each(|(sum, &r)| *sum += share * r);
                 }
             }

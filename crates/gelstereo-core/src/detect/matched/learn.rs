@@ -12,6 +12,9 @@ const SAMPLES: usize = 24;
 const ROUNDS: usize = 3;
 /// A pixel's own width and a little defocus.
 pub(super) const FIRST_BLUR_PX: f64 = 0.8;
+/// Contrast over the gel's level to begin with: paint that takes 70 % of the light, gel that does.
+const DARK_PER_GROUND: f64 = -0.7;
+const BRIGHT_PER_GROUND: f64 = 2.3;
 /// Blurs that are believed.
 const BLURS_PX: core::ops::RangeInclusive<f64> = 0.4..=5.0;
 
@@ -20,64 +23,89 @@ const BLURS_PX: core::ops::RangeInclusive<f64> = 0.4..=5.0;
 pub(super) struct Samples {
     radius: Vec<f64>,
     blur: Vec<f64>,
+    per_ground: Vec<f64>,
+}
+
+/// What one marker says.
+struct Form {
+    radius_px: f64,
+    blur_px: f64,
+    /// Contrast over the gel's level.
+    per_ground: f64,
 }
 
 impl Matched {
-    /// Blur and radius by the weights for them, again with the weights for what they said.
+    /// Radius, blur and contrast by the weights for them, again with the weights for what they said.
     pub(super) fn learn(&mut self, image: GrayView<'_>, markers: &Markers) {
         let count = markers.centres_px.len();
         let samples = SAMPLES.min(count);
         let sample = |k: usize| k * count / samples;
-        self.samples.radius.reserve(SAMPLES);
-        self.samples.blur.reserve(SAMPLES);
-        let mut blur_px = self.given_blur_px.unwrap_or(FIRST_BLUR_PX);
-        self.radius_off_px = 0.0;
+        self.samples.reserve();
         let apart = (0..samples).filter_map(|k| nearest_px(&markers.centres_px, sample(k)));
-        let half_way_px = 0.5 * lower_quartile(&mut self.samples.radius, apart).unwrap_or(f64::INFINITY);
-        self.samples.radius.clear();
-        self.samples.radius.extend((0..samples).map(|k| f64::from(markers.area_px2[sample(k)])));
-        let usual_px2 = median(&mut self.samples.radius).unwrap_or(0.0);
+        let half_way_px = 0.5 * quantile(&mut self.samples.radius, apart, 4).unwrap_or(f64::INFINITY);
+        let areas = (0..samples).map(|k| f64::from(markers.area_px2[sample(k)]));
+        let usual_px2 = quantile(&mut self.samples.radius, areas, 2).unwrap_or(0.0) as u32;
+        self.blur_px = self.given_blur_px.unwrap_or(FIRST_BLUR_PX);
+        self.radius_off_px = 0.0;
+        let mut per_ground = if self.bright { BRIGHT_PER_GROUND } else { DARK_PER_GROUND };
         for round in 0..=ROUNDS {
-            let usual_px = self.radius_px(usual_px2 as u32);
-            self.blur_px = blur_px;
-            let widest_px =
-                if half_way_px > 1.25 * usual_px + REACH_PX { f64::INFINITY } else { half_way_px };
-            self.tables.choose(Conditions::new(blur_px, widest_px, &self.noise, self.bright), &self.noise);
-
-            if round == ROUNDS {
+            let far_px = 1.25 * self.radius_px(usual_px2) + REACH_PX;
+            let half_way_px = if half_way_px > far_px { f64::INFINITY } else { half_way_px };
+            let conditions = Conditions::new(self.blur_px, half_way_px, &self.noise, per_ground);
+            let settled = round > 0 && conditions == self.tables.conditions();
+            self.tables.choose(conditions, &self.noise);
+            if round == ROUNDS || settled {
                 break;
             }
-            self.samples.radius.clear();
-            self.samples.blur.clear();
+            self.samples.reserve();
             for k in (0..samples).map(sample) {
                 let radius_px = self.radius_px(markers.area_px2[k]);
-                if let Some((wider, blurred)) = self.form(image, markers.centres_px[k], radius_px) {
-                    self.samples.radius.push(wider - radius_px);
-                    self.samples.blur.push(blurred);
+                if let Some(form) = self.form(image, markers.centres_px[k], radius_px) {
+                    self.samples.radius.push(form.radius_px - radius_px);
+                    self.samples.blur.push(form.blur_px);
+                    self.samples.per_ground.push(form.per_ground);
                 }
             }
-            let Some(wider_px) = median(&mut self.samples.radius) else { break };
+            let Samples { radius, blur, per_ground: contrasts } = &mut self.samples;
+            let (Some(wider_px), Some(blur_px), Some(contrast)) =
+                (median(radius), median(blur), median(contrasts))
+            else {
+                break;
+            };
             self.radius_off_px += wider_px.clamp(-0.5, 0.5);
-            if let (None, Some(found_px)) = (self.given_blur_px, median(&mut self.samples.blur)) {
-                let near = 0.6 * blur_px..=1.6 * blur_px;
-                blur_px =
-                    found_px.clamp(*near.start(), *near.end()).clamp(*BLURS_PX.start(), *BLURS_PX.end());
+            per_ground = contrast;
+            if self.given_blur_px.is_none() {
+                let near_px = blur_px.clamp(0.6 * self.blur_px, 1.6 * self.blur_px);
+                self.blur_px = near_px.clamp(*BLURS_PX.start(), *BLURS_PX.end());
             }
         }
     }
 
-    /// Radius and blur of the disc at a place.
-    fn form(&mut self, image: GrayView<'_>, near_px: DVec2, radius_px: f64) -> Option<(f64, f64)> {
+    /// What the disc at a place looks like.
+    fn form(&mut self, image: GrayView<'_>, near_px: DVec2, radius_px: f64) -> Option<Form> {
         let step = self.step(image, near_px, radius_px)?;
-        let set = self.tables.set(step.set);
+        let set = *self.tables.set(step.set);
         let (place, first, _) = locate(image, set.side, step.at_px + step.moved_px)?;
         self.patch.load(image, first, set.side);
-        let of = |kind| {
-            let sum = f64::from(self.patch.correlate(self.tables.kernel(set, place, kind)));
-            sum * set.form_per_unit / step.contrast
-        };
-        let (wider, blurred) = (of(Kind::Radius), of(Kind::Blur));
-        Some((set.radius_px + wider, self.tables.conditions().blur_px() + blurred))
+        let sum = |kind| f64::from(self.patch.correlate(self.tables.kernel(&set, place, kind)));
+        let scale = set.form_per_unit / step.contrast;
+        let (wider_px, blurred_px) = (scale * sum(Kind::Radius), scale * sum(Kind::Blur));
+        let (ground, _) = self.rest(&step);
+        Some(Form {
+            radius_px: set.radius_px + wider_px,
+            blur_px: self.tables.conditions().blur_px() + blurred_px,
+            per_ground: step.contrast / ground.max(1.0),
+        })
+    }
+}
+
+impl Samples {
+    /// Makes room, and begins anew.
+    fn reserve(&mut self) {
+        for list in [&mut self.radius, &mut self.blur, &mut self.per_ground] {
+            list.clear();
+            list.reserve(SAMPLES);
+        }
     }
 }
 
@@ -91,9 +119,10 @@ fn nearest_px(centres_px: &[DVec2], index: usize) -> Option<f64> {
     nearest2.is_finite().then(|| crate::math::sqrt(nearest2))
 }
 
-fn lower_quartile(scratch: &mut Vec<f64>, values: impl Iterator<Item = f64>) -> Option<f64> {
+/// The value below which one of so many parts lies.
+fn quantile(scratch: &mut Vec<f64>, values: impl Iterator<Item = f64>, parts: usize) -> Option<f64> {
     scratch.clear();
     scratch.extend(values);
-    let at = scratch.len() / 4;
+    let at = scratch.len() / parts;
     (at < scratch.len()).then(|| *scratch.select_nth_unstable_by(at, f64::total_cmp).1)
 }

@@ -156,26 +156,33 @@ impl Matched {
         Some(Step { set: index, place, at_px, moved_px, contrast, variances })
     }
 
-    /// Covariance and misfit after the last step.
+    /// Level of the gel, and variance of what a step's disc leaves of the levels.
     #[inline]
-    fn judge(&mut self, step: &Step) -> Refined {
+    fn rest(&mut self, step: &Step) -> (f64, f64) {
         let set = self.tables.set(step.set);
         let (share, mask) = (self.tables.kernel(set, step.place, Kind::Share), self.tables.mask(set));
         let whole = round_even(step.contrast).clamp(-255.0, 255.0) as i16;
         let (sum, square) = self.patch.residual(share, mask, whole);
         let (sum, square, pixels) = (f64::from(sum), f64::from(square), f64::from(set.pixels));
-        let left2 = (square - sum * sum / pixels) / (pixels - 1.0);
-        // What is left of the levels is the gel's.
-        let grain_share = self.noise.grain_share(sum / pixels);
+        (sum / pixels, (square - sum * sum / pixels) / (pixels - 1.0))
+    }
+
+    /// Covariance and misfit after the last step.
+    #[inline]
+    fn judge(&mut self, step: &Step) -> Refined {
+        let (ground, rest2) = self.rest(step);
+        let pixels = f64::from(self.tables.set(step.set).pixels);
+        // Grain is of the surface: it grows with the light.
+        let grain_share = self.noise.grain_share(ground);
         let noise2 = self.noise.white_levels2 + grain_share * self.noise.grain_levels2;
-        let explained2 = noise2 * (1.0 + CHANCE * sqrt(2.0 / pixels));
+        let chance2 = noise2 * (1.0 + CHANCE * sqrt(2.0 / pixels));
         let per_contrast2 = 1.0 / (step.contrast * step.contrast);
         let variance = (step.variances[0] + grain_share * step.variances[1]) * per_contrast2;
         Refined {
             centre_px: step.at_px + step.moved_px,
             covariance_px2: [[variance, 0.0], [0.0, variance]],
             contrast_levels: step.contrast,
-            misfit: sqrt((left2 - explained2).max(0.0) * per_contrast2),
+            misfit: sqrt((rest2 - chance2).max(0.0) * per_contrast2),
         }
     }
 }

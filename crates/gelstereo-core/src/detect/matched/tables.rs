@@ -38,11 +38,13 @@ pub(super) struct Conditions {
     half_way: u8,
     grain: u8,
     grain_size: u8,
-    bright: bool,
+    /// Quarters of the contrast over the gel's level.
+    dot_slope: i8,
 }
 
 impl Conditions {
-    pub fn new(blur_px: f64, half_way_px: f64, noise: &Noise, bright: bool) -> Self {
+    /// `half_way_px` is half the distance to the nearest neighbour, `per_ground` the contrast over the gel's level.
+    pub fn new(blur_px: f64, half_way_px: f64, noise: &Noise, per_ground: f64) -> Self {
         let step = |value: f64, first: f64, ratio: f64, most: f64| {
             round(ln(value / first) / ln(ratio)).clamp(0.0, most) as u8
         };
@@ -53,7 +55,7 @@ impl Conditions {
             half_way: floor(4.0 * half_way_px) as u8,
             grain,
             grain_size: if grain == 0 { 2 } else { step(noise.grain_size_px, 0.7, 1.5, 5.0) },
-            bright,
+            dot_slope: round(4.0 * per_ground).clamp(-4.0, 16.0) as i8,
         }
     }
 
@@ -263,7 +265,7 @@ impl Tables {
         // One quarter of the places; the others are its mirror images.
         for (n, (row, column)) in (0..half * half).map(|n| (n, (half + n / half, half + n % half))) {
             let at = DVec2::new(off(column), off(row));
-            self.design.run(&self.disc, support, at, &noise, self.conditions.bright)?;
+            self.design.run(&self.disc, support, at, &noise, 0.25 * f64::from(self.conditions.dot_slope))?;
             let sizes = SIZES.map(|size| size * noise.grain_size_px);
             for (sum, gain) in gains.iter_mut().zip(self.design.gains(support, &sizes)) {
                 *sum += gain / (half * half) as f64;
