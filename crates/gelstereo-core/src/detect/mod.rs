@@ -183,6 +183,7 @@ impl Detector {
             let every = rows_between(size_px.1);
             let noise = meter.run_rows(image, every, |rows, near| components.cover(rows, near));
             matched.prepare(image, noise.unwrap_or_default(), out);
+            grey_centre.reserve(image);
             for (k, blob) in whole.filter(in_range).enumerate() {
                 if !matched.replace(image, k, out) {
                     out.centres_px[k] = grey_centre.run(image, blob, components.runs(blob), params.polarity);

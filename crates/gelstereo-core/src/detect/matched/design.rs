@@ -13,8 +13,8 @@ const RADIUS: usize = 6;
 const STRETCHES: [usize; 2] = [7, 8];
 const BLUR: usize = 9;
 /// What is known of radius, stretches and blur before, px: it matters only where a small disc hardly tells them from its
-/// contrast.
-const PRIOR_PX: f64 = 0.15;
+/// contrast. First where they are asked for.
+const PRIORS_PX: [f64; 2] = [1.0, 0.15];
 /// Noise over contrast that goes with it.
 const NOISE_SHARE: f64 = 1.0 / 40.0;
 /// White noise that is assumed over that at the lowest frequency: in grain alone the weights would swing ever more between
@@ -119,11 +119,15 @@ impl Design {
                 matrix[i][j] = 0.5 * (dot(&whitened[i], &columns[j]) + dot(&whitened[j], &columns[i]));
             }
         }
-        for k in [RADIUS, STRETCHES[0], STRETCHES[1], BLUR] {
-            matrix[k][k] += (NOISE_SHARE / PRIOR_PX) * (NOISE_SHARE / PRIOR_PX);
-        }
-        let factor = Factor::new(&matrix)?;
-        let combine = |parameter: usize, sum: &mut Vec<f64>| {
+        let factor = |prior_px: f64| {
+            let mut known = matrix;
+            for k in [RADIUS, STRETCHES[0], STRETCHES[1], BLUR] {
+                known[k][k] += (NOISE_SHARE / prior_px) * (NOISE_SHARE / prior_px);
+            }
+            Factor::new(&known)
+        };
+        let [form, place] = PRIORS_PX.map(factor);
+        let combine = |factor: &Factor<COLUMNS>, parameter: usize, sum: &mut Vec<f64>| {
             let row = factor.solve(&core::array::from_fn(|k| f64::from(u8::from(k == parameter))));
             sum.clear();
             sum.resize(support.side * support.side, 0.0);
@@ -131,11 +135,12 @@ impl Design {
                 sum.iter_mut().zip(column).for_each(|(sum, &w)| *sum += share * w);
             }
         };
-        combine(0, &mut weights.x);
-        combine(1, &mut weights.y);
-        combine(CONTRAST, &mut weights.contrast);
-        combine(RADIUS, &mut weights.radius);
-        combine(BLUR, &mut weights.blur);
+        let (form, place) = (form?, place?);
+        combine(&place, 0, &mut weights.x);
+        combine(&place, 1, &mut weights.y);
+        combine(&place, CONTRAST, &mut weights.contrast);
+        combine(&form, RADIUS, &mut weights.radius);
+        combine(&form, BLUR, &mut weights.blur);
         weights.share.clear();
         weights.share.extend(support.places().map(|at| disc.at((at - off_px).length()).inside));
         let moved = |at: DVec2| disc.at((at - off_px - DVec2::new(BEND_AT_PX, 0.0)).length()).inside;

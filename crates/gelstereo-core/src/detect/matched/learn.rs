@@ -24,6 +24,7 @@ pub(super) struct Samples {
     radius: Vec<f64>,
     blur: Vec<f64>,
     per_ground: Vec<f64>,
+    contrast: Vec<f64>,
 }
 
 /// What one marker says.
@@ -32,6 +33,7 @@ struct Form {
     blur_px: f64,
     /// Contrast over the gel's level.
     per_ground: f64,
+    contrast_levels: f64,
 }
 
 impl Matched {
@@ -46,7 +48,7 @@ impl Matched {
         let areas = (0..samples).map(|k| f64::from(markers.area_px2[sample(k)]));
         let usual_px2 = quantile(&mut self.samples.radius, areas, 2).unwrap_or(0.0) as u32;
         self.blur_px = self.given_blur_px.unwrap_or(FIRST_BLUR_PX);
-        self.radius_off_px = 0.0;
+        (self.radius_off_px, self.contrast_levels) = (0.0, 0.0);
         let mut per_ground = if self.bright { BRIGHT_PER_GROUND } else { DARK_PER_GROUND };
         for round in 0..=ROUNDS {
             let far_px = 1.25 * self.radius_px(usual_px2) + REACH_PX;
@@ -64,16 +66,17 @@ impl Matched {
                     self.samples.radius.push(form.radius_px - radius_px);
                     self.samples.blur.push(form.blur_px);
                     self.samples.per_ground.push(form.per_ground);
+                    self.samples.contrast.push(form.contrast_levels);
                 }
             }
-            let Samples { radius, blur, per_ground: contrasts } = &mut self.samples;
-            let (Some(wider_px), Some(blur_px), Some(contrast)) =
-                (median(radius), median(blur), median(contrasts))
+            let Samples { radius, blur, per_ground: shares, contrast } = &mut self.samples;
+            let (Some(wider_px), Some(blur_px), Some(share), Some(contrast_levels)) =
+                (median(radius), median(blur), median(shares), median(contrast))
             else {
                 break;
             };
             self.radius_off_px += wider_px.clamp(-0.5, 0.5);
-            per_ground = contrast;
+            (per_ground, self.contrast_levels) = (share, contrast_levels);
             if self.given_blur_px.is_none() {
                 let near_px = blur_px.clamp(0.6 * self.blur_px, 1.6 * self.blur_px);
                 self.blur_px = near_px.clamp(*BLURS_PX.start(), *BLURS_PX.end());
@@ -95,6 +98,7 @@ impl Matched {
             radius_px: set.radius_px + wider_px,
             blur_px: self.tables.conditions().blur_px() + blurred_px,
             per_ground: step.contrast / ground.max(1.0),
+            contrast_levels: step.contrast,
         })
     }
 }
@@ -102,7 +106,7 @@ impl Matched {
 impl Samples {
     /// Makes room, and begins anew.
     fn reserve(&mut self) {
-        for list in [&mut self.radius, &mut self.blur, &mut self.per_ground] {
+        for list in [&mut self.radius, &mut self.blur, &mut self.per_ground, &mut self.contrast] {
             list.clear();
             list.reserve(SAMPLES);
         }

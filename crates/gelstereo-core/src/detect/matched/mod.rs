@@ -24,10 +24,13 @@ use tables::{Kind, PLACES, Tables};
 
 /// Steps at most. A binary centroid needs one, a prediction two or three.
 const MOST_STEPS: usize = 4;
-/// A displacement from the weights' own place below which a step is the last: what is left is below 0.005 px.
-const SETTLED_PX: f64 = 0.25;
+/// A displacement from the weights' own place over the blur, below which a step is the last: what is left of it is below
+/// 0.005 px.
+const SETTLED: f64 = 0.27;
 /// The same for later steps, which begin near a place of the weights.
 const SETTLED_LATER_PX: f64 = 0.4;
+/// Standard deviation of a grey centroid over that of a step, where the step did not serve.
+const UNFITTED: f64 = 4.0;
 /// Standard deviations of what noise leaves that are chance.
 const CHANCE: f64 = 3.0;
 /// Responses beyond this are no displacements.
@@ -60,6 +63,8 @@ pub(crate) struct Matched {
     blur_px: f64,
     /// Radius of discs less that of components of the same area.
     radius_off_px: f64,
+    /// Usual contrast, grey levels; 0 when nothing is known.
+    contrast_levels: f64,
     tables: Tables,
     patch: Patch,
     samples: learn::Samples,
@@ -84,6 +89,7 @@ impl Matched {
             noise: Noise::default(),
             blur_px: learn::FIRST_BLUR_PX,
             radius_off_px: 0.0,
+            contrast_levels: 0.0,
             tables: Tables::default(),
             patch: Patch::default(),
             samples: learn::Samples::default(),
@@ -112,16 +118,27 @@ impl Matched {
                 markers.centres_px[index] = refined.centre_px;
                 markers.covariance_px2[index] = refined.covariance_px2;
             }
-            None => markers.unfitted += 1,
+            None => {
+                markers.unfitted += 1;
+                let least = self.unfitted_variance_px2(radius_px);
+                let [[xx, _], [_, yy]] = &mut markers.covariance_px2[index];
+                (*xx, *yy) = (xx.max(least), yy.max(least));
+            }
         }
         found.is_some()
+    }
+
+    /// Least variance of a coordinate, px², where the step did not serve.
+    fn unfitted_variance_px2(&mut self, radius_px: f64) -> f64 {
+        let Some((_, [white, grain])) = self.tables.find(radius_px) else { return 0.0 };
+        UNFITTED * UNFITTED * (white + grain) / (self.contrast_levels * self.contrast_levels).max(1.0)
     }
 
     /// Finds the disc of about this radius whose centre lies within about a pixel of `near_px`. `None` where the support
     /// leaves the image, nothing of that polarity is there, or steps do not settle.
     #[inline]
     pub fn refine(&mut self, image: GrayView<'_>, near_px: DVec2, radius_px: f64) -> Option<Refined> {
-        let (mut near, mut settled_px) = (near_px, SETTLED_PX);
+        let (mut near, mut settled_px) = (near_px, SETTLED * self.blur_px);
         for _ in 0..MOST_STEPS {
             let step = self.step(image, near, radius_px)?;
             near = step.at_px + step.moved_px;
