@@ -15,37 +15,13 @@ struct Condition {
     bright_level: u8,
     noise: f64,
     grain: f64,
-    /// Known excess of the squared errors over the covariance: faults of the model, which noise does not hide in good
-    /// light, and grain that is too faint beside the noise to be measured.
-    excess: f64,
 }
 
 const CONDITIONS: [Condition; 4] = [
-    Condition { name: "usual", dark_level: 50, bright_level: 170, noise: 2.0, grain: 3.0, excess: 0.15 },
-    Condition {
-        name: "25 levels of contrast",
-        dark_level: 145,
-        bright_level: 170,
-        noise: 2.0,
-        grain: 0.625,
-        excess: 0.05,
-    },
-    Condition {
-        name: "35 % of the light",
-        dark_level: 18,
-        bright_level: 60,
-        noise: 2.0,
-        grain: 1.05,
-        excess: 0.06,
-    },
-    Condition {
-        name: "noise of 18 levels",
-        dark_level: 50,
-        bright_level: 170,
-        noise: 18.0,
-        grain: 3.0,
-        excess: 0.1,
-    },
+    Condition { name: "usual", dark_level: 50, bright_level: 170, noise: 2.0, grain: 3.0 },
+    Condition { name: "25 levels of contrast", dark_level: 145, bright_level: 170, noise: 2.0, grain: 0.625 },
+    Condition { name: "35 % of the light", dark_level: 18, bright_level: 60, noise: 2.0, grain: 1.05 },
+    Condition { name: "noise of 18 levels", dark_level: 50, bright_level: 170, noise: 18.0, grain: 3.0 },
 ];
 
 /// Images of rest and presses with their true ellipses' centres.
@@ -86,18 +62,20 @@ impl Condition {
 }
 
 /// Mean over markers and axes of the squared errors over their covariance, the 2-D rms error and the number of errors.
-fn errors(pictures: &[Picture]) -> (f64, f64, f64) {
+fn errors(centre: Centre, pictures: &[Picture]) -> (f64, f64, f64) {
     let params = DetectParams {
         background: Background::Box,
         threshold: Threshold::Auto,
-        centre: Centre::Fit,
+        centre,
         ..DetectParams::default()
     };
     let (mut detector, mut markers) = (Detector::new(&params), Markers::default());
     let (mut count, mut square, mut normalised) = (0.0, 0.0, 0.0);
     for picture in pictures {
         detector.run(GrayView::new(&picture.pixels, 640, 480, 640).unwrap(), &mut markers).unwrap();
-        assert_eq!((markers.centres_px.len(), markers.unfitted), (picture.centres_px.len(), 0));
+        // Less than a thousandth is given up, which noise of 18 levels sometimes does to a step.
+        assert_eq!(markers.centres_px.len(), picture.centres_px.len());
+        assert!(1000 * markers.unfitted < 2 * markers.centres_px.len(), "{} given up", markers.unfitted);
         for (centre, [[xx, xy], [_, yy]]) in markers.centres_px.iter().zip(&markers.covariance_px2) {
             let errors = picture.centres_px.iter().map(|truth| *centre - *truth);
             let e = errors.min_by(|a, b| a.length().total_cmp(&b.length())).unwrap();
@@ -117,10 +95,22 @@ fn errors(pictures: &[Picture]) -> (f64, f64, f64) {
 fn covariances_are_calibrated_on_presses() {
     for condition in &CONDITIONS {
         let pictures: Vec<_> = (1..=3).flat_map(|seed| condition.pictures(seed)).collect();
-        let (nees, rms_px, count) = errors(&pictures);
-        println!("{:24} rms {rms_px:.4} px, normalised squared errors {nees:.3}", condition.name);
-        let band = 2.6 / (0.5 * count).sqrt() + 0.03;
-        let off = nees - 1.0 - condition.excess;
-        assert!(off.abs() < band, "{}: {nees} is {off:+.3} off, band {band:.3}", condition.name);
+        let [fit, step] = [Centre::Fit, Centre::Matched].map(|centre| {
+            let (nees, rms_px, count) = errors(centre, &pictures);
+            println!(
+                "{:24} {centre:?} rms {rms_px:.4} px, normalised squared errors {nees:.3}",
+                condition.name
+            );
+            let band = 2.6 / (0.5 * count).sqrt() + 0.03;
+            let off = nees - 1.0;
+            assert!(
+                off.abs() < band,
+                "{}, {centre:?}: {nees} is {off:+.3} off, band {band:.3}",
+                condition.name
+            );
+            rms_px
+        });
+        // The step is an approximation of the fit: a tenth more than its error at most.
+        assert!(step < 1.1 * fit, "{}: {step} {fit}", condition.name);
     }
 }

@@ -63,10 +63,7 @@ impl GreyCentre {
         runs: impl Iterator<Item = &'a Run> + Clone,
         polarity: Polarity,
     ) -> DVec2 {
-        self.spans.clear();
-        // The tallest and widest there can be.
-        self.spans.reserve(image.height() + 2 * MARGIN_PX as usize);
-        self.columns.reserve(image.width());
+        self.reserve(image);
         self.grow(blob, runs.clone());
         let window = Window::new(image, blob, &self.spans);
         let Some(surround) = window.surround() else {
@@ -84,6 +81,13 @@ impl GreyCentre {
         };
         let half = 0.5 / weight as f64;
         window.middle() + DVec2::new(moment_u as f64 * half, moment_v as f64 * half)
+    }
+
+    /// Makes room for the tallest and widest component there can be.
+    pub(super) fn reserve(&mut self, image: GrayView<'_>) {
+        self.spans.clear();
+        self.spans.reserve(image.height() + 2 * MARGIN_PX as usize);
+        self.columns.reserve(image.width());
     }
 
     fn grow<'a>(&mut self, blob: &Blob, runs: impl Iterator<Item = &'a Run>) {

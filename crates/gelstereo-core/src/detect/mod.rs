@@ -9,6 +9,7 @@ pub mod components;
 mod difference;
 mod error;
 pub mod fit;
+pub mod matched;
 pub mod morphology;
 pub mod near;
 pub mod noise;
@@ -27,7 +28,8 @@ use alloc::vec::Vec;
 use centre::GreyCentre;
 use components::{Blob, Components, Most};
 use difference::Difference;
-use fit::DiscFit;
+use fit::{DiscFit, NoiseMeter};
+use matched::Matched;
 use morphology::Closing;
 use near::Search;
 
@@ -107,7 +109,9 @@ pub struct Detector {
     closing: Closing,
     components: Components,
     grey_centre: GreyCentre,
-    disc_fit: DiscFit,
+    disc_fit: Option<DiscFit>,
+    matched: Matched,
+    meter: NoiseMeter,
     size_px: (usize, usize),
     mask: Vec<u8>,
     areas_px2: Vec<u32>,
@@ -124,7 +128,9 @@ impl Detector {
             closing: Closing::new(params.morphology_kernel_px),
             components: Components::keeping(params.min_area_px2.min(LEAST_NEIGHBOUR_PX2)),
             grey_centre: GreyCentre::default(),
-            disc_fit: DiscFit::new(params),
+            disc_fit: (params.centre == Centre::Fit).then(|| DiscFit::new(params)),
+            matched: Matched::new(params),
+            meter: NoiseMeter::default(),
             size_px: (0, 0),
             mask: Vec::new(),
             areas_px2: Vec::new(),
@@ -143,11 +149,13 @@ impl Detector {
         out.clear();
         self.check(image)?;
         self.find_components(image)?;
-        let Self { params, difference, components, grey_centre, disc_fit, areas_px2, .. } = self;
+        let Self { params, difference, components, grey_centre, disc_fit, matched, meter, areas_px2, .. } = self;
         let most = most_markers(params, (image.width(), image.height()));
         // Along the border every second pixel at most begins a marker.
         out.reserve(most, most.min(image.width() + image.height()));
-        disc_fit.clear(if params.centre == Centre::Fit { most } else { 0 });
+        if let Some(fit) = disc_fit.as_mut() {
+            fit.clear(most);
+        }
         areas_px2.clear();
         areas_px2.reserve(most);
         let size_px = (image.width(), image.height());
@@ -162,23 +170,34 @@ impl Detector {
         let (least_px2, most_px2) = area_range_px2(params.threshold, usual_px2);
         let variance = params.centre_sigma_px * params.centre_sigma_px;
         let in_range = |blob: &&Blob| (least_px2..=most_px2).contains(&blob.area_px2);
-        for blob in whole.filter(in_range) {
+        for blob in whole.clone().filter(in_range) {
             let centre_px = match params.centre {
-                Centre::Binary => centre::binary(blob),
+                Centre::Binary | Centre::Matched => centre::binary(blob),
                 Centre::Grey | Centre::Fit => {
                     grey_centre.run(image, blob, components.runs(blob), params.polarity)
                 }
             };
             out.push(centre_px, [[variance, 0.0], [0.0, variance]], blob.area_px2);
-            if params.centre == Centre::Fit {
-                disc_fit.add(centre_px, blob.spread_px2(components.runs(blob)));
+            if let Some(fit) = disc_fit.as_mut() {
+                fit.add(centre_px, blob.spread_px2(components.runs(blob)));
             }
         }
-        if params.centre == Centre::Fit {
+        if let Some(fit) = disc_fit {
             let mask = difference.spare();
             fill_mask(components, self.size_px, mask);
             let others = components.blobs().iter().filter(|blob| blob.area_px2 >= LEAST_NEIGHBOUR_PX2);
-            disc_fit.finish(image, mask, others.map(centre::binary), out);
+            fit.finish(image, mask, others.map(centre::binary), out);
+        }
+        if params.centre == Centre::Matched {
+            let every = rows_between(size_px.1);
+            let noise = meter.run_rows(image, every, |rows, near| components.cover(rows, near));
+            matched.prepare(image, noise.unwrap_or_default(), out);
+            grey_centre.reserve(image);
+            for (k, blob) in whole.filter(in_range).enumerate() {
+                if !matched.replace(image, k, out) {
+                    out.centres_px[k] = grey_centre.run(image, blob, components.runs(blob), params.polarity);
+                }
+            }
         }
         for blob in markers.filter(in_range) {
             let reached = blob.sides_reached(size_px);
@@ -267,6 +286,13 @@ pub fn most_markers(params: &DetectParams, size_px: (usize, usize)) -> usize {
     (pixels / params.min_area_px2.max(4) as usize)
         .min((pixels / PIXELS_PER_MARKER).max(1024))
         .min(MOST_MARKERS)
+}
+
+/// Rows from which noise is measured, for the matched step.
+const NOISE_ROWS: usize = 80;
+
+const fn rows_between(height: usize) -> usize {
+    if height < 2 * NOISE_ROWS { 1 } else { height / NOISE_ROWS }
 }
 
 fn fill_mask(components: &Components, (width, height): (usize, usize), out: &mut Vec<u8>) {

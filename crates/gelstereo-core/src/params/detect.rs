@@ -49,6 +49,9 @@ pub enum Centre {
     Binary,
     /// Mean position weighted by contrast over the component and its border: about 0.06 px rms.
     Grey,
+    /// One step of a matched template from the mean position, with a covariance per marker from the image's noise and
+    /// grain.
+    Matched,
     /// Fit of a blurred ellipse, in the noise and grain of the image: 0.034 px rms, 1.1 times the Cramér-Rao bound of the
     /// same scene (0.031), with a covariance per marker; about 6 µs a marker.
     Fit,

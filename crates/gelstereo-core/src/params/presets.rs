@@ -40,7 +40,7 @@ impl Params {
             detect: DetectParams {
                 background: Background::Blocks,
                 threshold: Threshold::Auto,
-                centre: Centre::Grey,
+                centre: Centre::Matched,
                 centre_sigma_px: 0.04,
                 ..Default::default()
             },
