@@ -177,8 +177,12 @@ fn a_cube_says_what_its_edges_and_corners_are() {
     let corner = solid.closest(DVec3::new(3.0, 3.0, 3.0));
     assert_eq!((corner.feature, corner.point_mm), (Feature::Vertex, DVec3::splat(2.0)));
     assert!((corner.distance_mm - 3.0_f64.sqrt()).abs() < 4.0 * EPS);
-    // Weighted by angle the diagonals of the squares do not tilt it.
-    assert!(corner.normal.distance(DVec3::splat(1.0 / 3.0_f64.sqrt())) < 4.0 * EPS);
+    // Weighted by angle, the squares' diagonals do not tilt it, at whichever corners they end.
+    for n in 0..8 {
+        let out = DVec3::new(f64::from(n % 2), f64::from(n / 2 % 2), f64::from(n / 4)) * 2.0 - 1.0;
+        let corner = solid.closest(out * 2.0 + 1.0);
+        assert!(corner.normal.distance(out / 3.0_f64.sqrt()) < 4.0 * EPS, "{corner:?}");
+    }
     let edge = solid.closest(DVec3::new(3.0, 3.0, 0.7));
     assert_eq!((edge.feature, edge.point_mm), (Feature::Edge, DVec3::new(2.0, 2.0, 0.7)));
     assert!(edge.normal.distance(DVec3::new(1.0, 1.0, 0.0) / 2.0_f64.sqrt()) < 4.0 * EPS);
@@ -232,24 +236,26 @@ fn triangles_without_an_area_pass_the_normals_on() {
         DVec3::new(10.0 * c, 10.0 * s, 0.0),
         DVec3::new(10.0 * c, -10.0 * s, 0.0),
     ];
-    // One side sees the edge whole, the other side in two pieces.
+    // One side sees the edge whole, the other side in two pieces; of both the first one is asked.
     let triangles = vec![[0, 1, 3], [1, 2, 4], [2, 0, 4], [0, 2, 1], [1, 4, 3], [0, 3, 4]];
-    let mesh = TriangleMesh::new(vertices, triangles).unwrap();
-    let solid = Solid::new(&mesh).unwrap();
-    assert_eq!((solid.report().degenerate, solid.is_closed()), (1, true));
-    assert!(solid.report().volume_mm3.abs() > 1.0);
-    let outward = if solid.report().volume_mm3 > 0.0 { 1.0 } else { -1.0 };
-    let mut random = Stream::new(1, "wedge");
-    for _ in 0..2000 {
-        let p = DVec3::new(
-            3.0 - 6.0 * random.uniform(),
-            1.0 - 2.0 * random.uniform(),
-            6.0 - 12.0 * random.uniform(),
-        );
-        let found = solid.closest(p);
-        if found.distance_mm.abs() > 1e-6 {
-            assert_eq!(outward * found.distance_mm < 0.0, winding(p, &mesh).abs() > 0.5, "{p} {found:?}");
+    for turned in [0, 1] {
+        let mut triangles = triangles.clone();
+        triangles.rotate_left(turned);
+        let mesh = TriangleMesh::new(vertices.clone(), triangles).unwrap();
+        let solid = Solid::new(&mesh).unwrap();
+        assert_eq!((solid.report().degenerate, solid.is_closed()), (1, true));
+        assert!(solid.report().volume_mm3 > 1.0);
+        let mut random = Stream::new(1, "wedge");
+        for _ in 0..2000 {
+            let p = DVec3::new(1.0, 1.0, 6.0) - uniform(&mut random, 0.0, 2.0) * DVec3::new(1.0, 1.0, 6.0);
+            let found = solid.closest(p);
+            if found.distance_mm.abs() > 1e-6 {
+                assert_eq!(found.distance_mm < 0.0, winding(p, &mesh) > 0.5, "{p} {found:?}");
+            }
         }
+        // At the vertex in the edge's middle both sides count half.
+        let middle = solid.closest(vertices[2] - DVec3::X);
+        assert!(middle.normal.distance(-DVec3::X) < 16.0 * EPS, "{middle:?}");
     }
 }
 
