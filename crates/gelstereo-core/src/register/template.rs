@@ -6,7 +6,7 @@ use super::sample;
 use super::tree::Tree;
 use crate::digest::Digest;
 use crate::math::{DVec3, sqrt};
-use crate::surface::TriangleMesh;
+use crate::surface::{Solid, TriangleMesh};
 use alloc::vec::Vec;
 
 /// Fewest points that can carry a pose.
@@ -18,7 +18,8 @@ pub(crate) const REACH_MM: f64 = 1e12;
 /// Least spacing as a share of the extent: no template that can be held is finer, and squares do not underflow.
 pub(crate) const LEAST_SPACING: f64 = 1e-6;
 
-/// A part's surface: points with outward unit normals in the object frame, sampled evenly, and their tree.
+/// A part's surface: points with outward unit normals in the object frame, sampled evenly, and their tree; and if a mesh is
+/// known, the exact surface.
 ///
 /// It never changes after construction.
 #[derive(Clone, Debug)]
@@ -29,6 +30,7 @@ pub struct Template {
     spacing_mm: f64,
     tree: Tree,
     blocks: Vec<Block>,
+    solid: Option<Solid>,
 }
 
 impl Template {
@@ -42,7 +44,8 @@ impl Template {
         let tree = Tree::new(points_mm);
         let curvatures_per_mm = curvatures(points_mm, &normals, &tree, spacing_mm);
         let blocks = blocks::blocks(points_mm, &normals, &tree);
-        Ok(Self { points_mm: points_mm.to_vec(), normals, curvatures_per_mm, spacing_mm, tree, blocks })
+        let points_mm = points_mm.to_vec();
+        Ok(Self { points_mm, normals, curvatures_per_mm, spacing_mm, tree, blocks, solid: None })
     }
 
     /// Spacing for a part that a hand holds: a quarter of the lattice's pitch, rounded. Default of all who sample one.
@@ -53,10 +56,17 @@ impl Template {
     ///
     /// # Errors
     /// [`TemplateError::TooFew`] or [`TemplateError::TooMany`] when the spacing does not suit the mesh's area,
-    /// [`TemplateError::Spacing`] when it is not positive.
+    /// [`TemplateError::Spacing`] when it is not positive, [`TemplateError::Solid`] when the triangles are no surface.
     pub fn from_mesh(mesh: &TriangleMesh, spacing_mm: f64, seed: u64) -> Result<Self, TemplateError> {
         let (points_mm, normals) = sample::evenly(mesh, spacing_mm, seed)?;
-        Self::new(&points_mm, &normals, spacing_mm)
+        let solid = Some(Solid::new(mesh).map_err(TemplateError::Solid)?);
+        Ok(Self { solid, ..Self::new(&points_mm, &normals, spacing_mm)? })
+    }
+
+    /// The exact surface, for a template that was made from a mesh.
+    #[must_use]
+    pub const fn solid(&self) -> Option<&Solid> {
+        self.solid.as_ref()
     }
 
     /// Points, object frame.
@@ -109,15 +119,15 @@ impl Template {
         &self.blocks
     }
 
-    /// Digest of the points, normals and spacing.
+    /// Digest of the points, normals and spacing, and of the exact surface if there is one.
     #[must_use]
     pub fn digest(&self) -> u64 {
         let numbers = |v: &DVec3| v.to_array();
-        Digest::new()
+        let points = Digest::new()
             .f64s(self.points_mm.iter().flat_map(numbers))
             .f64s(self.normals.iter().flat_map(numbers))
-            .f64s([self.spacing_mm])
-            .value()
+            .f64s([self.spacing_mm]);
+        self.solid.as_ref().map_or(points, |solid| points.u64(solid.digest())).value()
     }
 }
 

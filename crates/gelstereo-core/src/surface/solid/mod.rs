@@ -9,6 +9,7 @@ mod weld;
 pub use report::{SolidError, SolidReport};
 
 use super::TriangleMesh;
+use crate::digest::Digest;
 use crate::math::{DVec3, sqrt};
 use alloc::vec::Vec;
 use face::{Edge, Face, Found, Site};
@@ -158,6 +159,14 @@ impl Solid {
     #[must_use]
     pub fn triangles(&self) -> &[[u32; 3]] {
         &self.corners
+    }
+
+    /// Digest of places and triangles.
+    #[must_use]
+    pub fn digest(&self) -> u64 {
+        let places = Digest::new().f64s(self.vertices_mm.iter().flat_map(|v| v.to_array()));
+        let corners = self.corners.iter().flatten();
+        corners.fold(places, |digest, &i| digest.u64(u64::from(i))).value()
     }
 
     /// The nearest point of the surface.
