@@ -6,7 +6,7 @@ use super::sample;
 use super::tree::Tree;
 use crate::digest::Digest;
 use crate::math::{DVec3, sqrt};
-use crate::surface::{Solid, TriangleMesh};
+use crate::surface::{Field, Solid, TriangleMesh};
 use alloc::vec::Vec;
 
 /// Fewest points that can carry a pose.
@@ -31,6 +31,7 @@ pub struct Template {
     tree: Tree,
     blocks: Vec<Block>,
     solid: Option<Solid>,
+    field: Option<Field>,
 }
 
 impl Template {
@@ -45,7 +46,7 @@ impl Template {
         let curvatures_per_mm = curvatures(points_mm, &normals, &tree, spacing_mm);
         let blocks = blocks::blocks(points_mm, &normals, &tree);
         let points_mm = points_mm.to_vec();
-        Ok(Self { points_mm, normals, curvatures_per_mm, spacing_mm, tree, blocks, solid: None })
+        Ok(Self { points_mm, normals, curvatures_per_mm, spacing_mm, tree, blocks, solid: None, field: None })
     }
 
     /// Spacing for a part that a hand holds: a quarter of the lattice's pitch, rounded. Default of all who sample one.
@@ -67,6 +68,21 @@ impl Template {
     #[must_use]
     pub const fn solid(&self) -> Option<&Solid> {
         self.solid.as_ref()
+    }
+
+    /// With distances on a grid around the exact surface ([`Field::new`]), for screening many poses; unchanged without a
+    /// surface, or if the numbers make no grid.
+    #[must_use]
+    pub fn with_field(mut self, cell_mm: f64, reach_mm: f64) -> Self {
+        self.field =
+            self.solid.as_ref().and_then(|solid| Field::new(solid, cell_mm, reach_mm)).or(self.field);
+        self
+    }
+
+    /// Distances on a grid, if [`Self::with_field`] has made them.
+    #[must_use]
+    pub const fn field(&self) -> Option<&Field> {
+        self.field.as_ref()
     }
 
     /// Points, object frame.
@@ -119,7 +135,7 @@ impl Template {
         &self.blocks
     }
 
-    /// Digest of the points, normals and spacing, and of the exact surface if there is one.
+    /// Digest of the points, normals and spacing, and of the exact surface and the grid if there are any.
     #[must_use]
     pub fn digest(&self) -> u64 {
         let numbers = |v: &DVec3| v.to_array();
@@ -127,7 +143,8 @@ impl Template {
             .f64s(self.points_mm.iter().flat_map(numbers))
             .f64s(self.normals.iter().flat_map(numbers))
             .f64s([self.spacing_mm]);
-        self.solid.as_ref().map_or(points, |solid| points.u64(solid.digest())).value()
+        let solid = self.solid.as_ref().map_or(points, |solid| points.u64(solid.digest()));
+        self.field.as_ref().map_or(solid, |field| solid.u64(field.digest())).value()
     }
 }
 
