@@ -2,6 +2,7 @@
 
 use super::template::{LEAST_POINTS, MOST_POINTS, REACH_MM};
 use crate::params::ParamsError;
+use crate::surface::SolidError;
 
 /// Why points or a mesh are no template.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,6 +38,8 @@ pub enum TemplateError {
         /// Which one.
         index: usize,
     },
+    /// The mesh has no exact surface.
+    Solid(SolidError),
     /// The spacing is not positive, or does not go with the size of the points.
     Spacing {
         /// The spacing found.
@@ -67,6 +70,7 @@ impl core::fmt::Display for TemplateError {
             Self::ZeroNormal { index } => {
                 write!(f, "normal {index} has length zero; every point needs an outward normal")
             }
+            Self::Solid(error) => error.fmt(f),
             Self::Spacing { found_mm, extent_mm } => write!(
                 f,
                 "the spacing is {found_mm} mm for points that extend over {extent_mm} mm; valid is a positive \

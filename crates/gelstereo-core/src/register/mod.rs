@@ -5,6 +5,7 @@
 
 mod assess;
 mod blocks;
+mod codec;
 mod error;
 mod facet;
 mod filterreg;
@@ -16,14 +17,17 @@ mod ransac;
 mod rigid;
 mod sample;
 mod soft;
+mod symmetry;
 mod template;
 mod tree;
 
+pub use codec::TemplateBytesError;
 pub use error::{RegisterError, TemplateError};
 pub use free::{FreeDirection, FreeDirections, Motion};
 pub use observe::Observability;
 pub use rigid::{RigidFit, RigidFitError, rigid_fit};
 pub use soft::{SoftMatch, soft_match};
+pub use symmetry::Symmetry;
 pub use template::Template;
 pub use tree::Tree;
 

@@ -3,10 +3,11 @@
 use super::blocks::{self, Block};
 use super::error::TemplateError;
 use super::sample;
+use super::symmetry::Symmetry;
 use super::tree::Tree;
 use crate::digest::Digest;
 use crate::math::{DVec3, sqrt};
-use crate::surface::TriangleMesh;
+use crate::surface::{Field, Solid, TriangleMesh};
 use alloc::vec::Vec;
 
 /// Fewest points that can carry a pose.
@@ -18,7 +19,8 @@ pub(crate) const REACH_MM: f64 = 1e12;
 /// Least spacing as a share of the extent: no template that can be held is finer, and squares do not underflow.
 pub(crate) const LEAST_SPACING: f64 = 1e-6;
 
-/// A part's surface: points with outward unit normals in the object frame, sampled evenly, and their tree.
+/// A part's surface: points with outward unit normals in the object frame, sampled evenly, and their tree; and if a mesh is
+/// known, the exact surface.
 ///
 /// It never changes after construction.
 #[derive(Clone, Debug)]
@@ -29,6 +31,9 @@ pub struct Template {
     spacing_mm: f64,
     tree: Tree,
     blocks: Vec<Block>,
+    pub(super) solid: Option<Solid>,
+    pub(super) field: Option<Field>,
+    pub(super) symmetries: Vec<Symmetry>,
 }
 
 impl Template {
@@ -38,11 +43,28 @@ impl Template {
     /// [`TemplateError`].
     pub fn new(points_mm: &[DVec3], normals: &[DVec3], spacing_mm: f64) -> Result<Self, TemplateError> {
         check(points_mm, normals, spacing_mm)?;
-        let normals = unit(normals)?;
-        let tree = Tree::new(points_mm);
-        let curvatures_per_mm = curvatures(points_mm, &normals, &tree, spacing_mm);
-        let blocks = blocks::blocks(points_mm, &normals, &tree);
-        Ok(Self { points_mm: points_mm.to_vec(), normals, curvatures_per_mm, spacing_mm, tree, blocks })
+        Ok(Self::build(points_mm.to_vec(), unit(normals)?, spacing_mm))
+    }
+
+    /// As [`Self::new`], of normals that were normalised before and keep their bits.
+    pub(super) fn with_unit_normals(
+        points_mm: Vec<DVec3>,
+        normals: Vec<DVec3>,
+        spacing_mm: f64,
+    ) -> Result<Self, TemplateError> {
+        check(&points_mm, &normals, spacing_mm)?;
+        match normals.iter().position(|n| (n.length_squared() - 1.0).abs() > 1e-9) {
+            Some(index) => Err(TemplateError::ZeroNormal { index }),
+            None => Ok(Self::build(points_mm, normals, spacing_mm)),
+        }
+    }
+
+    fn build(points_mm: Vec<DVec3>, normals: Vec<DVec3>, spacing_mm: f64) -> Self {
+        let tree = Tree::new(&points_mm);
+        let curvatures_per_mm = curvatures(&points_mm, &normals, &tree, spacing_mm);
+        let blocks = blocks::blocks(&points_mm, &normals, &tree);
+        let (solid, field, symmetries) = (None, None, Vec::new());
+        Self { points_mm, normals, curvatures_per_mm, spacing_mm, tree, blocks, solid, field, symmetries }
     }
 
     /// Spacing for a part that a hand holds: a quarter of the lattice's pitch, rounded. Default of all who sample one.
@@ -53,10 +75,51 @@ impl Template {
     ///
     /// # Errors
     /// [`TemplateError::TooFew`] or [`TemplateError::TooMany`] when the spacing does not suit the mesh's area,
-    /// [`TemplateError::Spacing`] when it is not positive.
+    /// [`TemplateError::Spacing`] when it is not positive, [`TemplateError::Solid`] when the triangles are no surface.
     pub fn from_mesh(mesh: &TriangleMesh, spacing_mm: f64, seed: u64) -> Result<Self, TemplateError> {
         let (points_mm, normals) = sample::evenly(mesh, spacing_mm, seed)?;
-        Self::new(&points_mm, &normals, spacing_mm)
+        let solid = Some(Solid::new(mesh).map_err(TemplateError::Solid)?);
+        Ok(Self { solid, ..Self::new(&points_mm, &normals, spacing_mm)? })
+    }
+
+    /// The exact surface, for a template that was made from a mesh.
+    #[must_use]
+    pub const fn solid(&self) -> Option<&Solid> {
+        self.solid.as_ref()
+    }
+
+    /// With distances on a grid around the exact surface ([`Field::new`]), for screening many poses; unchanged without a
+    /// surface, or if the numbers make no grid.
+    #[must_use]
+    pub fn with_field(mut self, cell_mm: f64, reach_mm: f64) -> Self {
+        self.field =
+            self.solid.as_ref().and_then(|solid| Field::new(solid, cell_mm, reach_mm)).or(self.field);
+        self
+    }
+
+    /// Without the grid.
+    #[must_use]
+    pub fn without_field(self) -> Self {
+        Self { field: None, ..self }
+    }
+
+    /// Distances on a grid, if [`Self::with_field`] has made them.
+    #[must_use]
+    pub const fn field(&self) -> Option<&Field> {
+        self.field.as_ref()
+    }
+
+    /// With these symmetries instead of those it has: declared ones, or [`Symmetry::of`] it.
+    #[must_use]
+    pub fn with_symmetries(mut self, symmetries: Vec<Symmetry>) -> Self {
+        self.symmetries = symmetries;
+        self
+    }
+
+    /// Turns after which the part looks the same, as far as [`Self::with_symmetries`] has said.
+    #[must_use]
+    pub fn symmetries(&self) -> &[Symmetry] {
+        &self.symmetries
     }
 
     /// Points, object frame.
@@ -109,15 +172,16 @@ impl Template {
         &self.blocks
     }
 
-    /// Digest of the points, normals and spacing.
+    /// Digest of the points, normals and spacing, and of the exact surface and the grid if there are any.
     #[must_use]
     pub fn digest(&self) -> u64 {
         let numbers = |v: &DVec3| v.to_array();
-        Digest::new()
+        let points = Digest::new()
             .f64s(self.points_mm.iter().flat_map(numbers))
             .f64s(self.normals.iter().flat_map(numbers))
-            .f64s([self.spacing_mm])
-            .value()
+            .f64s([self.spacing_mm]);
+        let solid = self.solid.as_ref().map_or(points, |solid| points.u64(solid.digest()));
+        self.field.as_ref().map_or(solid, |field| solid.u64(field.digest())).value()
     }
 }
 

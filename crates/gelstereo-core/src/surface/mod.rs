@@ -4,11 +4,13 @@
 mod dense;
 #[cfg(feature = "delaunay")]
 mod markers;
+mod solid;
 
 #[cfg(feature = "delaunay")]
 pub use dense::{DenseFrame, DenseSurface, DenseSurfaceError};
 #[cfg(feature = "delaunay")]
 pub use markers::{MarkerMesh, MarkerMeshError};
+pub use solid::{Closest, Facing, Feature, Field, Solid, SolidError, SolidReport};
 
 use crate::math::DVec3;
 use alloc::vec::Vec;

@@ -1,0 +1,159 @@
+//! A triangle ready for queries, and how far a point is from it.
+
+use super::normals::longest;
+use super::weld::{Welded, lengths_squared};
+use crate::math::{DVec3, sqrt};
+use alloc::vec::Vec;
+
+/// Where on the surface a nearest point is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Site {
+    /// Within the face at this place in the order of the tree.
+    Face(u32),
+    /// Between the ends of this edge.
+    Edge(u32),
+    /// At this vertex.
+    Vertex(u32),
+}
+
+/// The best so far: least squared distance, then least triangle.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Found {
+    pub squared_mm2: f64,
+    pub triangle: u32,
+    pub site: Site,
+}
+
+/// An edge with what projection on it needs.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Edge {
+    /// Ends, ascending: from both sides the same bits.
+    pub ends: [u32; 2],
+    /// 1 / |b - a|².
+    pub inverse_squared: f64,
+}
+
+impl Edge {
+    pub fn new(ends: [u32; 2], vertices_mm: &[DVec3]) -> Self {
+        let [a, b] = ends.map(|i| vertices_mm[i as usize]);
+        Self { ends, inverse_squared: 1.0 / a.distance_squared(b) }
+    }
+
+    /// Squared distance, and where; `name` is the edge's own.
+    #[inline]
+    pub fn nearest(&self, name: u32, vertices_mm: &[DVec3], p_mm: DVec3) -> (f64, Site) {
+        let [a, b] = self.ends.map(|i| vertices_mm[i as usize]);
+        let (from_a, along) = (p_mm - a, b - a);
+        let share = from_a.dot(along) * self.inverse_squared;
+        if share <= 0.0 {
+            (from_a.length_squared(), Site::Vertex(self.ends[0]))
+        } else if share >= 1.0 {
+            ((p_mm - b).length_squared(), Site::Vertex(self.ends[1]))
+        } else {
+            ((from_a - along * share).length_squared(), Site::Edge(name))
+        }
+    }
+
+    /// The nearest point of the edge's line.
+    pub fn foot(&self, vertices_mm: &[DVec3], p_mm: DVec3) -> DVec3 {
+        let [a, b] = self.ends.map(|i| vertices_mm[i as usize]);
+        let along = b - a;
+        along * ((p_mm - a).dot(along) * self.inverse_squared)
+    }
+}
+
+/// A triangle in its own frame: x along its longest edge from `origin_mm`, y across it towards the third corner, z along the
+/// normal. On the longest edge even a sliver's frame and regions are known to rounding, where barycentric
+/// coordinates lose all digits.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Face {
+    pub origin_mm: DVec3,
+    along: DVec3,
+    across: DVec3,
+    pub normal: DVec3,
+    length_mm: f64,
+    /// Inward unit normals (x, y) of the second and third edge.
+    second: [f64; 2],
+    third: [f64; 2],
+    /// Edges, the longest first.
+    edges: [u32; 3],
+    pub triangle: u32,
+}
+
+impl Face {
+    /// Of a triangle with an area and this unit normal.
+    pub fn new(welded: &Welded, triangle: usize, normal: DVec3) -> Self {
+        let first = longest(welded, triangle);
+        let turn = |k: usize| (first + k) % 3;
+        let places = welded.places(triangle);
+        let [a, b, c] = [0, 1, 2].map(|k| places[turn(k)]);
+        let length_mm = sqrt(lengths_squared(&places)[first]);
+        let along = (b - a) / length_mm;
+        let across = normal.cross(along);
+        let (x, y) = (along.dot(c - a), across.dot(c - a));
+        let inward = |dx: f64, dy: f64| {
+            let length = sqrt(dx * dx + dy * dy);
+            [-dy / length, dx / length]
+        };
+        Self {
+            origin_mm: a,
+            along,
+            across,
+            normal,
+            length_mm,
+            second: inward(x - length_mm, y),
+            third: inward(-x, -y),
+            edges: [0, 1, 2].map(|k| welded.edges_of[triangle][turn(k)]),
+            triangle: triangle as u32,
+        }
+    }
+
+    /// Height of a point over the plane, mm.
+    #[inline]
+    pub fn height_mm(&self, p_mm: DVec3) -> f64 {
+        self.normal.dot(p_mm - self.origin_mm)
+    }
+
+    /// Squared distance and where, unless it is above `limit_mm2`. `place` is this face's own.
+    #[inline]
+    pub fn nearest(
+        &self,
+        place: u32,
+        (edges, vertices_mm): (&[Edge], &[DVec3]),
+        p_mm: DVec3,
+        limit_mm2: f64,
+    ) -> Option<Found> {
+        let q = p_mm - self.origin_mm;
+        let z = self.normal.dot(q);
+        let z_squared = z * z;
+        if z_squared > limit_mm2 {
+            return None;
+        }
+        let (x, y) = (self.along.dot(q), self.across.dot(q));
+        let beyond = x - self.length_mm;
+        let inside = [y, self.second[0] * beyond + self.second[1] * y, self.third[0] * x + self.third[1] * y];
+        let outside = inside[0].min(inside[1]).min(inside[2]);
+        if outside >= 0.0 {
+            return Some(Found { squared_mm2: z_squared, triangle: self.triangle, site: Site::Face(place) });
+        }
+        if z_squared + outside * outside > limit_mm2 {
+            return None;
+        }
+        // The nearest point of a convex shape lies on an edge that is seen from outside.
+        let mut best = (f64::INFINITY, Site::Face(place));
+        for (&name, side) in self.edges.iter().zip(inside) {
+            if side < 0.0 {
+                let found = edges[name as usize].nearest(name, vertices_mm, p_mm);
+                if found.0 < best.0 {
+                    best = found;
+                }
+            }
+        }
+        Some(Found { squared_mm2: best.0, triangle: self.triangle, site: best.1 })
+    }
+}
+
+/// All edges, ready for queries.
+pub(super) fn edges(welded: &Welded) -> Vec<Edge> {
+    welded.edges.iter().map(|&ends| Edge::new(ends, &welded.vertices_mm)).collect()
+}

@@ -1,0 +1,314 @@
+//! The exact surface of a part: nearest points, normals and signed distances.
+
+mod face;
+mod field;
+mod normals;
+mod report;
+mod tree;
+mod weld;
+
+pub use field::Field;
+pub use report::{SolidError, SolidReport};
+
+use super::TriangleMesh;
+use crate::digest::Digest;
+use crate::math::{DVec3, sqrt};
+use alloc::vec::Vec;
+use face::{Edge, Face, Found, Site};
+use tree::{Boxes, Item};
+use weld::{Kind, Welded};
+
+/// Coordinates beyond this, a million kilometres, are taken for a mistake.
+pub const REACH_MM: f64 = 1e12;
+/// Most triangles that are held.
+pub const MOST_TRIANGLES: usize = 4_000_000;
+
+/// What the nearest point of the surface lies on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Feature {
+    /// Within a triangle.
+    Face,
+    /// On an edge, between its ends.
+    Edge,
+    /// At a vertex.
+    Vertex,
+}
+
+/// The nearest point of a surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Closest {
+    /// The point of the surface, object frame.
+    pub point_mm: DVec3,
+    /// Outward unit normal there: the face's, or at an edge or vertex the angle-weighted mean of its faces'.
+    pub normal: DVec3,
+    /// Distance, positive on the side that `normal` points to: outside, if the surface is closed.
+    pub distance_mm: f64,
+    /// The triangle, by its place in the mesh; of several at the same distance the first one.
+    pub triangle: u32,
+    /// What the point lies on.
+    pub feature: Feature,
+}
+
+/// Which faces a search is among: those whose outward normal n has n·d ≥ `least_cosine` for the unit vector d.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Facing {
+    /// d, object frame, a unit vector: what presses on the face lies this way from it.
+    pub direction: DVec3,
+    /// From -1 for all faces over 0 for those that look this way at all, to 1.
+    pub least_cosine: f64,
+}
+
+/// The surface of a body, built once from a mesh: the nearest point of it, exactly as a search through all triangles
+/// would say.
+///
+/// Vertices at the same place are one. Inside and outside are told apart by the pseudo-normal of the face, edge or
+/// vertex that is nearest (Baerentzen and Aanaes 2005), which is exact for a closed surface; [`Self::report`] says
+/// whether it is one. With holes the distance is as exact, and its sign is that of the nearest side alone.
+///
+/// Queries allocate nothing. A tree of boxes, four to a node, leads to few triangles: on a part of 5000 triangles
+/// about 12 of them, fewer from a good first guess.
+#[derive(Clone, Debug)]
+pub struct Solid {
+    vertices_mm: Vec<DVec3>,
+    /// Corners of all triangles.
+    corners: Vec<[u32; 3]>,
+    edges: Vec<Edge>,
+    edge_normals: Vec<DVec3>,
+    vertex_normals: Vec<DVec3>,
+    /// In the order of the tree.
+    faces: Vec<Face>,
+    /// Where each triangle stands in that order.
+    place_of: Vec<u32>,
+    boxes: Boxes,
+    bounds_mm: (DVec3, DVec3),
+    /// What squared distances may be wrong by, over and above their share; see [`Self::limit`].
+    slack_mm2: f64,
+    report: SolidReport,
+}
+
+impl Solid {
+    /// Of a mesh whose triangles are counter-clockwise seen from outside; holes, repetitions and triangles without an
+    /// area are no reason to refuse it, and are in the [`Self::report`].
+    ///
+    /// # Errors
+    /// [`SolidError`].
+    pub fn new(mesh: &TriangleMesh) -> Result<Self, SolidError> {
+        if mesh.triangles().len() > MOST_TRIANGLES {
+            return Err(SolidError::TooMany { found: mesh.triangles().len() });
+        }
+        let too_far = |v: &DVec3| v.abs().max_element() > REACH_MM;
+        if let Some(vertex) = mesh.vertices_mm().iter().position(too_far) {
+            return Err(SolidError::TooFar { vertex });
+        }
+        let welded = Welded::new(mesh);
+        let normals = normals::normals(&welded);
+        let mut items = items(&welded);
+        if items.is_empty() {
+            return Err(SolidError::Empty);
+        }
+        let boxes = Boxes::new(&mut items);
+        let faces: Vec<Face> = items
+            .iter()
+            .map(|item| Face::new(&welded, item.triangle as usize, normals.faces[item.triangle as usize]))
+            .collect();
+        let mut place_of = alloc::vec![weld::NONE; welded.corners.len()];
+        for (place, face) in faces.iter().enumerate() {
+            place_of[face.triangle as usize] = place as u32;
+        }
+        let (low, high) = mesh.bounds_mm();
+        Ok(Self {
+            edges: face::edges(&welded),
+            report: welded.report(),
+            vertices_mm: welded.vertices_mm,
+            corners: welded.corners,
+            edge_normals: normals.edges,
+            vertex_normals: normals.vertices,
+            faces,
+            place_of,
+            boxes,
+            bounds_mm: (low, high),
+            slack_mm2: 1e-19 * (high - low).length_squared(),
+        })
+    }
+
+    /// What was found when it was built.
+    #[must_use]
+    pub const fn report(&self) -> &SolidReport {
+        &self.report
+    }
+
+    /// Whether the sign of a distance tells inside from outside.
+    #[must_use]
+    pub const fn is_closed(&self) -> bool {
+        self.report.is_closed()
+    }
+
+    /// Outward unit normal of a triangle, zero for one without an area.
+    ///
+    /// # Panics
+    /// If there is no such triangle.
+    #[must_use]
+    pub fn face_normal(&self, triangle: u32) -> DVec3 {
+        let place = self.place_of[triangle as usize];
+        if place == weld::NONE { DVec3::ZERO } else { self.faces[place as usize].normal }
+    }
+
+    /// The places of the mesh's vertices, each once, in ascending order.
+    #[must_use]
+    pub fn vertices_mm(&self) -> &[DVec3] {
+        &self.vertices_mm
+    }
+
+    /// Corners of all triangles, in [`Self::vertices_mm`].
+    #[must_use]
+    pub fn triangles(&self) -> &[[u32; 3]] {
+        &self.corners
+    }
+
+    /// Smallest and largest coordinates.
+    #[must_use]
+    pub const fn bounds_mm(&self) -> (DVec3, DVec3) {
+        self.bounds_mm
+    }
+
+    /// Digest of places and triangles.
+    #[must_use]
+    pub fn digest(&self) -> u64 {
+        let places = Digest::new().f64s(self.vertices_mm.iter().flat_map(|v| v.to_array()));
+        let corners = self.corners.iter().flatten();
+        corners.fold(places, |digest, &i| digest.u64(u64::from(i))).value()
+    }
+
+    /// The nearest point of the surface.
+    ///
+    /// Coordinates are good to 1e12 mm. A point that is not finite, or too far for its square, has the distance ∞
+    /// to the first face's corner.
+    #[must_use]
+    pub fn closest(&self, p_mm: DVec3) -> Closest {
+        self.resolve(p_mm, self.search(p_mm, None, f64::INFINITY, |_| true))
+    }
+
+    /// As [`Self::closest`], and the same answer, sooner if `triangle` is near: that of the last query close by.
+    /// A name that no face has is a guess as good as none.
+    #[must_use]
+    pub fn closest_from(&self, p_mm: DVec3, triangle: u32) -> Closest {
+        self.resolve(p_mm, self.search(p_mm, Some(triangle), f64::INFINITY, |_| true))
+    }
+
+    /// As [`Self::closest_from`], but `None` when nothing is within `reach_mm`, which is found out sooner.
+    #[must_use]
+    pub fn closest_within(&self, p_mm: DVec3, reach_mm: f64, triangle: Option<u32>) -> Option<Closest> {
+        let found = self.search(p_mm, triangle, reach_mm * reach_mm, |_| true)?;
+        Some(self.resolve(p_mm, Some(found))).filter(|c| c.distance_mm.abs() <= reach_mm)
+    }
+
+    /// The nearest point of faces that look a given way, within `reach_mm`: on a thin plate the side that is touched, however deep
+    /// the point lies under it. `triangle` as in [`Self::closest_from`].
+    ///
+    /// The sign of the distance is the side of the nearest face, edge or vertex.
+    #[must_use]
+    pub fn closest_facing(
+        &self,
+        p_mm: DVec3,
+        facing: &Facing,
+        reach_mm: f64,
+        triangle: Option<u32>,
+    ) -> Option<Closest> {
+        let looks = |face: &Face| face.normal.dot(facing.direction) >= facing.least_cosine;
+        let found = self.search(p_mm, triangle, reach_mm * reach_mm, looks)?;
+        Some(self.resolve(p_mm, Some(found))).filter(|c| c.distance_mm.abs() <= reach_mm)
+    }
+
+    /// The first face in (squared distance, triangle) of those asked for whose squared distance is up to `most_mm2`.
+    #[inline]
+    fn search(
+        &self,
+        p_mm: DVec3,
+        start: Option<u32>,
+        most_mm2: f64,
+        wanted: impl Fn(&Face) -> bool,
+    ) -> Option<Found> {
+        let tables = (&self.edges[..], &self.vertices_mm[..]);
+        let mut best: Option<Found> = None;
+        let mut limit_mm2 = self.limit(most_mm2).min(f64::MAX);
+        let mut consider = |place: u32, limit_mm2: f64| -> f64 {
+            let face = &self.faces[place as usize];
+            if !wanted(face) {
+                return limit_mm2;
+            }
+            let Some(found) = face.nearest(place, tables, p_mm, limit_mm2) else { return limit_mm2 };
+            let better = best.is_none_or(|best| {
+                found.squared_mm2 < best.squared_mm2
+                    || (found.squared_mm2 == best.squared_mm2 && found.triangle < best.triangle)
+            });
+            if !better || !found.squared_mm2.is_finite() {
+                return limit_mm2;
+            }
+            best = Some(found);
+            self.limit(found.squared_mm2).min(limit_mm2)
+        };
+        let place = start.and_then(|t| self.place_of.get(t as usize)).filter(|&&place| place != weld::NONE);
+        if let Some(&place) = place {
+            limit_mm2 = consider(place, limit_mm2);
+        }
+        self.boxes.near(p_mm, limit_mm2, consider);
+        best
+    }
+
+    /// The squared distance that a box or plane must have for nothing in it to have come out below `squared_mm2`.
+    ///
+    /// A distance d on a mesh with the diagonal D is wrong by e = 16 ε (D + d) at most, boxes by less, and
+    /// (d + e)² ≤ d² (1 + δ) + e² (1 + 1/δ) for every δ > 0; here δ = 1e-9.
+    #[inline]
+    fn limit(&self, squared_mm2: f64) -> f64 {
+        squared_mm2 * (1.0 + 2e-9) + self.slack_mm2
+    }
+
+    fn resolve(&self, p_mm: DVec3, found: Option<Found>) -> Closest {
+        let Some(found) = found else {
+            let face = &self.faces[0];
+            return Closest {
+                point_mm: face.origin_mm,
+                normal: face.normal,
+                distance_mm: f64::INFINITY,
+                triangle: face.triangle,
+                feature: Feature::Vertex,
+            };
+        };
+        let (point_mm, normal, distance_mm, feature) = match found.site {
+            Site::Face(place) => {
+                let face = &self.faces[place as usize];
+                let height_mm = face.height_mm(p_mm);
+                (p_mm - face.normal * height_mm, face.normal, height_mm, Feature::Face)
+            }
+            Site::Edge(name) => {
+                let edge = &self.edges[name as usize];
+                let start = self.vertices_mm[edge.ends[0] as usize];
+                let (foot, normal) = (edge.foot(&self.vertices_mm, p_mm), self.edge_normals[name as usize]);
+                (start + foot, normal, signed((p_mm - start) - foot, normal), Feature::Edge)
+            }
+            Site::Vertex(name) => {
+                let (place, normal) = (self.vertices_mm[name as usize], self.vertex_normals[name as usize]);
+                (place, normal, signed(p_mm - place, normal), Feature::Vertex)
+            }
+        };
+        Closest { point_mm, normal, distance_mm, triangle: found.triangle, feature }
+    }
+}
+
+/// Length, negative behind the normal.
+fn signed(offset_mm: DVec3, normal: DVec3) -> f64 {
+    let length_mm = sqrt(offset_mm.length_squared());
+    if offset_mm.dot(normal) < 0.0 { -length_mm } else { length_mm }
+}
+
+/// Boxes of the triangles that have an area.
+fn items(welded: &Welded) -> Vec<Item> {
+    let faces = (0..welded.corners.len()).filter(|&t| welded.kinds[t] == Kind::Face);
+    faces
+        .map(|t| {
+            let [a, b, c] = welded.places(t);
+            Item { low: a.min(b).min(c), high: a.max(b).max(c), triangle: t as u32 }
+        })
+        .collect()
+}

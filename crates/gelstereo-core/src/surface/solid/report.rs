@@ -1,0 +1,75 @@
+//! What is known about a mesh as the boundary of a body, and why some bound none.
+
+/// What a mesh is as the boundary of a body. Nothing of it keeps distances from being exact.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SolidReport {
+    /// Triangles given.
+    pub triangles: usize,
+    /// Triangles without an area beyond the rounding of their coordinates; distances pass over them.
+    pub degenerate: usize,
+    /// Triangles that repeat an earlier one, facing the same way; distances pass over them.
+    pub duplicates: usize,
+    /// Edges with a triangle on one side alone: the rims of holes.
+    pub boundary_edges: usize,
+    /// Edges along which two triangles run the same way, so that one of them is inside out.
+    pub clashing_edges: usize,
+    /// Edges that more than two triangles share: bodies that touch, or a wall within.
+    pub crowded_edges: usize,
+    /// Signed volume, mm³ (divergence theorem): negative when faces are inside out, meaningless with holes.
+    pub volume_mm3: f64,
+}
+
+impl SolidReport {
+    /// Whether the surface parts space into inside and outside: no holes, and neighbours face the same way.
+    #[must_use]
+    pub const fn is_closed(&self) -> bool {
+        self.boundary_edges == 0 && self.clashing_edges == 0
+    }
+
+    /// Whether a closed surface has its inside and outside swapped.
+    #[must_use]
+    pub fn is_inside_out(&self) -> bool {
+        self.is_closed() && self.volume_mm3 < 0.0
+    }
+}
+
+/// Why a mesh has no distance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum SolidError {
+    /// No triangle has an area beyond the rounding of its coordinates.
+    Empty,
+    /// A vertex lies beyond [`super::REACH_MM`].
+    TooFar {
+        /// Which vertex.
+        vertex: usize,
+    },
+    /// More triangles than [`super::MOST_TRIANGLES`].
+    TooMany {
+        /// Triangles found.
+        found: usize,
+    },
+}
+
+impl core::fmt::Display for SolidError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Empty => write!(
+                f,
+                "no triangle has an area beyond the rounding of its coordinates; move the part to the origin, or \
+                 write it with more digits"
+            ),
+            Self::TooFar { vertex } => write!(
+                f,
+                "vertex {vertex} has a coordinate beyond {:e} mm; move the part to the origin",
+                super::REACH_MM
+            ),
+            Self::TooMany { found } => write!(
+                f,
+                "the mesh has {found} triangles; at most {} are held: simplify it",
+                super::MOST_TRIANGLES
+            ),
+        }
+    }
+}
+
+impl core::error::Error for SolidError {}
