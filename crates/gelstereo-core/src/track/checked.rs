@@ -98,7 +98,7 @@ impl CheckedTracker {
         self.expected_px.clone_from(&self.rest_px);
         self.matching.reserve(sites, most_detections, self.size_px, self.pitch_px);
         self.relabel.reserve(self.size_px, most_detections);
-        self.anchor.reserve(markers, sites);
+        self.anchor.reserve(markers, sites, most_detections);
         self.carry.reserve(markers);
         self.canvas.lay(&self.rest_px, self.rows, self.cols, RINGS[RINGS.len() - 1]);
         for (n, detection) in rest.detection.iter().enumerate() {
@@ -106,7 +106,13 @@ impl CheckedTracker {
                 self.canvas.found[site] = *m;
             }
         }
-        let alone = self.anchor.run(&self.canvas, expectations(out), self.size_px, self.pitch_px);
+        let alone = self.anchor.run(
+            &self.canvas,
+            &detected.centres_px,
+            expectations(out),
+            self.size_px,
+            self.pitch_px,
+        );
         self.anchored = alone.certain && alone.shift == [0, 0];
     }
 
@@ -173,7 +179,7 @@ impl CheckedTracker {
             if !whole || 2 * matched < detected_px.len() {
                 continue;
             }
-            let found = self.anchor.run(canvas, expectations(tracks), self.size_px, *pitch_px);
+            let found = self.anchor.run(canvas, detected_px, expectations(tracks), self.size_px, *pitch_px);
             if found.certain {
                 return Some(found.shift);
             }
@@ -193,7 +199,7 @@ impl CheckedTracker {
         if !whole || 2 * matched < detected_px.len() {
             return None;
         }
-        let found = self.anchor.run(canvas, expectations(tracks), self.size_px, *pitch_px);
+        let found = self.anchor.run(canvas, detected_px, expectations(tracks), self.size_px, *pitch_px);
         if self.anchored { found.certain.then_some(found.shift) } else { self.unanchored() }
     }
 

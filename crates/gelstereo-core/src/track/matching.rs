@@ -20,6 +20,10 @@ const BENT: f64 = 1.0 / 3.0;
 /// Where all residuals lie so close to their mean, in pitches, every two agree.
 const ALL_AGREE: f64 = 0.5 * NEIGHBOURS_AGREE;
 
+/// Without neighbours in between, residuals agree up to this share of the distance to the nearest neighbour, which is less than a
+/// pitch where the gel is squeezed: beyond a half it would be the neighbour.
+const ALONE_AGREE: f64 = 0.35;
+
 /// A detection that two places want about equally, in pitches, is two markers in one, and nobody's.
 const DISPUTED: f64 = 0.25;
 
@@ -152,10 +156,10 @@ impl Matching {
     ) -> bool {
         let (reach_px, disputed_px) = (NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px);
         let fresh = |canvas: &Canvas, site: usize| canvas.marker(site).is_some_and(|n| missed(n) == 0);
-        self.keep_largest(canvas, pitch_px);
+        self.keep_largest(canvas, pitch_px, |_, _| false);
         self.grow(canvas, detected_px, reach_px, disputed_px);
         // Islands beyond a gap are joined while all has moved alike; those that were hidden until now could have moved unseen.
-        if let Some(mean) = common_residual(canvas, NEIGHBOURS_AGREE * pitch_px) {
+        if let Some(mean) = moved_alike(canvas, pitch_px) {
             self.targets.clear();
             for site in (0..canvas.found.len()).filter(|&s| canvas.found[s] == NONE && fresh(canvas, s)) {
                 self.targets.push((site as u32, canvas.predicted_px[site] + mean));
@@ -166,6 +170,9 @@ impl Matching {
         }
         self.settle(canvas, detected_px, reach_px, disputed_px);
         while self.weed(canvas, &missed, pitch_px) {}
+        // What weeding cut off may have slipped as a whole.
+        let alike = moved_alike(canvas, pitch_px).is_some();
+        self.keep_largest(canvas, pitch_px, |canvas, site| alike && fresh(canvas, site));
         canvas.spread(&mut self.known, &mut self.targets);
         !torn(canvas, if stale { SLIPPED_STALE } else { SLIPPED }, pitch_px)
     }
@@ -207,8 +214,8 @@ impl Matching {
         !claimants.is_empty()
     }
 
-    /// Drops all but the largest set of neighbours in agreement.
-    fn keep_largest(&mut self, canvas: &mut Canvas, pitch_px: f64) {
+    /// Drops all but the largest set of neighbours in agreement; of other sets some places may be spared.
+    fn keep_largest(&mut self, canvas: &mut Canvas, pitch_px: f64, spared: impl Fn(&Canvas, usize) -> bool) {
         let agree_px2 = (NEIGHBOURS_AGREE * pitch_px) * (NEIGHBOURS_AGREE * pitch_px);
         self.component.clear();
         self.component.resize(canvas.found.len(), NONE);
@@ -239,7 +246,7 @@ impl Matching {
             }
         }
         for site in (0..canvas.found.len()).filter(|&s| self.component[s] != largest) {
-            if canvas.found[site] != NONE {
+            if canvas.found[site] != NONE && !spared(canvas, site) {
                 self.taken[canvas.found[site] as usize] = false;
                 canvas.found[site] = NONE;
                 canvas.residual_px[site] = DVec2::ZERO;
@@ -353,6 +360,14 @@ fn common_residual(canvas: &Canvas, most_px: f64) -> Option<DVec2> {
     let (sum, count) = matched().fold((DVec2::ZERO, 0.0), |(sum, count), r| (sum + r, count + 1.0));
     let mean = sum / count;
     (count > 0.0 && matched().all(|r| r.distance_squared(mean) < most_px * most_px)).then_some(mean)
+}
+
+/// Mean residual of all matches if each lies so close to it that its neighbours in line are farther off: then none slipped, not
+/// even those that no neighbour ties to the others.
+fn moved_alike(canvas: &Canvas, pitch_px: f64) -> Option<DVec2> {
+    let mean = common_residual(canvas, NEIGHBOURS_AGREE * pitch_px)?;
+    let near = |s: usize| canvas.residual_px[s].distance(mean) < ALONE_AGREE * canvas.step_px(s);
+    (0..canvas.found.len()).filter(|&s| canvas.found[s] != NONE).all(near).then_some(mean)
 }
 
 /// Whether all matches agree with each other, and those that reappear stand beside one that was seen before; then what was
