@@ -169,12 +169,15 @@ impl Matching {
             }
         }
         self.settle(canvas, detected_px, reach_px, disputed_px);
-        while self.weed(canvas, &missed, pitch_px) {}
+        // With a place for every detection and a detection for every place, no speck and no merged pair is among them.
+        if !self.is_complete(canvas) {
+            while self.weed(canvas, &missed, pitch_px) {}
+        }
         // What weeding cut off may have slipped as a whole.
         let alike = moved_alike(canvas, pitch_px).is_some();
         self.keep_largest(canvas, pitch_px, |canvas, site| alike && fresh(canvas, site));
         canvas.spread(&mut self.known, &mut self.targets);
-        !torn(canvas, if stale { SLIPPED_STALE } else { SLIPPED }, pitch_px)
+        !torn(canvas, if stale { SLIPPED_STALE } else { SLIPPED }, pitch_px, fresh)
     }
 
     /// Gives every target the free detection nearest to it and closer than the gate, if no other wants it about as
@@ -297,6 +300,13 @@ impl Matching {
         }
     }
 
+    /// Whether all markers of the lattice were found, and nothing else.
+    fn is_complete(&self, canvas: &Canvas) -> bool {
+        let markers = canvas.rows * canvas.cols;
+        let found = |s: &usize| canvas.found[*s] != NONE && canvas.marker(*s).is_some();
+        self.taken.len() == markers && (0..canvas.found.len()).filter(found).count() == markers
+    }
+
     /// Drops detections that stand alone against their neighbours: specks, and merged pairs. Whether there were any.
     fn weed(&mut self, canvas: &mut Canvas, missed: impl Fn(usize) -> u32, pitch_px: f64) -> bool {
         self.claimants.clear();
@@ -317,7 +327,7 @@ impl Matching {
             let hidden = canvas.marker(site).is_none_or(|n| missed(n) > 0);
             let alone = alone
                 || beside < if hidden { BESIDE_HIDDEN } else { BESIDE }
-                || canvas.between_px(site).is_some_and(bent);
+                || (hidden && canvas.between_px(site).is_some_and(bent));
             if alone {
                 self.claimants.push((site as u32, m));
             }
@@ -331,16 +341,22 @@ impl Matching {
 }
 
 /// Whether two neighbours have slipped against each other: their motions differ too much, or a marker does not stand between
-/// its neighbours.
-fn torn(canvas: &Canvas, most_slip: f64, pitch_px: f64) -> bool {
+/// its neighbours. Where all three were seen in the frame before, it may, if it has moved as they have: gel that is
+/// twisted bends as far at the rim of the contact.
+fn torn(canvas: &Canvas, most_slip: f64, pitch_px: f64, fresh: impl Fn(&Canvas, usize) -> bool) -> bool {
     let (slip, bent) = (most_slip * pitch_px, BENT * pitch_px);
     let width = canvas.width();
     let found = |site: usize| canvas.found[site] != NONE;
     let height = canvas.found.len() / width;
     let tears = |site: usize, row: usize, col: usize| {
         let between = |before: usize, after: usize| {
-            let middle = (canvas.position_px(before) + canvas.position_px(after)) * 0.5;
-            found(before) && found(after) && middle.distance_squared(canvas.position_px(site)) > bent * bent
+            let off2 =
+                |at: &dyn Fn(usize) -> DVec2| ((at(before) + at(after)) * 0.5).distance_squared(at(site));
+            let known = || [before, site, after].into_iter().all(|s| fresh(canvas, s));
+            found(before)
+                && found(after)
+                && off2(&|s| canvas.position_px(s)) > bent * bent
+                && !(known() && off2(&|s| canvas.residual_px[s]) < bent * bent)
         };
         let slipped = |other: usize| {
             let apart = canvas.residual_px[site] - canvas.residual_px[other];
