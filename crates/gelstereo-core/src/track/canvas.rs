@@ -1,5 +1,6 @@
 //! The lattice with rings of empty places around it, where markers would appear if it had moved by whole pitches.
 
+use super::near;
 use crate::math::{DVec2, median, sqrt};
 use alloc::vec::Vec;
 
@@ -123,12 +124,7 @@ impl Canvas {
 
     /// The up to eight places around one.
     pub fn around(&self, site: usize) -> impl Iterator<Item = usize> + use<> {
-        let (width, height) = (self.width(), self.rows + 2 * self.rings);
-        let (row, col) = (site / width, site % width);
-        let near = |at: usize, end: usize| at.saturating_sub(1)..(at + 2).min(end);
-        near(row, height)
-            .flat_map(move |r| near(col, width).map(move |c| r * width + c))
-            .filter(move |&other| other != site)
+        near(site, self.width(), self.found.len(), 1).filter(move |&other| other != site)
     }
 
     /// Distance of a place to the nearest of the four beside it, as predicted.

@@ -3,7 +3,7 @@
 use super::anchor::{self, Anchor, Expectation};
 use super::canvas::{Canvas, NONE};
 use super::carry::Carry;
-use super::matching::Matching;
+use super::matching::{Before, Matching};
 use super::relabel::Relabel;
 use super::{NEVER_SEEN, Tracks};
 use crate::detect::Markers;
@@ -172,9 +172,8 @@ impl CheckedTracker {
             if !relabel.lay(detected_px, expected_px, canvas) {
                 continue;
             }
-            let missed = |n: usize| tracks.missed_frames[n];
-            let whole = relabel.complete(canvas)
-                || matching.check(canvas, detected_px, missed, tracks.stale, *pitch_px);
+            let whole =
+                relabel.complete(canvas) || matching.check(canvas, detected_px, before(tracks, *pitch_px));
             let matched = canvas.found.iter().filter(|&&m| m != NONE).count();
             if !whole || 2 * matched < detected_px.len() {
                 continue;
@@ -191,9 +190,8 @@ impl CheckedTracker {
     fn identify(&mut self, detected_px: &[DVec2], rings: usize, tracks: &Tracks) -> Option<[isize; 2]> {
         let Self { canvas, matching, pitch_px, .. } = self;
         canvas.lay(&self.expected_px, self.rows, self.cols, rings);
-        let missed = |n: usize| tracks.missed_frames[n];
         let gate_px = (rings == RINGS[0]).then_some(self.params.gate_pitches * *pitch_px);
-        let whole = matching.run(canvas, detected_px, missed, tracks.stale, gate_px, *pitch_px);
+        let whole = matching.run(canvas, detected_px, before(tracks, *pitch_px), gate_px);
         // What most detections do not belong to is not the lattice.
         let matched = canvas.found.iter().filter(|&&m| m != NONE).count();
         if !whole || 2 * matched < detected_px.len() {
@@ -244,6 +242,10 @@ impl CheckedTracker {
         out.previous_px.clone_from(&out.positions_px);
         (out.steady, out.stale) = (false, true);
     }
+}
+
+fn before(tracks: &Tracks, pitch_px: f64) -> Before<'_> {
+    Before { missed_frames: &tracks.missed_frames, stale: tracks.stale, pitch_px }
 }
 
 fn expectations(tracks: &Tracks) -> impl Iterator<Item = Expectation> + Clone {
