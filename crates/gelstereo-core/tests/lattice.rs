@@ -397,6 +397,21 @@ proptest! {
     }
 }
 
+/// Found by fuzzing: a speck beside the marker that the lattice was grown from was given the same place.
+#[test]
+fn a_speck_beside_the_seed_has_no_place() {
+    let (mut finder, mut found) = (LatticeFinder::default(), FoundLattice::default());
+    for n in 0..25 {
+        let mut scene = Scene::new(5, 5, 10.0);
+        scene.points.push(scene.truth[n] + DVec2::new(2.0, 1.0));
+        if finder.run(&scene.points, Some(SIZE), &mut found).is_ok() {
+            for (m, place) in found.places.iter().enumerate() {
+                assert!(place.is_none_or(|place| found.at(place) == Some(m)), "speck at {n}");
+            }
+        }
+    }
+}
+
 /// Two views of one print, near the angle at which either turn is as upright: one is turned like the other.
 #[test]
 fn row_15_both_views_are_turned_alike_at_45_degrees() {
