@@ -144,3 +144,19 @@ fn row_14_input_without_a_dense_surface_is_refused_by_name() {
     assert_eq!(short, mesh(MarkerMeshError::LengthMismatch { points: 7, markers: 25 }));
     assert_eq!(surface.run(&[DVec3::ZERO; 25], &mut frame), mesh(MarkerMeshError::NoNormal { marker: 0 }));
 }
+
+/// Found by fuzzing: a step of 4e256 mm put all markers on one spot of the grid, and one of 1 mm did so with rows 1e-41 mm
+/// apart; the interpolation of no triangles then panicked.
+#[test]
+fn steps_that_leave_nothing_between_the_markers_are_refused() {
+    let at = |height: f64| -> Vec<DVec2> {
+        (0..4).map(|n| DVec2::new(f64::from(n % 2), f64::from(n / 2) * height)).collect()
+    };
+    for step_mm in [1.1, 1e3, 4e256] {
+        let refused = DenseSurface::new(&at(1.0), step_mm);
+        assert!(matches!(refused, Err(DenseSurfaceError::Step { .. })), "{step_mm}");
+    }
+    assert_eq!(DenseSurface::new(&at(1.0), 1.0).unwrap().rows(), 2);
+    let refused = DenseSurface::new(&at(1e-41), 1.0);
+    assert!(matches!(refused, Err(DenseSurfaceError::Mesh(_))), "{refused:?}");
+}

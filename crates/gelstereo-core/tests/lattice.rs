@@ -25,6 +25,8 @@ struct Scene {
     rows: usize,
     cols: usize,
     smear: Option<DVec2>,
+    /// Merged pairs that are as large as two markers.
+    pairs: Vec<DVec2>,
 }
 
 impl Scene {
@@ -38,6 +40,7 @@ impl Scene {
             rows,
             cols,
             smear: None,
+            pairs: Vec::new(),
         }
     }
 
@@ -88,6 +91,15 @@ impl Scene {
         self
     }
 
+    /// As [`Self::merged`], where the dots show by their areas that they are two.
+    fn joined(mut self, pairs: usize, stream: &mut Stream) -> Self {
+        let before = self.labels.iter().filter(|l| l.is_none()).count();
+        self = self.merged(pairs, stream);
+        let unlabelled = self.points.iter().zip(&self.labels).filter(|(_, label)| label.is_none());
+        self.pairs = unlabelled.skip(before).map(|(&p, _)| p).collect();
+        self
+    }
+
     /// Specks anywhere in the image, but none where a marker could be, seen or not.
     fn speckled(mut self, specks: usize, stream: &mut Stream) -> Self {
         for _ in 0..specks {
@@ -124,9 +136,18 @@ impl Scene {
         self
     }
 
-    /// A smear is larger than a dot.
+    fn markers(&self) -> Markers {
+        Markers { area_px2: self.areas(), ..Markers::at(self.points.clone(), 0.1) }
+    }
+
+    /// A smear is larger than a dot, and so are two.
     fn areas(&self) -> Vec<u32> {
-        self.points.iter().map(|&p| if Some(p) == self.smear { 300 } else { 60 }).collect()
+        let area = |&p: &DVec2| match p {
+            p if Some(p) == self.smear => 300,
+            p if self.pairs.contains(&p) => 120,
+            _ => 60,
+        };
+        self.points.iter().map(area).collect()
     }
 
     /// Wrong places, right ones, and markers that have none.
@@ -159,16 +180,16 @@ fn rate(name: &str, least: u64, scene: impl Fn(&mut Stream) -> Scene) {
     for seed in 0..SEEDS {
         let mut stream = Stream::new(seed, name);
         let scene = scene(&mut stream).shuffled(&mut stream);
-        let area_px2 = scene.areas();
-        let markers = Markers { area_px2, ..Markers::at(scene.points.clone(), 0.1) };
-        if finder.run_markers(&markers, Some(SIZE), &mut found).is_err() {
+        if finder.run_markers(&scene.markers(), Some(SIZE), &mut found).is_err() {
             refused += 1;
             continue;
         }
         let (wrong, _, without) = scene.judge(&found);
         wrong_scenes += u64::from(wrong > 0);
         if wrong > 0 {
-            println!("{name} seed {seed}: {wrong} wrong, {without} without");
+            let strays =
+                scene.labels.iter().zip(&found.places).filter(|(l, p)| l.is_none() && p.is_some()).count();
+            println!("{name} seed {seed}: {wrong} wrong, {strays} strays, {without} without");
         }
         complete += u64::from(without == 0);
         missed += without;
@@ -239,10 +260,10 @@ fn row_15_perspective_and_barrel() {
 fn row_15_a_fifth_missing() {
     let interior = |r: usize, c: usize| r > 0 && c > 0 && r < 24 && c < 24;
     rate("missing", SEEDS, |s| Scene::new(25, 25, any_turn(s)).shaken(0.2, s).thinned(0.2, s, interior));
-    rate("missing anywhere", 190, |s| {
+    rate("missing anywhere", SEEDS, |s| {
         Scene::new(25, 25, any_turn(s)).shaken(0.2, s).thinned(0.2, s, |_, _| true)
     });
-    rate("missing, bent, with specks", 120, |s| {
+    rate("missing, bent, with specks", 133, |s| {
         let k = s.uniform() * 0.4 - 0.3;
         Scene::new(25, 25, any_turn(s))
             .moved(|p| p * (1.0 + k * p.length_squared() / 90_000.0))
@@ -254,9 +275,9 @@ fn row_15_a_fifth_missing() {
 
 #[test]
 fn row_15_merged_and_specks() {
-    rate("merged", SEEDS - 4, |s| Scene::new(25, 25, any_turn(s)).shaken(0.2, s).merged(20, s));
-    rate("specks", SEEDS - 20, |s| Scene::new(25, 25, any_turn(s)).shaken(0.2, s).speckled(20, s));
-    rate("merged and missing and specks", 150, |s| {
+    rate("merged", SEEDS - 2, |s| Scene::new(25, 25, any_turn(s)).shaken(0.2, s).merged(20, s));
+    rate("specks", SEEDS - 12, |s| Scene::new(25, 25, any_turn(s)).shaken(0.2, s).speckled(20, s));
+    rate("merged and missing and specks", SEEDS - 5, |s| {
         Scene::new(25, 25, any_turn(s))
             .shaken(0.2, s)
             .merged(10, s)
@@ -267,11 +288,11 @@ fn row_15_merged_and_specks() {
 
 #[test]
 fn row_15_out_of_view_and_smeared() {
-    rate("out of view", SEEDS - 40, |s| {
+    rate("out of view", SEEDS - 22, |s| {
         let shift = DVec2::new(s.uniform() - 0.5, s.uniform() - 0.5) * 300.0;
         Scene::new(25, 25, any_turn(s)).moved(|p| p + shift).shaken(0.2, s).cut()
     });
-    rate("smear", SEEDS - 10, |s| {
+    rate("smear", SEEDS - 2, |s| {
         let at = MIDDLE + DVec2::new(s.uniform() - 0.5, s.uniform() - 0.5) * 300.0;
         let (axis, long) = (turn(DVec2::X, s.uniform() * 7.0), 40.0 + 80.0 * s.uniform());
         let mut scene = Scene::new(25, 25, any_turn(s)).shaken(0.2, s);
@@ -289,9 +310,31 @@ fn row_15_out_of_view_and_smeared() {
     });
 }
 
+/// A quarter missing, merged pairs, specks, and contacts so narrow that they squeeze the lattice to half a pitch.
+#[test]
+fn row_15_all_at_once() {
+    let narrow = |s: &mut Stream, missing: f64, specks: usize| {
+        let at = DVec2::new(s.uniform() - 0.5, s.uniform() - 0.5) * 300.0;
+        let (way, radius) = (turn(DVec2::X, s.uniform() * 7.0), (3.0 + 2.0 * s.uniform()) * PITCH);
+        let (push, twist) = (s.uniform() * 2.0 * PITCH, (s.uniform() - 0.5) * 60.0_f64.to_radians());
+        let bend = |p: DVec2| {
+            let near = (-p.distance_squared(at) / (radius * radius)).exp();
+            at + turn(p - at, twist * near) + way * (push * near)
+        };
+        Scene::new(25, 25, any_turn(s))
+            .moved(bend)
+            .shaken(0.1, s)
+            .joined(20, s)
+            .thinned(missing, s, |_, _| true)
+            .speckled(specks, s)
+    };
+    rate("narrow contacts, a tenth missing", 100, |s| narrow(s, 0.1, 0));
+    rate("narrow contacts, a quarter missing, specks", 57, |s| narrow(s, 0.25, 6));
+}
+
 #[test]
 fn large_lattices() {
-    rate("71 x 71", SEEDS - 5, |s| {
+    rate("71 x 71", SEEDS - 1, |s| {
         Scene::new(71, 71, any_turn(s)).shaken(0.5, s).thinned(0.1, s, |_, _| true).shuffled(s)
     });
 }
@@ -330,15 +373,16 @@ proptest! {
     #[test]
     fn row_15_anchors_are_right_or_none(
         seed: u64, turn_deg in 0.0..360.0_f64, motion in 0.0..0.4_f64, shift in 0.0..200.0_f64, specks in 0..20_usize,
-        share in 0.0..0.2_f64,
+        share in 0.0..0.25_f64, pairs in 0..=20_usize,
     ) {
         let mut s = Stream::new(seed, "anchor");
         let (mut finder, mut found) = (LatticeFinder::default(), FoundLattice::default());
         let (away, by) = (turn(DVec2::X, s.uniform() * 7.0) * shift, turn(DVec2::X, s.uniform() * 7.0) * motion * PITCH);
         let before = Scene::new(25, 25, turn_deg).moved(|p| p + away);
         let scene = before.clone().moved(|p| p + by).shaken(0.2, &mut s).cut();
-        let scene = scene.thinned(share, &mut s, |_, _| true).speckled(specks, &mut s).shuffled(&mut s);
-        if finder.run(&scene.points, Some(SIZE), &mut found).is_ok() {
+        let scene = scene.joined(pairs, &mut s).thinned(share, &mut s, |_, _| true);
+        let scene = scene.speckled(specks, &mut s).shuffled(&mut s);
+        if finder.run_markers(&scene.markers(), Some(SIZE), &mut found).is_ok() {
             let anchored = anchor(&found, &scene.points, 25, 25, &before.truth);
             // Two specks beyond a corner that is cut by the image may look like one more row.
             let misled = scene.judge(&found).0 > 0;
@@ -393,6 +437,21 @@ proptest! {
             }
             Err(LabelError::Border { .. } | LabelError::Irregular { .. }) => {}
             Err(other) => prop_assert!(specks > 5 || share > 0.15, "{other}"),
+        }
+    }
+}
+
+/// Found by fuzzing: a speck beside the marker that the lattice was grown from was given the same place.
+#[test]
+fn a_speck_beside_the_seed_has_no_place() {
+    let (mut finder, mut found) = (LatticeFinder::default(), FoundLattice::default());
+    for n in 0..25 {
+        let mut scene = Scene::new(5, 5, 10.0);
+        scene.points.push(scene.truth[n] + DVec2::new(2.0, 1.0));
+        if finder.run(&scene.points, Some(SIZE), &mut found).is_ok() {
+            for (m, place) in found.places.iter().enumerate() {
+                assert!(place.is_none_or(|place| found.at(place) == Some(m)), "speck at {n}");
+            }
         }
     }
 }

@@ -85,10 +85,10 @@ fn jumps_by_more_than_a_pitch_are_noticed() {
     }
 }
 
-/// Up to 20 % missing, merged pairs, specks and a smear of up to 7 pitches in diameter.
+/// Up to 25 % missing, merged pairs, specks and a smear of up to 18 pitches in diameter.
 fn seeing() -> impl Strategy<Value = Seeing> {
-    let smear = prop::option::of((0.0..640.0_f64, 0.0..480.0_f64, 10.0..60.0_f64));
-    (0.0..0.2_f64, 0..6_usize, 0..6_usize, smear, any::<bool>()).prop_map(
+    let smear = prop::option::of((0.0..640.0_f64, 0.0..480.0_f64, 10.0..160.0_f64));
+    (0.0..0.25_f64, 0..=20_usize, 0..6_usize, smear, any::<bool>()).prop_map(
         |(missing, merged, specks, smear, unprinted)| Seeing {
             missing,
             merged,
@@ -102,7 +102,7 @@ fn seeing() -> impl Strategy<Value = Seeing> {
 
 /// A press of up to 2 mm with shear by up to 2 pitches and twist by up to 30 degrees.
 fn gripped() -> impl Strategy<Value = Warp> {
-    let contact = (200.0..460.0_f64, 120.0..360.0_f64, 7.0..10.0_f64);
+    let contact = (200.0..460.0_f64, 120.0..360.0_f64, 3.0..10.0_f64);
     let shear = (0.0..2.0_f64, 0.0..std::f64::consts::TAU);
     (contact, 0.0..0.077_f64, shear, -30.0..30.0_f64).prop_map(
         |((x, y, radius), press, (shear, way), twist)| Warp {

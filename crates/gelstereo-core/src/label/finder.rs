@@ -256,14 +256,13 @@ impl LatticeFinder {
         let steps = [seed.row_step, seed.col_step];
         self.canvas.put(Place::default(), seed.centre, steps);
         let tolerance_px = 0.25 * seed.row_step.length().min(seed.col_step.length());
-        for row in -1..=1 {
-            for col in -1..=1 {
-                let at =
-                    points[seed.centre] + seed.row_step * f64::from(col) + seed.col_step * f64::from(row);
-                let marker = self.grid.nearest(points, at, tolerance_px, |m| self.canvas.places[m].is_none());
-                if let Some(m) = marker {
-                    self.canvas.put(Place::new(row, col), m, steps);
-                }
+        // But for the middle one: a speck beside the seed has no place.
+        for n in (0..9).filter(|&n| n != 4) {
+            let (row, col) = (n / 3 - 1, n % 3 - 1);
+            let at = points[seed.centre] + seed.row_step * f64::from(col) + seed.col_step * f64::from(row);
+            let marker = self.grid.nearest(points, at, tolerance_px, |m| self.canvas.places[m].is_none());
+            if let Some(m) = marker {
+                self.canvas.put(Place::new(row, col), m, steps);
             }
         }
         self.around.clear();

@@ -41,7 +41,7 @@ pub struct DenseFrame {
 pub enum DenseSurfaceError {
     /// The markers have no mesh, or one of them no normal.
     Mesh(MarkerMeshError),
-    /// The step is not a length, or makes a grid of more than 4 194 304 cells.
+    /// The step is not a length, is longer than the markers' box, or makes a grid of more than 4 194 304 cells.
     Step {
         /// The step found.
         step_mm: f64,
@@ -66,7 +66,8 @@ impl core::fmt::Display for DenseSurfaceError {
             Self::Mesh(error) => error.fmt(f),
             Self::Step { step_mm, cells } => write!(
                 f,
-                "a step of {step_mm} mm makes {cells} cells; valid is a length above 0 that makes at most {MOST_CELLS}"
+                "a step of {step_mm} mm makes {cells} cells; valid is a length above 0, at most the longer \
+                 side of the markers' box, that makes at most {MOST_CELLS}"
             ),
             Self::NotFinite { marker } => {
                 write!(f, "marker {marker} has a coordinate that is NaN or infinite")
@@ -91,8 +92,9 @@ impl DenseSurface {
         let (low, high) = rest_mm.iter().fold((rest_mm[0], rest_mm[0]), |(l, h), &p| (l.min(p), h.max(p)));
         // A side that is a whole number of steps but for round-off keeps its last cell.
         let side = |length: f64| ceil(length / step_mm - 1e-9) + 1.0;
-        let (across, down) = (side(high.x - low.x), side(high.y - low.y));
-        if !(step_mm > 0.0 && step_mm.is_finite() && across * down <= MOST_CELLS) {
+        let size = high - low;
+        let (across, down) = (side(size.x), side(size.y));
+        if !(step_mm > 0.0 && step_mm <= size.max_element() && across * down <= MOST_CELLS) {
             let cells = if step_mm > 0.0 { across * down } else { f64::INFINITY };
             return Err(DenseSurfaceError::Step { step_mm, cells });
         }
@@ -107,7 +109,7 @@ impl DenseSurface {
             weights: Vec::new(),
             normals: Vec::new(),
         };
-        surface.weigh(rest_mm);
+        surface.weigh(rest_mm).map_err(DenseSurfaceError::Mesh)?;
         Ok(surface)
     }
 
@@ -209,17 +211,25 @@ impl DenseSurface {
     }
 
     /// Weights of all cells.
-    fn weigh(&mut self, rest_mm: &[DVec2]) {
+    /// Refuses markers that are the same or lie in a line but for the last digits of a step.
+    fn weigh(&mut self, rest_mm: &[DVec2]) -> Result<(), MarkerMeshError> {
         // About the grid's first cell, in steps: positions far away or tiny keep their digits.
         let place = |p: DVec2| (p - self.origin_mm) / self.step_mm;
         let mut delaunay = DelaunayTriangulation::<Point2<f64>>::new();
-        for &p in rest_mm {
+        for (marker, &p) in rest_mm.iter().enumerate() {
             let p = place(p);
-            // The mesh has shown that these can be inserted; one too close to an axis is set on it.
+            // One too close to an axis is set on it.
             let tiny = |x: f64| if x.abs() < 1e-40 { 0.0 } else { x };
-            if delaunay.insert(Point2::new(tiny(p.x), tiny(p.y))).is_err() {
-                break;
+            match delaunay.insert(Point2::new(tiny(p.x), tiny(p.y))) {
+                Ok(vertex) if vertex.index() == marker => {}
+                Ok(vertex) => {
+                    return Err(MarkerMeshError::Duplicate { first: vertex.index(), second: marker });
+                }
+                Err(_) => return Err(MarkerMeshError::NotFinite { marker }),
             }
+        }
+        if delaunay.num_inner_faces() == 0 {
+            return Err(MarkerMeshError::Collinear { markers: rest_mm.len() });
         }
         let (natural, flat) = (delaunay.natural_neighbor(), delaunay.barycentric());
         let mut found = Vec::new();
@@ -240,5 +250,6 @@ impl DenseSurface {
                 self.ends.push(self.weights.len() as u32);
             }
         }
+        Ok(())
     }
 }

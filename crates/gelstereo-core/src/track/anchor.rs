@@ -10,6 +10,9 @@ const STRAY: u32 = 3;
 /// Within so many pitches of the image's border a marker may be cut off: neither presence nor absence is expected.
 const BORDER_PITCHES: f64 = 0.6;
 
+/// A detection that belongs to no place is seen at one so near, in pitches.
+const AT_PLACE: f64 = 0.5;
+
 /// What is known of a marker beforehand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Expectation {
@@ -26,8 +29,12 @@ pub(super) enum Expectation {
 /// The inside of a lattice looks the same after a step of a pitch; what differs is its border, and places
 /// without a print. A shift costs 1 for each marker that was expected in view and is not there, and [`STRAY`] for each
 /// detection where nothing can be, besides what the jump costs. The best is certain when all others cost clearly more.
+///
+/// Every detection counts, whether it was matched or not: whether it is this marker or another one, or two in one, it is no
+/// empty gel. Matches alone would be biased, since a border row in poor sight is matched less easily where it is not expected.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Anchor {
+    taken: Vec<bool>,
     present: Vec<u8>,
     visible: Vec<u8>,
     expected: Vec<u8>,
@@ -85,8 +92,10 @@ pub(super) struct Anchored {
 }
 
 impl Anchor {
-    /// Makes room for a lattice with so many rings.
-    pub fn reserve(&mut self, markers: usize, sites: usize) {
+    /// Makes room for a lattice with so many places on its canvas, and for so many detections.
+    pub fn reserve(&mut self, markers: usize, sites: usize, detections: usize) {
+        self.taken.clear();
+        self.taken.reserve(detections);
         for list in [&mut self.present, &mut self.visible] {
             list.clear();
             list.reserve(sites);
@@ -101,6 +110,7 @@ impl Anchor {
     pub fn run(
         &mut self,
         canvas: &Canvas,
+        detected_px: &[DVec2],
         expectations: impl Iterator<Item = Expectation> + Clone,
         size_px: (usize, usize),
         pitch_px: f64,
@@ -111,7 +121,11 @@ impl Anchor {
             list.extend(values.map(u8::from));
         };
         fill(&mut self.present, &mut canvas.found.iter().map(|&m| m != NONE));
-        fill(&mut self.visible, &mut (0..canvas.found.len()).map(|s| in_view(canvas.position_px(s))));
+        self.add_unmatched(canvas, detected_px, pitch_px);
+        fill(
+            &mut self.visible,
+            &mut (0..canvas.found.len()).map(|s| canvas.located[s] && in_view(canvas.position_px(s))),
+        );
         fill(&mut self.expected, &mut expectations.clone().map(|e| e == Expectation::Present));
         fill(&mut self.unprinted, &mut expectations.map(|e| e == Expectation::Absent));
         let most = canvas.rings as isize;
@@ -130,6 +144,28 @@ impl Anchor {
         let certain =
             clear && inside && ranks[0].shift == ranks[1].shift && self.on_edge(canvas) <= margin / 2;
         Anchored { shift: ranks[1].shift, certain }
+    }
+
+    /// Something is present where a detection without a place lies.
+    fn add_unmatched(&mut self, canvas: &Canvas, detected_px: &[DVec2], pitch_px: f64) {
+        self.taken.clear();
+        self.taken.resize(detected_px.len(), false);
+        for &m in canvas.found.iter().filter(|&&m| m != NONE) {
+            self.taken[m as usize] = true;
+        }
+        let reach_px = AT_PLACE * pitch_px;
+        for (&at, _) in detected_px.iter().zip(&self.taken).filter(|&(_, &taken)| !taken) {
+            let mut nearest = (reach_px * reach_px, None);
+            for site in (0..canvas.found.len()).filter(|&s| canvas.located[s]) {
+                let distance2 = canvas.position_px(site).distance_squared(at);
+                if distance2 < nearest.0 {
+                    nearest = (distance2, Some(site));
+                }
+            }
+            if let Some(site) = nearest.1 {
+                self.present[site] = 1;
+            }
+        }
     }
 
     fn cost(&self, canvas: &Canvas, shift: [isize; 2]) -> u32 {

@@ -1,5 +1,6 @@
 //! The lattice with rings of empty places around it, where markers would appear if it had moved by whole pitches.
 
+use super::near;
 use crate::math::{DVec2, median, sqrt};
 use alloc::vec::Vec;
 
@@ -58,7 +59,12 @@ pub(super) struct Canvas {
     pub residual_px: Vec<DVec2>,
     /// Detection at each place, or [`NONE`].
     pub found: Vec<u32>,
+    /// Whether the position of each place is known: a matched one is not far.
+    pub located: Vec<bool>,
 }
+
+/// From a match so many steps outwards it is known where a place is.
+const LOCATED_STEPS: usize = 2;
 
 impl Canvas {
     pub const fn width(&self) -> usize {
@@ -91,6 +97,8 @@ impl Canvas {
         self.residual_px.resize(width * height, DVec2::ZERO);
         self.found.clear();
         self.found.resize(width * height, NONE);
+        self.located.clear();
+        self.located.resize(width * height, true);
         for (row, line) in lattice_px.chunks_exact(cols).enumerate() {
             let start = (row + rings) * width;
             self.predicted_px[start + rings..][..cols].copy_from_slice(line);
@@ -116,12 +124,7 @@ impl Canvas {
 
     /// The up to eight places around one.
     pub fn around(&self, site: usize) -> impl Iterator<Item = usize> + use<> {
-        let (width, height) = (self.width(), self.rows + 2 * self.rings);
-        let (row, col) = (site / width, site % width);
-        let near = |at: usize, end: usize| at.saturating_sub(1)..(at + 2).min(end);
-        near(row, height)
-            .flat_map(move |r| near(col, width).map(move |c| r * width + c))
-            .filter(move |&other| other != site)
+        near(site, self.width(), self.found.len(), 1).filter(move |&other| other != site)
     }
 
     /// Distance of a place to the nearest of the four beside it, as predicted.
@@ -146,7 +149,10 @@ impl Canvas {
     pub fn spread(&mut self, known: &mut Vec<bool>, round: &mut Vec<(u32, DVec2)>) {
         known.clear();
         known.extend(self.found.iter().map(|&m| m != NONE));
-        loop {
+        for steps in 0.. {
+            if steps == LOCATED_STEPS {
+                self.located.copy_from_slice(known);
+            }
             round.clear();
             for site in (0..known.len()).filter(|&s| !known[s]) {
                 if let Some(mean) = self.mean_residual(site, |s| known[s]) {

@@ -1,5 +1,6 @@
 //! Positions of markers that are not seen, carried by those around them.
 
+use super::near;
 use crate::math::DVec2;
 use alloc::vec::Vec;
 
@@ -111,11 +112,4 @@ fn pairs<'a>(
     markers: impl Iterator<Item = usize> + Clone + 'a,
 ) -> impl Iterator<Item = (DVec2, DVec2)> + Clone + 'a {
     markers.map(|n| (rest_px[n], now_px[n]))
-}
-
-/// Markers up to `reach` rows and columns from marker `n`, itself among them.
-fn near(n: usize, cols: usize, len: usize, reach: usize) -> impl Iterator<Item = usize> + Clone {
-    let (row, col, rows) = (n / cols, n % cols, len / cols);
-    let around = move |at: usize, end: usize| at.saturating_sub(reach)..(at + reach + 1).min(end);
-    around(row, rows).flat_map(move |r| around(col, cols).map(move |c| r * cols + c))
 }

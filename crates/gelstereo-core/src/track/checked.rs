@@ -3,7 +3,7 @@
 use super::anchor::{self, Anchor, Expectation};
 use super::canvas::{Canvas, NONE};
 use super::carry::Carry;
-use super::matching::Matching;
+use super::matching::{Before, Matching};
 use super::relabel::Relabel;
 use super::{NEVER_SEEN, Tracks};
 use crate::detect::Markers;
@@ -106,7 +106,7 @@ impl CheckedTracker {
         self.expected_px.clone_from(&self.rest_px);
         self.matching.reserve(sites, most_detections, self.size_px, self.pitch_px);
         self.relabel.reserve(self.size_px, most_detections, self.rows.max(self.cols));
-        self.anchor.reserve(markers, sites);
+        self.anchor.reserve(markers, sites, most_detections);
         self.carry.reserve(markers);
         self.canvas.lay(&self.rest_px, self.rows, self.cols, RINGS[RINGS.len() - 1]);
         for (n, detection) in rest.detection.iter().enumerate() {
@@ -114,7 +114,13 @@ impl CheckedTracker {
                 self.canvas.found[site] = *m;
             }
         }
-        let alone = self.anchor.run(&self.canvas, expectations(out), self.size_px, self.pitch_px);
+        let alone = self.anchor.run(
+            &self.canvas,
+            &detected.centres_px,
+            expectations(out),
+            self.size_px,
+            self.pitch_px,
+        );
         self.anchored = alone.certain && alone.shift == [0, 0];
     }
 
@@ -178,14 +184,13 @@ impl CheckedTracker {
             if !relabel.lay(detected_px, expected_px, canvas) {
                 continue;
             }
-            let missed = |n: usize| tracks.missed_frames[n];
-            let whole = relabel.complete(canvas)
-                || matching.check(canvas, detected_px, missed, tracks.stale, *pitch_px);
+            let whole =
+                relabel.complete(canvas) || matching.check(canvas, detected_px, before(tracks, *pitch_px));
             let matched = canvas.found.iter().filter(|&&m| m != NONE).count();
             if !whole || MOST_PER_SITE * matched < detected_px.len() {
                 continue;
             }
-            let found = self.anchor.run(canvas, expectations(tracks), self.size_px, *pitch_px);
+            let found = self.anchor.run(canvas, detected_px, expectations(tracks), self.size_px, *pitch_px);
             if found.certain {
                 return Some(found.shift);
             }
@@ -197,14 +202,14 @@ impl CheckedTracker {
     fn identify(&mut self, detected_px: &[DVec2], rings: usize, tracks: &Tracks) -> Option<[isize; 2]> {
         let Self { canvas, matching, pitch_px, .. } = self;
         canvas.lay(&self.expected_px, self.rows, self.cols, rings);
-        let missed = |n: usize| tracks.missed_frames[n];
         let gate_px = (rings == RINGS[0]).then_some(self.params.gate_pitches * *pitch_px);
-        let whole = matching.run(canvas, detected_px, missed, tracks.stale, gate_px, *pitch_px);
+        let whole = matching.run(canvas, detected_px, before(tracks, *pitch_px), gate_px);
+        // What most detections do not belong to is not the lattice.
         let matched = canvas.found.iter().filter(|&&m| m != NONE).count();
         if !whole || MOST_PER_SITE * matched < detected_px.len() {
             return None;
         }
-        let found = self.anchor.run(canvas, expectations(tracks), self.size_px, *pitch_px);
+        let found = self.anchor.run(canvas, detected_px, expectations(tracks), self.size_px, *pitch_px);
         if self.anchored { found.certain.then_some(found.shift) } else { self.unanchored() }
     }
 
@@ -250,6 +255,10 @@ impl CheckedTracker {
         out.previous_px.clone_from(&out.positions_px);
         (out.steady, out.stale) = (false, true);
     }
+}
+
+fn before(tracks: &Tracks, pitch_px: f64) -> Before<'_> {
+    Before { missed_frames: &tracks.missed_frames, stale: tracks.stale, pitch_px }
 }
 
 fn expectations(tracks: &Tracks) -> impl Iterator<Item = Expectation> + Clone {

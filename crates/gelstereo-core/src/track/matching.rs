@@ -20,6 +20,10 @@ const BENT: f64 = 1.0 / 3.0;
 /// Where all residuals lie so close to their mean, in pitches, every two agree.
 const ALL_AGREE: f64 = 0.5 * NEIGHBOURS_AGREE;
 
+/// Without neighbours in between, residuals agree up to this share of the distance to the nearest neighbour, which is less than a
+/// pitch where the gel is squeezed: beyond a half it would be the neighbour.
+const ALONE_AGREE: f64 = 0.35;
+
 /// A detection that two places want about equally, in pitches, is two markers in one, and nobody's.
 const DISPUTED: f64 = 0.25;
 
@@ -41,6 +45,27 @@ const BESIDE_HIDDEN: usize = 3;
 
 /// With fewer suggestions than this a marker is given no more room.
 const SUPPORT: usize = 5;
+
+/// What is known of the frames before.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Before<'a> {
+    /// How many certain frames in succession did not show each marker.
+    pub missed_frames: &'a [u32],
+    /// Positions are of some time ago.
+    pub stale: bool,
+    pub pitch_px: f64,
+}
+
+impl Before<'_> {
+    fn missed(&self, canvas: &Canvas, site: usize) -> Option<u32> {
+        canvas.marker(site).map(|n| self.missed_frames[n])
+    }
+
+    /// Whether the marker of a place was seen in the last certain frame.
+    fn is_fresh(&self, canvas: &Canvas, site: usize) -> bool {
+        self.missed(canvas, site) == Some(0)
+    }
+}
 
 /// The places that want a detection.
 #[derive(Clone, Copy, Debug)]
@@ -87,87 +112,77 @@ impl Matching {
         self.grid.build(detected_px, pitch_px);
     }
 
-    /// Matches the loaded detections; `missed` tells how many frames a marker was not seen. Matches start closer than
-    /// `gate_px` or, without one, from any that make a lattice. Returns whether all neighbours agree in the end.
+    /// Matches the loaded detections. Matches start closer than `gate_px` or, without one, from any that make a lattice.
+    /// Returns whether all neighbours agree in the end.
     pub fn run(
         &mut self,
         canvas: &mut Canvas,
         detected_px: &[DVec2],
-        missed: impl Fn(usize) -> u32,
-        stale: bool,
+        before: Before<'_>,
         gate_px: Option<f64>,
-        pitch_px: f64,
     ) -> bool {
-        let disputed_px = DISPUTED * pitch_px;
-        self.taken.clear();
-        self.taken.resize(detected_px.len(), false);
-        self.claims.clear();
-        self.claims.resize(detected_px.len(), UNCLAIMED);
+        let disputed_px = DISPUTED * before.pitch_px;
+        self.start(detected_px.len());
         self.targets.clear();
         self.targets.extend(canvas.predicted_px.iter().enumerate().map(|(s, &p)| (s as u32, p)));
         match gate_px {
             Some(gate_px) => self.claim(canvas, detected_px, gate_px, disputed_px),
-            None => self.claim(canvas, detected_px, HALF_DIAGONAL * pitch_px, 0.0),
+            None => self.claim(canvas, detected_px, HALF_DIAGONAL * before.pitch_px, 0.0),
         };
-        let fresh = |canvas: &Canvas, site: usize| canvas.marker(site).is_some_and(|n| missed(n) == 0);
-        let reach_px = NEIGHBOURS_AGREE * pitch_px;
-        if agree_all(canvas, pitch_px, fresh) {
+        if agree_all(canvas, before) {
             // What lies beyond the gate when all have moved nearly as far.
             if self.taken.contains(&false) {
-                self.grow(canvas, detected_px, reach_px, disputed_px);
-                while self.weed(canvas, &missed, pitch_px) {}
+                self.grow(canvas, detected_px, before.pitch_px);
+                while self.weed(canvas, before) {}
             }
             return true;
         }
-        self.agree(canvas, detected_px, missed, stale, pitch_px)
+        self.agree(canvas, detected_px, before)
     }
 
     /// Checks a labelling of the loaded detections that was made without the prediction, as [`Self::run`] checks its matches.
-    pub fn check(
-        &mut self,
-        canvas: &mut Canvas,
-        detected_px: &[DVec2],
-        missed: impl Fn(usize) -> u32,
-        stale: bool,
-        pitch_px: f64,
-    ) -> bool {
-        self.taken.clear();
-        self.taken.resize(detected_px.len(), false);
-        self.claims.clear();
-        self.claims.resize(detected_px.len(), UNCLAIMED);
+    pub fn check(&mut self, canvas: &mut Canvas, detected_px: &[DVec2], before: Before<'_>) -> bool {
+        self.start(detected_px.len());
         for &m in canvas.found.iter().filter(|&&m| m != NONE) {
             self.taken[m as usize] = true;
         }
-        self.agree(canvas, detected_px, missed, stale, pitch_px)
+        self.agree(canvas, detected_px, before)
+    }
+
+    fn start(&mut self, detections: usize) {
+        self.taken.clear();
+        self.taken.resize(detections, false);
+        self.claims.clear();
+        self.claims.resize(detections, UNCLAIMED);
     }
 
     /// Keeps what agrees with its neighbours and grows it; whether all do in the end.
-    fn agree(
-        &mut self,
-        canvas: &mut Canvas,
-        detected_px: &[DVec2],
-        missed: impl Fn(usize) -> u32,
-        stale: bool,
-        pitch_px: f64,
-    ) -> bool {
-        let (reach_px, disputed_px) = (NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px);
-        let fresh = |canvas: &Canvas, site: usize| canvas.marker(site).is_some_and(|n| missed(n) == 0);
-        self.keep_largest(canvas, pitch_px);
-        self.grow(canvas, detected_px, reach_px, disputed_px);
+    fn agree(&mut self, canvas: &mut Canvas, detected_px: &[DVec2], before: Before<'_>) -> bool {
+        let pitch_px = before.pitch_px;
+        self.keep_largest(canvas, pitch_px, |_, _| false);
+        self.grow(canvas, detected_px, pitch_px);
         // Islands beyond a gap are joined while all has moved alike; those that were hidden until now could have moved unseen.
-        if let Some(mean) = common_residual(canvas, NEIGHBOURS_AGREE * pitch_px) {
+        if let Some(mean) = moved_alike(canvas, pitch_px) {
             self.targets.clear();
-            for site in (0..canvas.found.len()).filter(|&s| canvas.found[s] == NONE && fresh(canvas, s)) {
-                self.targets.push((site as u32, canvas.predicted_px[site] + mean));
+            for site in (0..canvas.found.len()).filter(|&s| canvas.found[s] == NONE) {
+                if before.is_fresh(canvas, site) {
+                    self.targets.push((site as u32, canvas.predicted_px[site] + mean));
+                }
             }
-            if self.claim(canvas, detected_px, reach_px, disputed_px) {
-                self.grow(canvas, detected_px, reach_px, disputed_px);
+            if self.claim(canvas, detected_px, NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px) {
+                self.grow(canvas, detected_px, pitch_px);
             }
         }
-        self.settle(canvas, detected_px, reach_px, disputed_px);
-        while self.weed(canvas, &missed, pitch_px) {}
+        self.settle(canvas, detected_px, pitch_px);
+        // With a place for every detection and a detection for every place, no speck and no merged pair is among them.
+        if !self.is_complete(canvas) {
+            while self.weed(canvas, before) {}
+        }
+        // What weeding cut off may have slipped as a whole.
+        let alike = moved_alike(canvas, pitch_px).is_some();
+        self.keep_largest(canvas, pitch_px, |canvas, site| alike && before.is_fresh(canvas, site));
         canvas.spread(&mut self.known, &mut self.targets);
-        !torn(canvas, if stale { SLIPPED_STALE } else { SLIPPED }, pitch_px)
+        !torn(canvas, before)
     }
 
     /// Gives every target the free detection nearest to it and closer than the gate, if no other wants it about as
@@ -207,8 +222,8 @@ impl Matching {
         !claimants.is_empty()
     }
 
-    /// Drops all but the largest set of neighbours in agreement.
-    fn keep_largest(&mut self, canvas: &mut Canvas, pitch_px: f64) {
+    /// Drops all but the largest set of neighbours in agreement; of other sets some places may be spared.
+    fn keep_largest(&mut self, canvas: &mut Canvas, pitch_px: f64, spared: impl Fn(&Canvas, usize) -> bool) {
         let agree_px2 = (NEIGHBOURS_AGREE * pitch_px) * (NEIGHBOURS_AGREE * pitch_px);
         self.component.clear();
         self.component.resize(canvas.found.len(), NONE);
@@ -239,7 +254,7 @@ impl Matching {
             }
         }
         for site in (0..canvas.found.len()).filter(|&s| self.component[s] != largest) {
-            if canvas.found[site] != NONE {
+            if canvas.found[site] != NONE && !spared(canvas, site) {
                 self.taken[canvas.found[site] as usize] = false;
                 canvas.found[site] = NONE;
                 canvas.residual_px[site] = DVec2::ZERO;
@@ -248,7 +263,7 @@ impl Matching {
     }
 
     /// Matches places beside matched ones, predicted by their residuals, until nothing new is found.
-    fn grow(&mut self, canvas: &mut Canvas, detected_px: &[DVec2], reach_px: f64, disputed_px: f64) {
+    fn grow(&mut self, canvas: &mut Canvas, detected_px: &[DVec2], pitch_px: f64) {
         loop {
             self.targets.clear();
             for site in (0..canvas.found.len()).filter(|&s| canvas.found[s] == NONE) {
@@ -256,14 +271,15 @@ impl Matching {
                     self.targets.push((site as u32, canvas.predicted_px[site] + around.middle_px));
                 }
             }
-            if !self.claim(canvas, detected_px, reach_px, disputed_px) {
+            if !self.claim(canvas, detected_px, NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px) {
                 return;
             }
         }
     }
 
     /// Drops detections that an empty place wants about as much as the one that has it.
-    fn settle(&mut self, canvas: &mut Canvas, detected_px: &[DVec2], reach_px: f64, disputed_px: f64) {
+    fn settle(&mut self, canvas: &mut Canvas, detected_px: &[DVec2], pitch_px: f64) {
+        let (reach_px, disputed_px) = (NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px);
         self.claimants.clear();
         for (site, &m) in canvas.found.iter().enumerate().filter(|&(_, &m)| m != NONE) {
             self.claims[m as usize].site = site as u32;
@@ -290,12 +306,20 @@ impl Matching {
         }
     }
 
+    /// Whether all markers of the lattice were found, and nothing else.
+    fn is_complete(&self, canvas: &Canvas) -> bool {
+        let markers = canvas.rows * canvas.cols;
+        let found = |s: &usize| canvas.found[*s] != NONE && canvas.marker(*s).is_some();
+        self.taken.len() == markers && (0..canvas.found.len()).filter(found).count() == markers
+    }
+
     /// Drops detections that stand alone against their neighbours: specks, and merged pairs. Whether there were any.
-    fn weed(&mut self, canvas: &mut Canvas, missed: impl Fn(usize) -> u32, pitch_px: f64) -> bool {
+    fn weed(&mut self, canvas: &mut Canvas, before: Before<'_>) -> bool {
+        let pitch_px = before.pitch_px;
         self.claimants.clear();
         for (site, &m) in canvas.found.iter().enumerate().filter(|&(_, &m)| m != NONE) {
             let alone = canvas.suggested(site).is_none_or(|around| {
-                let hidden = canvas.marker(site).map_or(HIDDEN_FRAMES, |n| missed(n).min(HIDDEN_FRAMES));
+                let hidden = before.missed(canvas, site).map_or(HIDDEN_FRAMES, |m| m.min(HIDDEN_FRAMES));
                 let most_px = if around.count < SUPPORT {
                     LONE * pitch_px
                 } else {
@@ -307,10 +331,10 @@ impl Matching {
             });
             let bent = |between: DVec2| canvas.position_px(site).distance(between) > BENT * pitch_px;
             let beside = canvas.around(site).filter(|&s| canvas.found[s] != NONE).count();
-            let hidden = canvas.marker(site).is_none_or(|n| missed(n) > 0);
+            let hidden = !before.is_fresh(canvas, site);
             let alone = alone
                 || beside < if hidden { BESIDE_HIDDEN } else { BESIDE }
-                || canvas.between_px(site).is_some_and(bent);
+                || (hidden && canvas.between_px(site).is_some_and(bent));
             if alone {
                 self.claimants.push((site as u32, m));
             }
@@ -324,16 +348,22 @@ impl Matching {
 }
 
 /// Whether two neighbours have slipped against each other: their motions differ too much, or a marker does not stand between
-/// its neighbours.
-fn torn(canvas: &Canvas, most_slip: f64, pitch_px: f64) -> bool {
-    let (slip, bent) = (most_slip * pitch_px, BENT * pitch_px);
+/// its neighbours. Where all three were seen in the frame before, it may, if it has moved as they have: gel that is
+/// twisted bends as far at the rim of the contact.
+fn torn(canvas: &Canvas, before: Before<'_>) -> bool {
+    let most_slip = if before.stale { SLIPPED_STALE } else { SLIPPED };
+    let (slip, bent) = (most_slip * before.pitch_px, BENT * before.pitch_px);
     let width = canvas.width();
     let found = |site: usize| canvas.found[site] != NONE;
     let height = canvas.found.len() / width;
     let tears = |site: usize, row: usize, col: usize| {
-        let between = |before: usize, after: usize| {
-            let middle = (canvas.position_px(before) + canvas.position_px(after)) * 0.5;
-            found(before) && found(after) && middle.distance_squared(canvas.position_px(site)) > bent * bent
+        let between = |one: usize, other: usize| {
+            let off2 = |at: &dyn Fn(usize) -> DVec2| ((at(one) + at(other)) * 0.5).distance_squared(at(site));
+            let known = || [one, site, other].into_iter().all(|s| before.is_fresh(canvas, s));
+            found(one)
+                && found(other)
+                && off2(&|s| canvas.position_px(s)) > bent * bent
+                && !(known() && off2(&|s| canvas.residual_px[s]) < bent * bent)
         };
         let slipped = |other: usize| {
             let apart = canvas.residual_px[site] - canvas.residual_px[other];
@@ -355,12 +385,20 @@ fn common_residual(canvas: &Canvas, most_px: f64) -> Option<DVec2> {
     (count > 0.0 && matched().all(|r| r.distance_squared(mean) < most_px * most_px)).then_some(mean)
 }
 
+/// Mean residual of all matches if each lies so close to it that its neighbours in line are farther off: then none slipped, not
+/// even those that no neighbour ties to the others.
+fn moved_alike(canvas: &Canvas, pitch_px: f64) -> Option<DVec2> {
+    let mean = common_residual(canvas, NEIGHBOURS_AGREE * pitch_px)?;
+    let near = |s: usize| canvas.residual_px[s].distance(mean) < ALONE_AGREE * canvas.step_px(s);
+    (0..canvas.found.len()).filter(|&s| canvas.found[s] != NONE).all(near).then_some(mean)
+}
+
 /// Whether all matches agree with each other, and those that reappear stand beside one that was seen before; then what was
 /// not found is given the mean residual.
-fn agree_all(canvas: &mut Canvas, pitch_px: f64, fresh: impl Fn(&Canvas, usize) -> bool) -> bool {
-    let Some(mean) = common_residual(canvas, ALL_AGREE * pitch_px) else { return false };
-    let fresh_match = |s: usize| canvas.found[s] != NONE && fresh(canvas, s);
-    let joined = |s: usize| fresh(canvas, s) || canvas.around(s).any(fresh_match);
+fn agree_all(canvas: &mut Canvas, before: Before<'_>) -> bool {
+    let Some(mean) = common_residual(canvas, ALL_AGREE * before.pitch_px) else { return false };
+    let fresh_match = |s: usize| canvas.found[s] != NONE && before.is_fresh(canvas, s);
+    let joined = |s: usize| before.is_fresh(canvas, s) || canvas.around(s).any(fresh_match);
     let agree = (0..canvas.found.len()).filter(|&s| canvas.found[s] != NONE).all(joined);
     if agree {
         for (residual, &m) in canvas.residual_px.iter_mut().zip(&canvas.found) {

@@ -247,7 +247,7 @@ impl Tracker {
     fn carry(&self, out: &mut Tracks) {
         for n in (0..self.rest_px.len()).filter(|&n| self.detection_of[n].is_none()) {
             let (mut now, mut before, mut seen) = (DVec2::ZERO, DVec2::ZERO, 0.0);
-            for m in neighbours(n, self.cols, self.rest_px.len()) {
+            for m in near(n, self.cols, self.rest_px.len(), 1) {
                 if self.detection_of[m].is_some() {
                     now += out.positions_px[m] - self.rest_px[m];
                     before += self.previous_px[m] - self.rest_px[m];
@@ -264,9 +264,9 @@ impl Tracker {
     }
 }
 
-/// The up to eight lattice neighbours of marker `n`.
-fn neighbours(n: usize, cols: usize, len: usize) -> impl Iterator<Item = usize> {
+/// Places up to `reach` rows and columns from place `n` of a lattice with `len` places, itself among them.
+fn near(n: usize, cols: usize, len: usize, reach: usize) -> impl Iterator<Item = usize> + Clone {
     let (row, col, rows) = (n / cols, n % cols, len / cols);
-    let around = |at: usize, end: usize| at.saturating_sub(1)..(at + 2).min(end);
-    around(row, rows).flat_map(move |r| around(col, cols).map(move |c| r * cols + c)).filter(move |&m| m != n)
+    let around = move |at: usize, end: usize| at.saturating_sub(reach)..(at + reach + 1).min(end);
+    around(row, rows).flat_map(move |r| around(col, cols).map(move |c| r * cols + c))
 }
