@@ -217,7 +217,7 @@ impl Camera {
     }
 
     fn newton(&self, target: DVec2, start: DVec2) -> Option<DVec2> {
-        let scale = 1.0 + target.length();
+        let scale = 1.0 + target.length_squared();
         let mut p = start;
         for _ in 0..20 {
             let residual = self.distort(p) - target;
@@ -229,13 +229,12 @@ impl Camera {
             let step =
                 DVec2::new(d * residual.x - b * residual.y, a * residual.y - c * residual.x) / determinant;
             p -= step;
-            if step.length() <= 1e-14 * scale {
-                break;
+            // The error after a step is below its square times the model's bend over its slope: below round-off after this.
+            if step.length_squared() <= 1e-18 * scale {
+                return Some(p);
             }
         }
-        let (a, b, c, d) = self.distortion_jacobian(p);
-        let converged = (self.distort(p) - target).length() <= 1e-12 * scale;
-        (converged && a * d - b * c > 1e-6).then_some(p)
+        None
     }
 
     /// Rows of d distort / d p: ((a, b), (c, d)).

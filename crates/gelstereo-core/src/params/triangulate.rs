@@ -10,9 +10,8 @@ pub enum TriangulateMethod {
     /// ([`crate::camera::Layers`]) depths and heights are wrong by tens of percent, as the paper's are.
     #[default]
     Q,
-    /// A polynomial of up to the seventh degree in column, row and disparity, fitted to [`Self::Rays`] around the rest
-    /// surface and within 1 um of it there. A marker beyond its reach, and the rest frame itself, get
-    /// [`Self::Rays`].
+    /// Polynomials in column, row and disparity, fitted to [`Self::Rays`] around the rest surface and within 1 um of it
+    /// there: a quarter of the time. A marker beyond their reach, and the rest frame itself, get [`Self::Rays`].
     Polynomial,
     /// The most likely point given both centres and their covariances, with rays traced through the layers, to a
     /// thousandth of its standard deviation.

@@ -198,9 +198,10 @@ impl Pipeline {
         out.mismatched = 0;
         out.state.clear();
         let (left, right) = (&self.left.labelled, &self.right.labelled);
+        let ready = self.triangulator.ready();
         for (i, point_mm) in self.points_mm.iter_mut().enumerate() {
             let mut state = left.state[i].max(right.state[i]);
-            match self.triangulator.point(i, &centres(left).at(i), &centres(right).at(i)) {
+            match ready.point(i, &centres(left).at(i), &centres(right).at(i)) {
                 Ok(stereo) if stereo.epipolar_px.abs() <= max_px => {
                     *point_mm = stereo.point_mm;
                     self.covariance_mm2[i] = stereo.covariance_mm2;

@@ -110,6 +110,11 @@ impl<'a> RigView<'a> {
         }
     }
 
+    /// A direction of the sensor frame in this camera's.
+    pub(crate) fn turned(&self, direction: DVec3) -> DVec3 {
+        self.t_camera_sensor.transform_vector(direction)
+    }
+
     /// Whether a point (sensor frame) lies behind the last interface, or there is none.
     pub(crate) fn is_in_gel(&self, point_mm: DVec3) -> bool {
         let local = self.t_camera_sensor.transform_point(point_mm);
