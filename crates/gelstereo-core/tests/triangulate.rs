@@ -411,6 +411,32 @@ proptest! {
     }
 }
 
+/// Depths of up to 1e14 baselines, of which the inverse of an information matrix keeps no digit.
+#[test]
+fn row_32_covariances_of_distant_points_are_semi_definite() {
+    let mut answers = 0;
+    for (f, b, d) in (0..=8).flat_map(|f| (-3..=6).flat_map(move |b| (-9..=2).map(move |d| (f, b, d)))) {
+        let [f_px, baseline_mm, disparity_px] = [f, b, d].map(|e| 10_f64.powi(e));
+        let camera = Camera { distortion: [0.0; 5], fx_px: f_px, fy_px: f_px, ..camera() };
+        let rig = Rig::parallel(camera, baseline_mm);
+        for method in ALL {
+            let params = TriangulateParams { method, min_disparity_px: 1e-9, ..Default::default() };
+            let stage = Triangulator::new(&rig, &params).unwrap();
+            let left = DVec2::new(380.0, 200.0);
+            if let Ok(found) = point(&stage, left, left - DVec2::new(disparity_px, 0.0)) {
+                let fault = no_covariance(&found.covariance_mm2);
+                assert!(
+                    fault.is_none(),
+                    "{method:?}, f {f_px}, B {baseline_mm}, d {disparity_px}: {}",
+                    fault.unwrap()
+                );
+                answers += 1;
+            }
+        }
+    }
+    assert!(answers > 2000, "{answers}");
+}
+
 /// A right centre that is known 1e16 times worse than the left one leaves nothing but round-off of the depth.
 #[test]
 fn row_32_a_point_that_round_off_alone_determines_is_refused() {
