@@ -251,4 +251,20 @@ impl Camera {
             radial + slope * p.y * p.y + 6.0 * p1 * p.y + 2.0 * p2 * p.x,
         )
     }
+
+    /// Second derivatives of the distorted coordinates: those of x by xx, xy and yy and of y by yy. With the rest they are the
+    /// third ones of one potential.
+    pub(crate) fn distortion_bend(&self, p: DVec2) -> [f64; 4] {
+        let [k1, k2, p1, p2, k3] = self.distortion;
+        let r2 = p.length_squared();
+        let slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3)); // as in the Jacobian
+        let curve = 4.0 * (2.0 * k2 + 6.0 * r2 * k3); // d slope / d r2, times 2
+        let (x, y) = (p.x, p.y);
+        [
+            x * (3.0 * slope + curve * x * x) + 6.0 * p2,
+            y * (slope + curve * x * x) + 2.0 * p1,
+            x * (slope + curve * y * y) + 2.0 * p2,
+            y * (3.0 * slope + curve * y * y) + 6.0 * p1,
+        ]
+    }
 }

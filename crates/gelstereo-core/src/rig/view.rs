@@ -116,10 +116,7 @@ impl<'a> RigView<'a> {
 
     /// The ray of normalised coordinates as if there were no layers.
     pub(crate) fn ray_in_air(&self, normalised: DVec2) -> Ray {
-        Ray {
-            origin_mm: self.camera_mm,
-            direction: self.to_sensor * normalised.extend(1.0).normalize(),
-        }
+        Ray { origin_mm: self.camera_mm, direction: self.to_sensor * normalised.extend(1.0).normalize() }
     }
 
     /// A direction of the sensor frame in this camera's.
@@ -151,6 +148,26 @@ impl<'a> RigView<'a> {
         rows.map(|row| self.to_sensor * row)
     }
 
+    /// What small things about a point of the sensor frame look like.
+    pub(super) fn seen(&self, point_mm: DVec3) -> Result<Seen<'_>, CameraError> {
+        let (local, slope) = self.local(point_mm, 0.0)?;
+        let apparent = self.apparent(local, slope);
+        self.pixel(point_mm, apparent)?;
+        let lift = self
+            .refraction
+            .as_ref()
+            .map(|refraction| (refraction.normal, self.to_sensor * refraction.lift_gradient(local, slope)));
+        let ahead = self.to_sensor * DVec3::Z;
+        let depth_gradient = lift.map_or(ahead, |(normal, lift)| ahead + lift * normal.z);
+        Ok(Seen {
+            view: self,
+            apparent,
+            lift,
+            depth_gradient,
+            jacobian: self.jacobian(local, apparent, slope),
+        })
+    }
+
     /// The point in the camera's frame, and the slope of the light that reaches it.
     fn local(&self, point_mm: DVec3, start: f64) -> Result<(DVec3, f64), CameraError> {
         let local = self.to_camera * point_mm + self.sensor_mm;
@@ -169,5 +186,28 @@ impl<'a> RigView<'a> {
     fn pixel(&self, point_mm: DVec3, apparent: DVec3) -> Result<DVec2, CameraError> {
         let pixel = self.camera.project(apparent).filter(|pixel| pixel.is_finite());
         pixel.ok_or(CameraError::NotInFront { point_mm })
+    }
+}
+
+/// A point as a camera sees it.
+pub(super) struct Seen<'a> {
+    view: &'a RigView<'a>,
+    /// Where it would be seen without layers (camera frame).
+    pub apparent: DVec3,
+    /// The layers' normal (camera frame), along which layers lift the point, and the gradient of that lift (sensor frame).
+    lift: Option<(DVec3, DVec3)>,
+    /// Gradient of the apparent depth (sensor frame).
+    pub depth_gradient: DVec3,
+    /// Rows of d pixel / d point.
+    pub jacobian: [DVec3; 2],
+}
+
+impl Seen<'_> {
+    /// What a small vector (sensor frame) is in normalised coordinates, without distortion.
+    pub fn normalised(&self, small_mm: DVec3) -> DVec2 {
+        let lifted = self.lift.map_or(DVec3::ZERO, |(normal, lift)| normal * lift.dot(small_mm));
+        let v = self.view.to_camera * small_mm + lifted;
+        let p = self.apparent;
+        DVec2::new(v.x - p.x / p.z * v.z, v.y - p.y / p.z * v.z) / p.z
     }
 }
