@@ -1,5 +1,6 @@
 //! The sensing stages in order, over scratch that is allocated once.
 
+mod discs;
 mod error;
 mod frame;
 mod view;
@@ -12,11 +13,12 @@ use crate::contact::{self, Pressure, RestSurface};
 use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, DVec3};
-use crate::params::{Params, Saliency};
+use crate::params::{DiscBias, Params, Saliency};
 use crate::rig::Rig;
 use crate::track::{MarkerState, Tracks};
 use crate::triangulate::{Centres, StereoPoint, Triangulator};
 use alloc::vec::Vec;
+use discs::Discs;
 use view::ViewStages;
 
 /// Sensing: stereo frames in, tactile point clouds out.
@@ -31,6 +33,7 @@ pub struct Pipeline {
     rest_variance_mm2: Vec<f64>,
     reference_px: Vec<DVec2>,
     stereo: Vec<StereoPoint>,
+    discs: Discs,
     points_mm: Vec<DVec3>,
     covariance_mm2: Vec<Symmetric<3>>,
     frames: u64,
@@ -55,6 +58,7 @@ impl Pipeline {
             rest_variance_mm2: Vec::new(),
             reference_px: Vec::new(),
             stereo: Vec::new(),
+            discs: Discs::default(),
             points_mm: Vec::new(),
             covariance_mm2: Vec::new(),
             frames: 0,
@@ -164,6 +168,14 @@ impl Pipeline {
         self.points_mm.extend(self.stereo.iter().map(|s| s.point_mm));
         self.covariance_mm2.clear();
         self.covariance_mm2.extend(self.stereo.iter().map(|s| s.covariance_mm2));
+        if self.params.triangulate.disc_bias == DiscBias::Corrected {
+            let lattice = &self.params.lattice;
+            let radius_pitches = lattice.dot_radius_mm.map(|radius_mm| radius_mm / lattice.pitch_mm);
+            let area_px2 = self.left.median_area_px2();
+            let ready = self.triangulator.ready();
+            self.discs.start(side(&self.left), radius_pitches, area_px2, &ready, &self.points_mm);
+            self.discs.correct(&ready, centres(left), centres(right), &mut self.points_mm);
+        }
         let rest = RestSurface::new(&self.points_mm).map_err(PipelineError::Contact)?;
         if self.params.contact.saliency == Saliency::Pressure {
             let (rows, cols) = side(&self.left);
@@ -199,12 +211,15 @@ impl Pipeline {
         out.state.clear();
         let (left, right) = (&self.left.labelled, &self.right.labelled);
         let ready = self.triangulator.ready();
+        self.discs.fresh.clear();
+        self.discs.fresh.reserve(self.points_mm.len());
         for (i, point_mm) in self.points_mm.iter_mut().enumerate() {
             let mut state = left.state[i].max(right.state[i]);
             match ready.point(i, &centres(left).at(i), &centres(right).at(i)) {
                 Ok(stereo) if stereo.epipolar_px.abs() <= max_px => {
                     *point_mm = stereo.point_mm;
                     self.covariance_mm2[i] = stereo.covariance_mm2;
+                    self.discs.fresh.push(i);
                 }
                 _ if state == MarkerState::Seen => {
                     state = MarkerState::Held;
@@ -214,6 +229,7 @@ impl Pipeline {
             }
             out.state.push(state);
         }
+        self.discs.correct(&ready, centres(left), centres(right), &mut self.points_mm);
     }
 
     fn finish(&mut self, out: &mut Frame) -> Result<(), PipelineError> {

@@ -211,7 +211,16 @@ pub struct Ready<'a> {
     views: [RigView<'a>; 2],
 }
 
-impl Ready<'_> {
+impl<'a> Ready<'a> {
+    /// One view of the rig.
+    #[must_use]
+    pub const fn view(&self, view: View) -> &RigView<'a> {
+        match view {
+            View::Left => &self.views[0],
+            View::Right => &self.views[1],
+        }
+    }
+
     /// The point of one pair of centres; `index` is only named in errors.
     ///
     /// # Errors
