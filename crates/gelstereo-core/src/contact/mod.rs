@@ -1,8 +1,10 @@
 //! What touches the gel: rest surface, saliency (Eq. 4, or by pressure), mean marker motion and the stop triggers.
 
+mod decay;
 mod kriging;
 mod pressure;
 
+pub use decay::{Decay, DecayFit};
 pub use pressure::Pressure;
 
 use crate::math::linalg::{Symmetric, eigen};
