@@ -1,10 +1,11 @@
 //! Rigs of any numbers: refused by name, or points, pixels and covariances that are finite; what a valid rig projects, it
-//! finds again or refuses.
+//! finds again or refuses, by every method.
 #![no_main]
 
 use gelstereo_core::camera::{Camera, Layer, Layers};
+use gelstereo_core::math::linalg::eigen;
 use gelstereo_core::math::{DVec2, DVec3, Pose, so3};
-use gelstereo_core::params::Params;
+use gelstereo_core::params::{Params, TriangulateMethod};
 use gelstereo_core::rig::Rig;
 use gelstereo_core::triangulate::{Centre, Triangulator};
 use libfuzzer_sys::arbitrary::{Result, Unstructured};
@@ -51,30 +52,50 @@ fn run(mut u: Unstructured<'_>) -> Result<()> {
     let translation_mm = vector(&mut u, DVec3::new(-8.0, 0.0, 0.0), 4.0)?;
     let rig = Rig { left, right, t_right_left: Pose { rotation, translation_mm }, layers: layers(&mut u)? };
     let mut params = Params::default();
-    params.triangulate.max_epipolar_px = 1.0;
-    let Ok(triangulator) = Triangulator::new(&rig, &params.triangulate) else { return Ok(()) };
-    let centre = [[0.01, 0.001], [0.001, 0.01]];
+    params.triangulate.min_disparity_px = number(&mut u, 0.5, 0.499)?;
+    let mut stages = Vec::new();
+    for method in [TriangulateMethod::Q, TriangulateMethod::Polynomial, TriangulateMethod::Rays] {
+        params.triangulate.method = method;
+        let Ok(stage) = Triangulator::new(&rig, &params.triangulate) else { return Ok(()) };
+        stages.push(stage);
+    }
+    stages[1].fit_map(&[vector(&mut u, DVec3::new(0.0, 0.0, 30.0), 15.0)?]);
     while !u.is_empty() {
+        let covariances = [covariance(&mut u)?, covariance(&mut u)?];
         let point_mm = vector(&mut u, DVec3::new(0.0, 0.0, 30.0), 15.0)?;
-        if let Ok((left_px, right_px)) = rig.project(point_mm) {
-            assert!(left_px.is_finite() && right_px.is_finite(), "{point_mm}: {left_px} {right_px}");
-            check(&triangulator, left_px, right_px, &centre);
-        }
         let pixels = vector(&mut u, DVec3::new(320.0, 240.0, 200.0), 300.0)?;
-        check(&triangulator, pixels.truncate(), DVec2::new(pixels.z, pixels.y), &centre);
+        let seen = rig.project(point_mm);
+        if let Ok((left_px, right_px)) = seen {
+            assert!(left_px.is_finite() && right_px.is_finite(), "{point_mm}: {left_px} {right_px}");
+        }
+        for stage in &stages {
+            if let Ok((left_px, right_px)) = seen {
+                check(stage, left_px, right_px, &covariances);
+            }
+            check(stage, pixels.truncate(), DVec2::new(pixels.z, pixels.y), &covariances);
+        }
     }
     Ok(())
 }
 
-fn check(triangulator: &Triangulator, left_px: DVec2, right_px: DVec2, covariance_px2: &[[f64; 2]; 2]) {
-    let centre = |at_px| Centre { at_px, covariance_px2: *covariance_px2 };
-    if let Ok(found) = triangulator.point(0, &centre(left_px), &centre(right_px)) {
-        assert!(
-            found.point_mm.is_finite() && found.epipolar_px.is_finite(),
-            "{left_px} {right_px}: {found:?}"
-        );
-        assert!((0..3).all(|i| found.covariance_mm2[i][i] >= 0.0), "{found:?}");
-    }
+fn covariance(u: &mut Unstructured<'_>) -> Result<[[f64; 2]; 2]> {
+    let (x, y) = (number(u, 0.05, 0.049)?, number(u, 0.05, 0.049)?);
+    let shared = x * y * number(u, 0.0, 0.999)?;
+    Ok([[x * x, shared], [shared, y * y]])
+}
+
+fn check(stage: &Triangulator, left_px: DVec2, right_px: DVec2, covariances_px2: &[[[f64; 2]; 2]; 2]) {
+    let [left, right] = *covariances_px2;
+    let left = Centre { at_px: left_px, covariance_px2: left };
+    let right = Centre { at_px: right_px, covariance_px2: right };
+    let Ok(found) = stage.point(0, &left, &right) else { return };
+    let c = found.covariance_mm2;
+    let numbers = c.iter().flatten().chain([&found.epipolar_px]);
+    assert!(found.point_mm.is_finite() && numbers.into_iter().all(|x| x.is_finite()), "{left_px} {right_px}: {found:?}");
+    let trace = c[0][0] + c[1][1] + c[2][2];
+    // A sum of squares, whose entries are rounded.
+    let semi_definite = (0..3).all(|i| c[i][i] >= 0.0) && eigen(&c).values[0] >= -16.0 * f64::EPSILON * trace;
+    assert!(semi_definite && (0..3).all(|i| (0..3).all(|j| c[i][j] == c[j][i])), "{found:?}");
 }
 
 fuzz_target!(|bytes: &[u8]| {

@@ -161,10 +161,10 @@ fn row_34_one_thread_or_two_and_any_repeat_give_the_same_bits() {
 #[test]
 fn row_34_the_bits_of_a_fixed_scene_are_known() {
     let known = [
-        ("paper", 0xd9c1_21b2_6f45_c9d5),
-        ("fast", 0xea5e_1207_dcdd_5179),
-        ("balanced", 0x0390_8b51_f332_db6e),
-        ("exact", 0xe9cc_c375_2684_31a3),
+        ("paper", 0x0d31_dca8_665e_5334),
+        ("fast", 0xb45e_f03c_1f8d_1a2c),
+        ("balanced", 0x26d0_8b25_1eab_5637),
+        ("exact", 0x976a_8e20_2de5_3203),
     ];
     assert_eq!(known.map(|(preset, _)| preset), Params::PRESETS, "every preset has its digest");
     let found = known.map(|(preset, _)| {

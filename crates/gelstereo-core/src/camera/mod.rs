@@ -217,7 +217,7 @@ impl Camera {
     }
 
     fn newton(&self, target: DVec2, start: DVec2) -> Option<DVec2> {
-        let scale = 1.0 + target.length();
+        let scale = 1.0 + target.length_squared();
         let mut p = start;
         for _ in 0..20 {
             let residual = self.distort(p) - target;
@@ -229,13 +229,12 @@ impl Camera {
             let step =
                 DVec2::new(d * residual.x - b * residual.y, a * residual.y - c * residual.x) / determinant;
             p -= step;
-            if step.length() <= 1e-14 * scale {
-                break;
+            // The error after a step is below its square times the model's bend over its slope: below round-off after this.
+            if step.length_squared() <= 1e-18 * scale {
+                return Some(p);
             }
         }
-        let (a, b, c, d) = self.distortion_jacobian(p);
-        let converged = (self.distort(p) - target).length() <= 1e-12 * scale;
-        (converged && a * d - b * c > 1e-6).then_some(p)
+        None
     }
 
     /// Rows of d distort / d p: ((a, b), (c, d)).
@@ -251,5 +250,21 @@ impl Camera {
             cross,
             radial + slope * p.y * p.y + 6.0 * p1 * p.y + 2.0 * p2 * p.x,
         )
+    }
+
+    /// Second derivatives of the distorted coordinates: those of x by xx, xy and yy and of y by yy. With the rest they are the
+    /// third ones of one potential.
+    pub(crate) fn distortion_bend(&self, p: DVec2) -> [f64; 4] {
+        let [k1, k2, p1, p2, k3] = self.distortion;
+        let r2 = p.length_squared();
+        let slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3)); // as in the Jacobian
+        let curve = 4.0 * (2.0 * k2 + 6.0 * r2 * k3); // d slope / d r2, times 2
+        let (x, y) = (p.x, p.y);
+        [
+            x * (3.0 * slope + curve * x * x) + 6.0 * p2,
+            y * (slope + curve * x * x) + 2.0 * p1,
+            x * (slope + curve * y * y) + 2.0 * p2,
+            y * (3.0 * slope + curve * y * y) + 6.0 * p1,
+        ]
     }
 }

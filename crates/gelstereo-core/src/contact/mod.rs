@@ -1,9 +1,11 @@
 //! What touches the gel: rest surface, saliency (Eq. 4, or by pressure), mean marker motion and the stop triggers.
 
+mod decay;
 mod kriging;
 mod pressure;
 mod slips;
 
+pub use decay::{Decay, DecayFit};
 pub use pressure::Pressure;
 pub use slips::LabelSlips;
 

@@ -44,6 +44,7 @@ const SCREEN: f64 = 3.3;
 pub struct Pressure {
     rows: usize,
     cols: usize,
+    decay_mm: f64,
     /// Weights of p = h - l² Δh: the marker, left, right, up, down; 0 where there is none.
     stencils: Vec<[f64; 5]>,
     /// Filters of the pressures, for a contact far away.
@@ -97,7 +98,7 @@ impl Pressure {
             [1.0 + l2 * (left + right + up + down), -l2 * left, -l2 * right, -l2 * up, -l2 * down]
         };
         let stencils = (0..points.len()).map(stencil).collect();
-        let mut pressure = Self { rows, cols, stencils, ..Self::default() };
+        let mut pressure = Self { rows, cols, decay_mm, stencils, ..Self::default() };
         pressure.covariances.measure(cols, &pressure.stencils, &alloc::vec![1.0; points.len()]);
         pressure.filters = (0..points.len()).map(|i| pressure.filter(i)).collect();
         Ok(pressure)
@@ -149,6 +150,17 @@ impl Pressure {
         &self.pressure_mm
     }
 
+    /// The decay length it was made for.
+    #[must_use]
+    pub const fn decay_mm(&self) -> f64 {
+        self.decay_mm
+    }
+
+    /// Variances of the heights of the last run, mm²; of a marker that was not seen, as good as unknown.
+    pub(super) fn variance_mm2(&self) -> &[f64] {
+        &self.variance_mm2
+    }
+
     fn len(&self) -> usize {
         self.stencils.len()
     }
@@ -170,7 +182,7 @@ impl Pressure {
     }
 
     /// The stencil's marker, left, right, upper and lower neighbour, with their weights.
-    fn taps(&self, i: usize) -> impl Iterator<Item = (usize, f64)> {
+    pub(super) fn taps(&self, i: usize) -> impl Iterator<Item = (usize, f64)> {
         let places = [i, i.wrapping_sub(1), i + 1, i.wrapping_sub(self.cols), i + self.cols];
         places.into_iter().zip(self.stencils[i]).filter(|&(_, weight)| weight != 0.0)
     }
@@ -194,7 +206,7 @@ impl Pressure {
     }
 
     /// Rows and columns of the window about a marker.
-    fn window(&self, i: usize, reach: usize) -> impl Iterator<Item = usize> + use<> {
+    pub(super) fn window(&self, i: usize, reach: usize) -> impl Iterator<Item = usize> + use<> {
         let (row, col, cols) = (i / self.cols, i % self.cols, self.cols);
         let across = col.saturating_sub(reach)..(col + reach + 1).min(self.cols);
         let down = row.saturating_sub(reach)..(row + reach + 1).min(self.rows);

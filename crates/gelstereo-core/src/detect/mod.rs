@@ -1,7 +1,6 @@
 //! Finding markers in one image (section III-A): what differs from its surround by enough, in one piece, of a
 //! plausible size, with its centre.
 
-pub mod bias;
 pub mod blocks;
 pub mod blur;
 pub mod centre;

@@ -25,7 +25,8 @@ pub struct ContactParams {
     /// Default: `depth`.
     pub saliency: Saliency,
     /// Length over which the gel's surface comes back to rest beside a contact, for `saliency = pressure`: half of the gel's
-    /// thickness is a fair guess. Rather too long than too short: 20 % too short takes half of the shoulder. Default: `2.5` mm.
+    /// thickness is a fair guess. Rather too long than too short: 20 % too short takes half of the shoulder. A few presses of
+    /// any part tell it to some percent: [`DecayFit`](crate::contact::DecayFit). Default: `2.5` mm.
     pub decay_mm: f64,
     /// Indentation from which a marker is salient, for `saliency = depth` (Eq. 4). Default: `0.35` mm.
     pub saliency_mm: f64,

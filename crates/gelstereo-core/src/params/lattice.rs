@@ -19,6 +19,10 @@ pub struct LatticeParams {
     pub cols: Option<usize>,
     /// Distance between neighbours. Default: `0.9` mm.
     pub pitch_mm: f64,
+    /// Radius of the dots, for `triangulate.disc_bias = corrected`. Default: none, it is told from the dots' areas in the
+    /// rest frame.
+    #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
+    pub dot_radius_mm: Option<f64>,
     /// Share of the printed markers that may be missing in the rest frame; they are filled in from their neighbours, as
     /// the paper does for the corner that its print lacks (Fig. 4). Default: `0.01`, 6 of 625.
     pub max_missing_share: f64,
@@ -30,7 +34,14 @@ pub struct LatticeParams {
 
 impl Default for LatticeParams {
     fn default() -> Self {
-        Self { rows: None, cols: None, pitch_mm: 0.9, max_missing_share: 0.01, missing: Vec::new() }
+        Self {
+            rows: None,
+            cols: None,
+            pitch_mm: 0.9,
+            dot_radius_mm: None,
+            max_missing_share: 0.01,
+            missing: Vec::new(),
+        }
     }
 }
 
@@ -63,6 +74,10 @@ impl LatticeParams {
             }
         }
         positive("lattice.pitch_mm", self.pitch_mm)?;
+        if let Some(radius) = self.dot_radius_mm {
+            let valid = radius > 0.0 && 2.0 * radius < self.pitch_mm;
+            check(valid, "lattice.dot_radius_mm", radius, "above 0 and below half of lattice.pitch_mm")?;
+        }
         let share = self.max_missing_share;
         check((0.0..=0.5).contains(&share), "lattice.max_missing_share", share, "from 0 to 0.5")
     }

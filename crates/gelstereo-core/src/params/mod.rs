@@ -18,7 +18,7 @@ pub use label::{LabelMethod, LabelParams};
 pub use lattice::LatticeParams;
 pub use register::{RegisterMethod, RegisterParams};
 pub use track::{Motion, TrackParams};
-pub use triangulate::{TriangulateMethod, TriangulateParams};
+pub use triangulate::{DiscBias, TriangulateMethod, TriangulateParams};
 
 /// All settings of the pipeline and of registration.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -1,8 +1,9 @@
 //! Settings by name.
 
 use super::{
-    Background, Centre, ContactParams, DetectParams, LabelMethod, LabelParams, LatticeParams, Motion, Params,
-    RegisterMethod, RegisterParams, Saliency, Threshold, TrackParams, TriangulateMethod, TriangulateParams,
+    Background, Centre, ContactParams, DetectParams, DiscBias, LabelMethod, LabelParams, LatticeParams,
+    Motion, Params, RegisterMethod, RegisterParams, Saliency, Threshold, TrackParams, TriangulateMethod,
+    TriangulateParams,
 };
 
 impl Params {
@@ -56,7 +57,11 @@ impl Params {
         let balanced = Self::balanced();
         Self {
             detect: DetectParams { centre: Centre::Fit, ..balanced.detect },
-            triangulate: TriangulateParams { method: TriangulateMethod::Rays, ..balanced.triangulate },
+            triangulate: TriangulateParams {
+                method: TriangulateMethod::Rays,
+                disc_bias: DiscBias::Corrected,
+                ..balanced.triangulate
+            },
             ..balanced
         }
     }

@@ -1,5 +1,6 @@
 //! The sensing stages in order, over scratch that is allocated once.
 
+mod discs;
 mod error;
 mod frame;
 mod rest_record;
@@ -14,11 +15,12 @@ use crate::contact::{self, LabelSlips, Pressure, RestSurface};
 use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, DVec3};
-use crate::params::{Params, Saliency};
+use crate::params::{DiscBias, Params, Saliency};
 use crate::rig::Rig;
 use crate::track::{MarkerState, Tracks};
 use crate::triangulate::{Centres, Triangulator};
 use alloc::vec::Vec;
+use discs::Discs;
 use view::ViewStages;
 
 /// Sensing: stereo frames in, tactile point clouds out.
@@ -33,6 +35,7 @@ pub struct Pipeline {
     rest_variance_mm2: Vec<f64>,
     reference_px: Vec<DVec2>,
     slips: LabelSlips,
+    discs: Discs,
     points_mm: Vec<DVec3>,
     covariance_mm2: Vec<Symmetric<3>>,
     frames: u64,
@@ -59,6 +62,7 @@ impl Pipeline {
             rest_variance_mm2: Vec::new(),
             reference_px: Vec::new(),
             slips: LabelSlips::default(),
+            discs: Discs::default(),
             points_mm: Vec::new(),
             covariance_mm2: Vec::new(),
             frames: 0,
@@ -175,6 +179,15 @@ impl Pipeline {
         self.points_mm.extend(stereo.iter().map(|s| s.point_mm));
         self.covariance_mm2.clear();
         self.covariance_mm2.extend(stereo.iter().map(|s| s.covariance_mm2));
+        self.discs = Discs::default();
+        if self.params.triangulate.disc_bias == DiscBias::Corrected {
+            let lattice = &self.params.lattice;
+            let radius_pitches = lattice.dot_radius_mm.map(|radius_mm| radius_mm / lattice.pitch_mm);
+            let area_px2 = self.left.median_area_px2();
+            let ready = self.triangulator.ready();
+            self.discs.start(side(&self.left), radius_pitches, area_px2, &ready, &self.points_mm);
+            self.discs.correct(&ready, centres(left), centres(right), &mut self.points_mm);
+        }
         let rest = RestSurface::new(&self.points_mm).map_err(PipelineError::Contact)?;
         let variances = self.covariance_mm2.iter().map(|c| contact::variance_along(c, rest.normal()));
         self.rest_variance_mm2.clear();
@@ -223,12 +236,16 @@ impl Pipeline {
         copy_into(&self.points_mm, &mut out.points_mm);
         copy_into(&self.covariance_mm2, &mut out.covariance_mm2);
         let (left, right) = (self.left.labelled(), self.right.labelled());
+        let ready = self.triangulator.ready();
+        self.discs.fresh.clear();
+        self.discs.fresh.reserve(self.points_mm.len());
         for (i, point_mm) in out.points_mm.iter_mut().enumerate() {
             let mut state = left.state[i].max(right.state[i]);
-            match self.triangulator.point(i, &centres(left).at(i), &centres(right).at(i)) {
+            match ready.point(i, &centres(left).at(i), &centres(right).at(i)) {
                 Ok(stereo) if stereo.epipolar_px.abs() <= max_px => {
                     *point_mm = stereo.point_mm;
                     out.covariance_mm2[i] = stereo.covariance_mm2;
+                    self.discs.fresh.push(i);
                 }
                 _ if state == MarkerState::Seen => {
                     state = MarkerState::Held;
@@ -238,6 +255,7 @@ impl Pipeline {
             }
             out.state.push(state);
         }
+        self.discs.correct(&ready, centres(left), centres(right), &mut out.points_mm);
         rest.indentation_mm(&out.points_mm, &mut out.indentation_mm).map_err(PipelineError::Contact)?;
         let Frame { indentation_mm, state, points_mm, covariance_mm2, mismatched, .. } = out;
         *mismatched += self.slips.hold(indentation_mm, state, |i| {

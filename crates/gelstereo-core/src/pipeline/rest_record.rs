@@ -23,6 +23,9 @@ pub struct RestRecord {
     pub points_mm: Vec<DVec3>,
     /// Variances of the points along the rest plane's normal, mm².
     pub variance_mm2: Vec<f64>,
+    /// Radius of the dots over their pitch; absent unless `triangulate.disc_bias` corrects for it.
+    #[cfg_attr(feature = "serde", serde(default, skip_serializing_if = "Option::is_none"))]
+    pub dot_radius_pitches: Option<f64>,
     /// The left view.
     pub left: RestView,
     /// The right view.
@@ -140,6 +143,8 @@ impl RestRecord {
         check("variance_mm2", rows * cols, &self.variance_mm2, |v| v.is_finite() && v >= 0.0)?;
         check("left.positions_px", rows * cols, &self.left.positions_px, |p| finite(&p))?;
         check("right.positions_px", rows * cols, &self.right.positions_px, |p| finite(&p))?;
+        let radius = self.dot_radius_pitches.as_slice();
+        check("dot_radius_pitches", radius.len(), radius, |r| r > 0.0 && r < 1.0)?;
         check("left.shown", rows * cols, &self.left.shown, |_| true)?;
         check("right.shown", rows * cols, &self.right.shown, |_| true)?;
         for (view, rest, camera) in
@@ -179,6 +184,7 @@ impl Pipeline {
             cols: self.left.cols,
             points_mm: rest.points_mm().to_vec(),
             variance_mm2: self.rest_variance_mm2.clone(),
+            dot_radius_pitches: self.discs.radius_pitches(),
             left: self.left.rest_view(),
             right: self.right.rest_view(),
             rig: self.rig().clone(),
@@ -205,6 +211,7 @@ impl Pipeline {
         self.left.resume(&self.params, lattice, &record.left);
         self.right.resume(&self.params, lattice, &record.right);
         self.triangulator.clear_map();
+        self.discs.resume(lattice, record.dot_radius_pitches);
         self.points_mm.clone_from(&record.points_mm);
         self.rest_variance_mm2.clone_from(&record.variance_mm2);
         // The least certain direction is the normal's, nearly.

@@ -118,6 +118,12 @@ impl ViewStages {
         }
     }
 
+    /// Of the markers found afresh; 0 when there are none.
+    pub fn median_area_px2(&self) -> f64 {
+        let mut areas: Vec<f64> = self.markers.area_px2.iter().map(|&area| f64::from(area)).collect();
+        crate::math::median(&mut areas).unwrap_or(0.0)
+    }
+
     pub fn check_detected(&self) -> Result<(), PipelineError> {
         self.detected.map_err(|error| PipelineError::Detect { view: self.view, error })
     }

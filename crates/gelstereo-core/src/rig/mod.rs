@@ -1,7 +1,9 @@
 //! Two cameras: what calibration produces and triangulation consumes.
 
+mod disc;
 mod view;
 
+pub use disc::Disc;
 pub use view::{Projection, RigView, View};
 
 use crate::camera::{Camera, CameraError, Layers, LayersError};

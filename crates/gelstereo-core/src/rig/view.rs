@@ -1,7 +1,7 @@
 //! One camera of a rig with the layers before it.
 
 use crate::camera::{Camera, CameraError, Layers, Ray, Refraction};
-use crate::math::{DVec2, DVec3, Pose};
+use crate::math::{DMat3, DVec2, DVec3, Pose};
 
 /// Which camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,8 +26,12 @@ impl core::fmt::Display for View {
 #[derive(Clone, Copy, Debug)]
 pub struct RigView<'a> {
     camera: &'a Camera,
-    t_camera_sensor: Pose,
-    t_sensor_camera: Pose,
+    /// From the sensor frame to this camera's, as a matrix: it turns many vectors.
+    to_camera: DMat3,
+    to_sensor: DMat3,
+    /// Origin of the sensor frame in this camera's, and this camera in the sensor frame.
+    sensor_mm: DVec3,
+    camera_mm: DVec3,
     refraction: Option<Refraction<'a>>,
 }
 
@@ -50,7 +54,15 @@ impl<'a> RigView<'a> {
             normal: t_camera_sensor.transform_vector(layers.normal),
             gap_mm: layers.gap_mm - layers.normal.dot(t_sensor_camera.translation_mm),
         });
-        Self { camera, t_camera_sensor, t_sensor_camera, refraction }
+        let to_camera = DMat3::from_quat(t_camera_sensor.rotation);
+        Self {
+            camera,
+            to_camera,
+            to_sensor: to_camera.transpose(),
+            sensor_mm: t_camera_sensor.translation_mm,
+            camera_mm: t_sensor_camera.translation_mm,
+            refraction,
+        }
     }
 
     /// The camera itself.
@@ -98,27 +110,29 @@ impl<'a> RigView<'a> {
             None => return Some((self.ray_in_air(normalised), 0.0)),
             Some(refraction) => refraction.ray(direction)?,
         };
-        let origin_mm = self.t_sensor_camera.transform_point(ray.origin_mm);
-        Some((Ray { origin_mm, direction: self.t_sensor_camera.transform_vector(ray.direction) }, slope))
+        let origin_mm = self.to_sensor * ray.origin_mm + self.camera_mm;
+        Some((Ray { origin_mm, direction: self.to_sensor * ray.direction }, slope))
     }
 
     /// The ray of normalised coordinates as if there were no layers.
     pub(crate) fn ray_in_air(&self, normalised: DVec2) -> Ray {
-        Ray {
-            origin_mm: self.t_sensor_camera.translation_mm,
-            direction: self.t_sensor_camera.transform_vector(normalised.extend(1.0).normalize()),
-        }
+        Ray { origin_mm: self.camera_mm, direction: self.to_sensor * normalised.extend(1.0).normalize() }
+    }
+
+    /// A direction of the sensor frame in this camera's.
+    pub(crate) fn turned(&self, direction: DVec3) -> DVec3 {
+        self.to_camera * direction
     }
 
     /// Whether a point (sensor frame) lies behind the last interface, or there is none.
     pub(crate) fn is_in_gel(&self, point_mm: DVec3) -> bool {
-        let local = self.t_camera_sensor.transform_point(point_mm);
+        let local = self.to_camera * point_mm + self.sensor_mm;
         self.refraction.as_ref().is_none_or(|refraction| refraction.is_in_gel(local))
     }
 
     /// Rows of d pixel / d point at a point of a ray of this slope (sensor frame).
     pub(crate) fn jacobian_on_ray(&self, point_mm: DVec3, slope: f64) -> [DVec3; 2] {
-        let local = self.t_camera_sensor.transform_point(point_mm);
+        let local = self.to_camera * point_mm + self.sensor_mm;
         self.jacobian(local, self.apparent(local, slope), slope)
     }
 
@@ -131,12 +145,32 @@ impl<'a> RigView<'a> {
                 rows.map(|row| row + gradient * refraction.normal.dot(row))
             }
         };
-        rows.map(|row| self.t_sensor_camera.transform_vector(row))
+        rows.map(|row| self.to_sensor * row)
+    }
+
+    /// What small things about a point of the sensor frame look like.
+    pub(super) fn seen(&self, point_mm: DVec3) -> Result<Seen<'_>, CameraError> {
+        let (local, slope) = self.local(point_mm, 0.0)?;
+        let apparent = self.apparent(local, slope);
+        self.pixel(point_mm, apparent)?;
+        let lift = self
+            .refraction
+            .as_ref()
+            .map(|refraction| (refraction.normal, self.to_sensor * refraction.lift_gradient(local, slope)));
+        let ahead = self.to_sensor * DVec3::Z;
+        let depth_gradient = lift.map_or(ahead, |(normal, lift)| ahead + lift * normal.z);
+        Ok(Seen {
+            view: self,
+            apparent,
+            lift,
+            depth_gradient,
+            jacobian: self.jacobian(local, apparent, slope),
+        })
     }
 
     /// The point in the camera's frame, and the slope of the light that reaches it.
     fn local(&self, point_mm: DVec3, start: f64) -> Result<(DVec3, f64), CameraError> {
-        let local = self.t_camera_sensor.transform_point(point_mm);
+        let local = self.to_camera * point_mm + self.sensor_mm;
         if !local.is_finite() {
             return Err(CameraError::NotInFront { point_mm });
         }
@@ -152,5 +186,28 @@ impl<'a> RigView<'a> {
     fn pixel(&self, point_mm: DVec3, apparent: DVec3) -> Result<DVec2, CameraError> {
         let pixel = self.camera.project(apparent).filter(|pixel| pixel.is_finite());
         pixel.ok_or(CameraError::NotInFront { point_mm })
+    }
+}
+
+/// A point as a camera sees it.
+pub(super) struct Seen<'a> {
+    view: &'a RigView<'a>,
+    /// Where it would be seen without layers (camera frame).
+    pub apparent: DVec3,
+    /// The layers' normal (camera frame), along which layers lift the point, and the gradient of that lift (sensor frame).
+    lift: Option<(DVec3, DVec3)>,
+    /// Gradient of the apparent depth (sensor frame).
+    pub depth_gradient: DVec3,
+    /// Rows of d pixel / d point.
+    pub jacobian: [DVec3; 2],
+}
+
+impl Seen<'_> {
+    /// What a small vector (sensor frame) is in normalised coordinates, without distortion.
+    pub fn normalised(&self, small_mm: DVec3) -> DVec2 {
+        let lifted = self.lift.map_or(DVec3::ZERO, |(normal, lift)| normal * lift.dot(small_mm));
+        let v = self.view.to_camera * small_mm + lifted;
+        let p = self.apparent;
+        DVec2::new(v.x - p.x / p.z * v.z, v.y - p.y / p.z * v.z) / p.z
     }
 }

@@ -53,6 +53,11 @@ pub enum TriangulateError {
         /// Markers in all.
         of: usize,
     },
+    /// The rig tells some direction of the point no better than round-off: it has no covariance.
+    Unknown {
+        /// Which marker.
+        index: usize,
+    },
     /// The two rays are so far apart that no point is the most likely one.
     NoPoint {
         /// Which marker.
@@ -90,6 +95,11 @@ impl core::fmt::Display for TriangulateError {
                 }
                 Ok(())
             }
+            Self::Unknown { index } => write!(
+                f,
+                "marker {index}: the rig tells the point in some direction no better than round-off; its baseline, a \
+                 focal length, a layer or a centre's covariance is beyond any sensor's"
+            ),
             Self::NoPoint { index } => write!(
                 f,
                 "marker {index}: the rays of its two pixels are too far apart to be one marker; check that both \

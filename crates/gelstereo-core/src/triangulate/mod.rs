@@ -1,9 +1,12 @@
 //! From two views of a marker to a point in millimetres, with its covariance.
 
+mod chebyshev;
 mod error;
 mod polynomial;
 mod q;
 mod rays;
+mod root;
+mod tiles;
 
 pub use error::TriangulateError;
 
@@ -14,6 +17,7 @@ use crate::params::{TriangulateMethod, TriangulateParams};
 use crate::rig::{Rectification, Rig, RigView, View};
 use alloc::vec::Vec;
 use polynomial::Map;
+use root::Root;
 
 /// The centre of a marker in one view.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,17 +26,6 @@ pub struct Centre {
     pub at_px: DVec2,
     /// Its covariance, px².
     pub covariance_px2: Symmetric<2>,
-}
-
-impl Centre {
-    /// Inverse of the covariance, or `None` when that is not positive definite.
-    fn weight(&self) -> Option<Symmetric<2>> {
-        let [[a, b], [c, d]] = self.covariance_px2;
-        let determinant = a * d - b * c;
-        let scale = 1.0 / determinant;
-        let valid = a > 0.0 && determinant > 0.0 && scale.is_finite();
-        valid.then(|| [[d * scale, -b * scale], [-c * scale, a * scale]])
-    }
 }
 
 /// The centres of all markers in one view, in the same order in every list.
@@ -78,8 +71,8 @@ pub struct Triangulator {
 /// Two centres with their rays.
 struct Pair<'a> {
     centres: [&'a Centre; 2],
-    /// Inverses of the centres' covariances.
-    weights: [Symmetric<2>; 2],
+    /// Of the centres' covariances.
+    roots: [Root; 2],
     /// Undistorted normalised coordinates.
     normalised: [DVec2; 2],
     rectified: [DVec2; 2],
@@ -144,19 +137,14 @@ impl Triangulator {
                 return Err(TriangulateError::CovarianceCount { view, markers: of, covariances });
             }
         }
-        let views = self.views();
+        let ready = self.ready();
         for index in 0..of {
-            let (left_centre, right_centre) = (left.at(index), right.at(index));
-            if let Some(found) = self.mapped(&left_centre, &right_centre) {
-                out.push(found);
-                continue;
-            }
-            match self.exact(&views, index, &left_centre, &right_centre) {
+            match ready.point(index, &left.at(index), &right.at(index)) {
                 Ok(point) => out.push(point),
                 Err(TriangulateError::Disparity { disparity_px, min_px, .. }) => {
                     let bad = |&i: &usize| {
                         let (left, right) = (left.at(i), right.at(i));
-                        let pair = self.pair(i, &left, &right);
+                        let pair = roots(i, &left, &right).and_then(|r| self.pair(i, [&left, &right], r));
                         matches!(pair, Err(TriangulateError::Disparity { .. }))
                     };
                     let affected = (0..of).filter(bad).count();
@@ -166,6 +154,71 @@ impl Triangulator {
             }
         }
         Ok(())
+    }
+
+    /// With both views set up, for one pair of centres after the other.
+    #[must_use]
+    pub fn ready(&self) -> Ready<'_> {
+        Ready { stage: self, views: self.views() }
+    }
+
+    /// The point of one pair of centres; `index` is only named in errors. For many pairs use [`Self::ready`].
+    ///
+    /// # Errors
+    /// [`TriangulateError`] but for the two that are about numbers of markers.
+    pub fn point(
+        &self,
+        index: usize,
+        left: &Centre,
+        right: &Centre,
+    ) -> Result<StereoPoint, TriangulateError> {
+        self.ready().point(index, left, right)
+    }
+
+    fn views(&self) -> [RigView<'_>; 2] {
+        [self.rig.view(View::Left), self.rig.view(View::Right)]
+    }
+
+    /// Both centres' rays, whose disparity in the rectified views must have a meaning: in a gel, too, rays are
+    /// parallel where they are parallel in air.
+    fn pair<'a>(
+        &self,
+        index: usize,
+        centres: [&'a Centre; 2],
+        roots: [Root; 2],
+    ) -> Result<Pair<'a>, TriangulateError> {
+        let r = &self.rectification;
+        let one = |view, camera: &crate::camera::Camera, rotation, pixel_px: DVec2| {
+            let fail = |error| TriangulateError::Ray { index, view, error };
+            let normalised = camera.undistort(pixel_px).map_err(fail)?;
+            let rectified = r.rectify(rotation, normalised);
+            Ok((normalised, rectified.ok_or(fail(CameraError::BeyondDistortion { pixel_px }))?))
+        };
+        let (left_ray, left_px) = one(View::Left, &self.rig.left, &r.r_left, centres[0].at_px)?;
+        let (right_ray, right_px) = one(View::Right, &self.rig.right, &r.r_right, centres[1].at_px)?;
+        let (disparity_px, min_px) = (left_px.x - right_px.x, self.params.min_disparity_px);
+        if !(disparity_px >= min_px) {
+            return Err(TriangulateError::Disparity { index, disparity_px, min_px, affected: 1, of: 1 });
+        }
+        Ok(Pair { centres, roots, normalised: [left_ray, right_ray], rectified: [left_px, right_px] })
+    }
+}
+
+/// A [`Triangulator`] with both views set up.
+#[derive(Clone, Copy, Debug)]
+pub struct Ready<'a> {
+    stage: &'a Triangulator,
+    views: [RigView<'a>; 2],
+}
+
+impl<'a> Ready<'a> {
+    /// One view of the rig.
+    #[must_use]
+    pub const fn view(&self, view: View) -> &RigView<'a> {
+        match view {
+            View::Left => &self.views[0],
+            View::Right => &self.views[1],
+        }
     }
 
     /// The point of one pair of centres; `index` is only named in errors.
@@ -178,64 +231,48 @@ impl Triangulator {
         left: &Centre,
         right: &Centre,
     ) -> Result<StereoPoint, TriangulateError> {
-        match self.mapped(left, right) {
-            Some(found) => Ok(found),
-            None => self.exact(&self.views(), index, left, right),
+        let Self { stage, views } = self;
+        let roots = roots(index, left, right)?;
+        if let Some(found) = stage.map.as_ref().and_then(|map| map.point([left.at_px, right.at_px], &roots)) {
+            return finite(index, found);
         }
-    }
-
-    fn mapped(&self, left: &Centre, right: &Centre) -> Option<StereoPoint> {
-        let valid = |centre: &Centre| centre.weight().is_some();
-        self.map.as_ref().filter(|_| valid(left) && valid(right)).and_then(|map| map.point(left, right))
-    }
-
-    fn views(&self) -> [RigView<'_>; 2] {
-        [self.rig.view(View::Left), self.rig.view(View::Right)]
-    }
-
-    fn exact(
-        &self,
-        views: &[RigView<'_>; 2],
-        index: usize,
-        left: &Centre,
-        right: &Centre,
-    ) -> Result<StereoPoint, TriangulateError> {
-        let pair = self.pair(index, left, right)?;
-        match self.params.method {
-            TriangulateMethod::Q => Ok(q::point(&self.rectification, self.to_sensor, &pair)),
+        let pair = stage.pair(index, [left, right], roots)?;
+        match stage.params.method {
+            TriangulateMethod::Q => q::point(&stage.rectification, stage.to_sensor, index, &pair),
             TriangulateMethod::Polynomial | TriangulateMethod::Rays => rays::point(views, index, &pair),
         }
     }
+}
 
-    /// Both centres' rays, whose disparity in the rectified views must have a meaning: in a gel, too, rays are
-    /// parallel where they are parallel in air.
-    fn pair<'a>(
-        &self,
-        index: usize,
-        left: &'a Centre,
-        right: &'a Centre,
-    ) -> Result<Pair<'a>, TriangulateError> {
-        let r = &self.rectification;
-        let weight =
-            |view, centre: &Centre| centre.weight().ok_or(TriangulateError::Covariance { index, view });
-        let weights = [weight(View::Left, left)?, weight(View::Right, right)?];
-        let one = |view, camera: &crate::camera::Camera, rotation, pixel_px: DVec2| {
-            let fail = |error| TriangulateError::Ray { index, view, error };
-            let normalised = camera.undistort(pixel_px).map_err(fail)?;
-            let rectified = r.rectify(rotation, normalised);
-            Ok((normalised, rectified.ok_or(fail(CameraError::BeyondDistortion { pixel_px }))?))
-        };
-        let (left_ray, left_px) = one(View::Left, &self.rig.left, &r.r_left, left.at_px)?;
-        let (right_ray, right_px) = one(View::Right, &self.rig.right, &r.r_right, right.at_px)?;
-        let (disparity_px, min_px) = (left_px.x - right_px.x, self.params.min_disparity_px);
-        if !(disparity_px >= min_px) {
-            return Err(TriangulateError::Disparity { index, disparity_px, min_px, affected: 1, of: 1 });
+fn roots(index: usize, left: &Centre, right: &Centre) -> Result<[Root; 2], TriangulateError> {
+    let root = |view, centre: &Centre| {
+        Root::new(&centre.covariance_px2).ok_or(TriangulateError::Covariance { index, view })
+    };
+    Ok([root(View::Left, left)?, root(View::Right, right)?])
+}
+
+/// The sum of the columns' squares, which is positive semi-definite to the rounding of its entries, with exact symmetry.
+fn sum_of_squares<const N: usize>(columns: &[DVec3; N]) -> Symmetric<3> {
+    // Entries (i, j) and (j, i) are sums of the same products in the same order.
+    let mut sum = [[0.0; 3]; 3];
+    for c in columns {
+        for (row, factor) in sum.iter_mut().zip(c.to_array()) {
+            row[0] += factor * c.x;
+            row[1] += factor * c.y;
+            row[2] += factor * c.z;
         }
-        Ok(Pair {
-            centres: [left, right],
-            weights,
-            normalised: [left_ray, right_ray],
-            rectified: [left_px, right_px],
-        })
+    }
+    sum
+}
+
+/// A point that has one, with a covariance that means something.
+fn finite(index: usize, found: StereoPoint) -> Result<StereoPoint, TriangulateError> {
+    let [[xx, xy, xz], [_, yy, yz], [.., zz]] = found.covariance_mm2;
+    // A sum is finite only when all its terms are.
+    let sum = xx + yy + zz + xy + xz + yz + found.epipolar_px;
+    if (sum + found.point_mm.element_sum()).is_finite() {
+        Ok(found)
+    } else {
+        Err(TriangulateError::Unknown { index })
     }
 }

@@ -1,36 +1,222 @@
-//! The fast rung: a polynomial in column, row and disparity that is fitted to the exact one.
+//! The fast rung: polynomials in column, row and inverse disparity that are fitted to the exact one.
 
-use super::{Centre, StereoPoint};
-use crate::math::{DMat3, DVec3, cos};
+use super::chebyshev::{Series, checks, nodes};
+use super::root::Root;
+use super::tiles::{Four, Tiles, multiply_add};
+use super::{StereoPoint, sum_of_squares};
+use crate::math::linalg::Symmetric;
+use crate::math::{DMat3, DVec2, DVec3, sqrt};
 use crate::rig::RigView;
 use alloc::vec::Vec;
 
-/// Highest degree. Five do without lens distortion; a strong one needs six or seven.
-const DEGREE: usize = 7;
-/// Degree of the derivatives: 3 % of the covariance is below what is known of that of the centres.
-const SLOPE_DEGREE: usize = 3;
-/// Chebyshev nodes along each input.
+/// Nodes along each input at which rays are traced, and points at which the map is held against more of them.
 const NODES: usize = 8;
-/// Points along each input at which the map is checked; none is a node.
 const CHECKS: usize = 7;
-/// A degree is taken whose largest error at the checked points is below this.
+/// Degrees of the polynomials through the nodes. Five do for values without lens distortion; a strong one needs seven.
+const DEGREE: usize = 7;
+const SLOPE_DEGREE: usize = 4;
+/// Tiles along column and row that are tried.
+const SIDES: [usize; 4] = [1, 2, 4, 8];
+/// Largest error at the checked points; twice this is promised.
 const TOLERANCE_MM: f64 = 5e-4;
+/// Largest error of the covariance, as a share of the variances: what is known of the centres' covariances is worth no
+/// more.
+const COVARIANCE_TOLERANCE: f64 = 0.02;
 /// Steps of Newton's method to a node.
 const MAX_STEPS: usize = 20;
 
-/// A map from (column in the left view, mean row, disparity) of the raw pixels to the point, and to the difference of
-/// the rows that belongs to it, in Chebyshev polynomials of bounded total degree over a box of the inputs. Distortion,
-/// rectification and refraction are all in it.
+/// A map from (column in the left view, mean row, disparity) of the raw pixels to the point, and to the difference of the
+/// rows that belongs to it. Distortion, rectification and refraction are all in it.
+///
+/// Depth goes with one over the disparity less that of a point infinitely far away, and the point's other coordinates are
+/// bilinear in this and the pixel where lenses and layers bend no light, so that this inverse is the third input. What
+/// they bend takes polynomials of up to the seventh degree, which cubic ones follow tile by tile.
 #[derive(Clone, Debug)]
 pub(super) struct Map {
+    inputs: Inputs,
+    /// Of the scaled inputs.
     centre: DVec3,
-    half: DVec3,
-    degree: usize,
-    /// X, Y, Z, left row less right row; in the order of [`sum`].
-    values: Vec<[f64; 4]>,
-    /// Columns of d (X, Y, Z) / d inputs, then d row difference / d inputs.
-    slopes: Vec<[f64; 12]>,
+    /// One over half the box.
+    scale: DVec3,
+    /// X, Y, Z, left row less right row, and their derivatives by column, row and inverse disparity.
+    tiles: Tiles,
     error_mm: f64,
+}
+
+impl Map {
+    /// Fitted around `rest_mm`; `None` when no polynomials come near enough.
+    pub fn fit(views: &[RigView<'_>; 2], rest_mm: &[DVec3], reach_mm: f64) -> Option<Self> {
+        let seen = reached(views, rest_mm, reach_mm)?;
+        let inputs = Inputs::fit(views, &seen)?;
+        let (low, high) = extent(seen.iter().map(|&at| inputs.of(at)));
+        let (centre, half) = ((low + high) * 0.5, (high - low) * 0.5);
+        if !(centre.is_finite() && half.min_element() > 0.0) {
+            return None;
+        }
+        let start = crate::math::centroid(rest_mm);
+        let exact = |grid: &mut dyn Iterator<Item = DVec3>| {
+            samples(views, start, &inputs, grid.map(|at| centre + half * at))
+        };
+        let (at_nodes, checked) = (exact(&mut nodes::<NODES>())?, exact(&mut checks::<CHECKS>())?);
+        let values: Vec<Four> = at_nodes.iter().map(|sample| sample.value).collect();
+        let slopes: Vec<[f64; 12]> = at_nodes.iter().map(|sample| sample.slope).collect();
+        let values = Series::fit::<NODES>(DEGREE, &values);
+        let slopes = Series::fit::<NODES>(SLOPE_DEGREE, &slopes);
+        let off = |(at, sample): (DVec3, &Sample)| distance(&values.at(at), &sample.value);
+        let series_mm = checks::<CHECKS>().zip(&checked).map(off).fold(0.0, f64::max);
+        SIDES.into_iter().find_map(|side| {
+            let (tiles, tiles_mm) = Tiles::fit(side, &values, &slopes, TOLERANCE_MM - series_mm)?;
+            let error_mm = series_mm + tiles_mm;
+            let map = Self { inputs, centre, scale: half.recip(), tiles, error_mm };
+            (map.covariance_error(&checked) <= COVARIANCE_TOLERANCE).then_some(map)
+        })
+    }
+
+    pub fn error_mm(&self) -> f64 {
+        self.error_mm
+    }
+
+    /// The most likely point to first order, or `None` beyond the map's reach.
+    #[inline]
+    pub fn point(&self, [left_px, right_px]: [DVec2; 2], roots: &[Root; 2]) -> Option<StereoPoint> {
+        let at = DVec3::new(left_px.x, 0.5 * (left_px.y + right_px.y), left_px.x - right_px.x);
+        let input = self.inputs.of(at);
+        let ([x, y, z, rows_px], slopes) = self.tiles.at((input - self.centre) * self.scale)?;
+        let epipolar_px = left_px.y - right_px.y - rows_px;
+        let spread = Spread::new(&self.inputs.by_pixels(input.z, &slopes), roots);
+        let point_mm = DVec3::new(x, y, z) - spread.shift_mm_per_px * epipolar_px;
+        let covariance_mm2 = spread.covariance_mm2();
+        Some(StereoPoint { point_mm, covariance_mm2, epipolar_px })
+    }
+
+    /// Of centres with equal noise along all axes.
+    fn covariance_error(&self, checked: &[Sample]) -> f64 {
+        let roots = [Root::unit(); 2];
+        let mut worst = 0.0_f64;
+        for (at, sample) in checks::<CHECKS>().zip(checked) {
+            let inverse = self.centre.z + at.z / self.scale.z;
+            let covariance = |slopes: &[Four; 3]| {
+                Spread::new(&self.inputs.by_pixels(inverse, slopes), &roots).covariance_mm2()
+            };
+            let by: [Four; 3] = core::array::from_fn(|k| core::array::from_fn(|i| sample.slope[4 * k + i]));
+            let Some((_, found)) = self.tiles.at(at) else { return f64::INFINITY };
+            let (found, exact) = (covariance(&found), covariance(&by));
+            for (i, j) in [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)] {
+                let share = (found[i][j] - exact[i][j]).abs() / sqrt(exact[i][i] * exact[j][j]);
+                worst = if share <= worst { worst } else { share };
+            }
+        }
+        worst
+    }
+}
+
+fn distance(a: &Four, b: &Four) -> f64 {
+    DVec3::from_slice(a).distance(DVec3::from_slice(b))
+}
+
+fn extent(points: impl Iterator<Item = DVec3>) -> (DVec3, DVec3) {
+    points.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), at| (low.min(at), high.max(at)))
+}
+
+/// From (column, mean row, disparity) to the map's inputs, in which disparity is replaced by one over its distance from
+/// that of a point infinitely far away, which is linear in column and row.
+#[derive(Clone, Copy, Debug)]
+struct Inputs {
+    origin_px: DVec2,
+    far_px: f64,
+    /// Gradient of the disparity at infinity.
+    far_slope: DVec2,
+}
+
+impl Inputs {
+    /// For the pixels seen; `None` when some of them are not nearer than infinity.
+    fn fit(views: &[RigView<'_>; 2], seen: &[DVec3]) -> Option<Self> {
+        let (low, high) = extent(seen.iter().copied());
+        let (origin_px, half) = (((low + high) * 0.5).truncate(), ((high - low) * 0.5).truncate());
+        let far = |dx: f64, dy: f64| {
+            let at = origin_px + half * DVec2::new(dx, dy);
+            let ahead = views[0].ray_in_air(views[0].camera().undistort(at).ok()?).direction;
+            Some(at.x - views[1].camera().project(views[1].turned(ahead))?.x)
+        };
+        let far_slope =
+            DVec2::new(far(1.0, 0.0)? - far(-1.0, 0.0)?, far(0.0, 1.0)? - far(0.0, -1.0)?) / (half * 2.0);
+        let inputs = Self { origin_px, far_px: far(0.0, 0.0)?, far_slope };
+        seen.iter().all(|&at| inputs.of(at).z > 0.0).then_some(inputs)
+    }
+
+    fn far(&self, column_px: f64, row_px: f64) -> f64 {
+        self.far_px + self.far_slope.dot(DVec2::new(column_px, row_px) - self.origin_px)
+    }
+
+    #[inline]
+    fn of(&self, seen: DVec3) -> DVec3 {
+        DVec3::new(seen.x, seen.y, 1.0 / (seen.z - self.far(seen.x, seen.y)))
+    }
+
+    /// (column, mean row, disparity) of inputs.
+    fn undo(&self, input: DVec3) -> DVec3 {
+        DVec3::new(input.x, input.y, self.far(input.x, input.y) + 1.0 / input.z)
+    }
+
+    /// Derivatives of X, Y, Z and the row difference by the inputs, made of those by (column, mean row, disparity).
+    fn by_inputs(&self, inverse: f64, [u, v, d]: [[f64; 4]; 3]) -> [f64; 12] {
+        let (by_inverse, far) = (-1.0 / (inverse * inverse), self.far_slope);
+        let mut slope = [0.0; 12];
+        for i in 0..4 {
+            (slope[i], slope[4 + i]) = (u[i] + d[i] * far.x, v[i] + d[i] * far.y);
+            slope[8 + i] = d[i] * by_inverse;
+        }
+        slope
+    }
+
+    /// Derivatives by left column, either row and right column.
+    #[inline]
+    fn by_pixels(&self, inverse: f64, [u, v, w]: &[Four; 3]) -> [Four; 3] {
+        let (square, far) = (inverse * inverse, self.far_slope);
+        let left = multiply_add(w, -square * (1.0 - far.x), u);
+        let row = multiply_add(w, square * far.y, v).map(|x| 0.5 * x);
+        [left, row, w.map(|x| x * square)]
+    }
+}
+
+/// How the noise of four pixel coordinates x = L e, with independent e of variance 1, moves the point.
+///
+/// They must obey v - v' = rows(inputs): h · e = 0 to first order, h the gradient. Of the point's four columns by e one
+/// combination, along h, is thus known; a reflection that takes h to an axis leaves the other three as a square root of
+/// the covariance.
+struct Spread {
+    columns: [DVec3; 3],
+    /// What a row difference that is missed by one pixel says of the point.
+    shift_mm_per_px: DVec3,
+}
+
+impl Spread {
+    #[inline]
+    fn new([left, row, right]: &[Four; 3], [l, r]: &[Root; 2]) -> Self {
+        let times = |x: &Four, factor: f64| x.map(|x| x * factor);
+        let a = multiply_add(left, l.xx, &times(row, l.yx));
+        let b = times(row, l.yy);
+        let c = multiply_add(right, r.xx, &times(row, r.yx));
+        let d = times(row, r.yy);
+        let h = [l.yx - a[3], l.yy - b[3], -r.yx - c[3], -r.yy - d[3]];
+        let square = h[0] * h[0] + h[1] * h[1] + h[2] * h[2] + h[3] * h[3];
+        let ab = multiply_add(&a, h[0], &times(&b, h[1]));
+        let moved = multiply_add(&d, h[3], &multiply_add(&c, h[2], &ab));
+        // Householder's reflection to the second axis: along h + |h| e with the sign that does not cancel.
+        let length = sqrt(square).copysign(h[1]);
+        let inverse = 1.0 / (square + length * h[1]);
+        let along = times(&multiply_add(&b, length, &moved), inverse);
+        let less = |x: &Four, by: f64| DVec3::from_slice(&multiply_add(&along, -by, x));
+        Self {
+            columns: [less(&a, h[0]), less(&c, h[2]), less(&d, h[3])],
+            shift_mm_per_px: DVec3::from_slice(&moved) * (1.0 / square),
+        }
+    }
+
+    #[inline]
+    fn covariance_mm2(&self) -> Symmetric<3> {
+        sum_of_squares(&self.columns)
+    }
 }
 
 /// What is exact at one input.
@@ -39,109 +225,23 @@ struct Sample {
     slope: [f64; 12],
 }
 
-impl Map {
-    /// Fitted around `rest_mm`; `None` when no polynomial of [`DEGREE`] comes near enough.
-    pub(super) fn fit(views: &[RigView<'_>; 2], rest_mm: &[DVec3], reach_mm: f64) -> Option<Self> {
-        let (low, high) = bounds(views, rest_mm, reach_mm)?;
-        let (centre, half) = ((low + high) * 0.5, (high - low) * 0.5);
-        let start = crate::math::centroid(rest_mm);
-        let nodes = chebyshev_nodes::<NODES>();
-        let exact = samples(views, start, &nodes, centre, half)?;
-        let mut map = Self {
-            centre,
-            half,
-            degree: DEGREE,
-            values: Vec::new(),
-            slopes: coefficients(SLOPE_DEGREE, exact.iter().map(|sample| sample.slope)),
-            error_mm: 0.0,
-        };
-        let checks: [f64; CHECKS] =
-            core::array::from_fn(|i| cos(core::f64::consts::PI * i as f64 / (CHECKS - 1) as f64));
-        let checked = samples(views, start, &checks, centre, half)?;
-        let values = exact.iter().map(|sample| sample.value);
-        for degree in 3..=DEGREE {
-            map.degree = degree;
-            map.values = coefficients(degree, values.clone());
-            map.error_mm = map.largest_error(&checks, &checked);
-            if map.error_mm <= TOLERANCE_MM {
-                return Some(map);
-            }
-        }
-        None
-    }
-
-    pub(super) fn error_mm(&self) -> f64 {
-        self.error_mm
-    }
-
-    /// The most likely point to first order, or `None` beyond the map's reach.
-    pub(super) fn point(&self, left: &Centre, right: &Centre) -> Option<StereoPoint> {
-        let (l, r) = (left.at_px, right.at_px);
-        let input = (DVec3::new(l.x, 0.5 * (l.y + r.y), l.x - r.x) - self.centre) / self.half;
-        if !(input.abs().max_element() <= 1.0) {
-            return None;
-        }
-        let basis = [chebyshev(input.x), chebyshev(input.y), chebyshev(input.z)];
-        let [x, y, z, rows_px] = sum(self.degree, &self.values, &basis);
-        let slopes = sum(SLOPE_DEGREE, &self.slopes, &basis);
-        let (slope, rows_slope) = (DMat3::from_cols_slice(&slopes), DVec3::from_slice(&slopes[9..]));
-        let epipolar_px = l.y - r.y - rows_px;
-        let (shift, covariance) = Self::correct(left, right, epipolar_px, rows_slope);
-        let point_mm = DVec3::new(x, y, z) + slope * shift;
-        let covariance_mm2 = (slope * covariance * slope.transpose()).to_cols_array_2d();
-        Some(StereoPoint { point_mm, covariance_mm2, epipolar_px })
-    }
-
-    /// How far the most likely inputs are from those measured, and their covariance: the four pixel coordinates must
-    /// obey v - v' = rows(inputs), whose gradient by them is g; they move by -Σ g (gᵀ Σ g)⁻¹ times what they miss it by.
-    fn correct(left: &Centre, right: &Centre, missed_px: f64, rows: DVec3) -> (DVec3, DMat3) {
-        let ([[a, b], [_, c]], [[d, e], [_, f]]) = (left.covariance_px2, right.covariance_px2);
-        let g = [-rows.x - rows.z, 1.0 - 0.5 * rows.y, rows.z, -1.0 - 0.5 * rows.y];
-        let moved = [a * g[0] + b * g[1], b * g[0] + c * g[1], d * g[2] + e * g[3], e * g[2] + f * g[3]];
-        let scale = 1.0 / (g[0] * moved[0] + g[1] * moved[1] + g[2] * moved[2] + g[3] * moved[3]);
-        let moved = DVec3::new(moved[0], 0.5 * (moved[1] + moved[3]), moved[0] - moved[2]);
-        // Of the inputs (u, (v + v') / 2, u - u') as measured.
-        let (uv, vd) = (0.5 * b, 0.5 * (b - e));
-        let measured = DMat3::from_cols(
-            DVec3::new(a, uv, a),
-            DVec3::new(uv, 0.25 * (c + f), vd),
-            DVec3::new(a, vd, a + d),
-        );
-        let known = moved * scale;
-        let gain = DMat3::from_cols(moved * known.x, moved * known.y, moved * known.z);
-        (known * -missed_px, measured - gain)
-    }
-
-    fn largest_error(&self, axis: &[f64], exact: &[Sample]) -> f64 {
-        let mut worst = 0.0_f64;
-        for (at, sample) in grid(axis).zip(exact) {
-            let basis = [chebyshev(at.x), chebyshev(at.y), chebyshev(at.z)];
-            let found: [f64; 4] = sum(self.degree, &self.values, &basis);
-            let off = DVec3::from_slice(&found) - DVec3::from_slice(&sample.value);
-            worst = worst.max(off.length());
-        }
-        worst
-    }
-}
-
-/// Box of the inputs that show points within reach of the rest surface: sideways, towards the cameras, and a quarter
+/// (Column, mean row, disparity) of points within reach of the rest surface: sideways, towards the cameras, and a quarter
 /// away from them.
-fn bounds(views: &[RigView<'_>; 2], rest_mm: &[DVec3], reach_mm: f64) -> Option<(DVec3, DVec3)> {
-    let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+fn reached(views: &[RigView<'_>; 2], rest_mm: &[DVec3], reach_mm: f64) -> Option<Vec<DVec3>> {
+    let mut all = Vec::with_capacity(8 * rest_mm.len());
     for &rest in rest_mm {
         for along in [-1.0, 0.25] {
             for (x, y) in [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)] {
-                let input = see(views, rest + DVec3::new(x, y, along) * reach_mm)?.input;
-                (low, high) = (low.min(input), high.max(input));
+                all.push(see(views, rest + DVec3::new(x, y, along) * reach_mm)?.at);
             }
         }
     }
-    (high - low).is_finite().then_some((low, high))
+    Some(all)
 }
 
-/// The map's inputs at a point and the row difference, with their derivatives by the point.
+/// Column, mean row and disparity at a point and the row difference, with their derivatives by the point.
 struct Seen {
-    input: DVec3,
+    at: DVec3,
     jacobian: DMat3,
     rows_px: f64,
     rows_gradient: DVec3,
@@ -153,112 +253,42 @@ fn see(views: &[RigView<'_>; 2], point_mm: DVec3) -> Option<Seen> {
     let (l, r) = (left.pixel_px, right.pixel_px);
     let ([u, v], [u_right, v_right]) = (left.jacobian, right.jacobian);
     Some(Seen {
-        input: DVec3::new(l.x, 0.5 * (l.y + r.y), l.x - r.x),
+        at: DVec3::new(l.x, 0.5 * (l.y + r.y), l.x - r.x),
         jacobian: DMat3::from_cols(u, (v + v_right) * 0.5, u - u_right).transpose(),
         rows_px: l.y - r.y,
         rows_gradient: v - v_right,
     })
 }
 
-/// Exact values at all points of a grid of scaled inputs, by Newton's method on [`see`], each from the one before.
+/// Exact values at these inputs, by Newton's method on [`see`], each from the one before.
 fn samples(
     views: &[RigView<'_>; 2],
     start: DVec3,
-    axis: &[f64],
-    centre: DVec3,
-    half: DVec3,
+    inputs: &Inputs,
+    grid: impl Iterator<Item = DVec3>,
 ) -> Option<Vec<Sample>> {
     let mut point = start;
-    grid(axis)
-        .map(|at| {
-            let target = centre + half * at;
-            for _ in 0..MAX_STEPS {
-                let seen = see(views, point)?;
-                let inverse = seen.jacobian.inverse();
-                let step = inverse * (target - seen.input);
-                point += step;
-                // Newton's steps shrink quadratically: the next would be below 1e-12 mm.
-                if step.length() <= 1e-7 {
-                    let mut slope = [0.0; 12];
-                    slope[..9].copy_from_slice(&inverse.to_cols_array());
-                    slope[9..].copy_from_slice(&(inverse.transpose() * seen.rows_gradient).to_array());
-                    return Some(Sample { value: [point.x, point.y, point.z, seen.rows_px], slope });
-                }
-            }
-            None
-        })
-        .collect()
-}
-
-/// All points with coordinates of `axis`; the first coordinate runs fastest.
-fn grid(axis: &[f64]) -> impl Iterator<Item = DVec3> {
-    axis.iter()
-        .flat_map(move |&z| axis.iter().flat_map(move |&y| axis.iter().map(move |&x| DVec3::new(x, y, z))))
-}
-
-fn chebyshev_nodes<const N: usize>() -> [f64; N] {
-    core::array::from_fn(|i| cos(core::f64::consts::PI * (i as f64 + 0.5) / N as f64))
-}
-
-/// T_0 to T_7.
-fn chebyshev(x: f64) -> [f64; DEGREE + 1] {
-    let mut t = [1.0; DEGREE + 1];
-    t[1] = x;
-    for k in 2..=DEGREE {
-        t[k] = 2.0 * x * t[k - 1] - t[k - 2];
-    }
-    t
-}
-
-/// Coefficients of the products of Chebyshev polynomials up to a total degree, from the values on the grid of nodes:
-/// there the products are orthogonal, so that each coefficient is one sum, and a lower degree a truncation.
-fn coefficients<const N: usize>(
-    degree: usize,
-    exact: impl Iterator<Item = [f64; N]> + Clone,
-) -> Vec<[f64; N]> {
-    let basis = chebyshev_nodes::<NODES>().map(chebyshev);
-    let mut out = Vec::new();
-    for c in 0..=degree {
-        for b in 0..=degree - c {
-            for a in 0..=degree - c - b {
-                let mut total = [0.0; N];
-                for (n, value) in exact.clone().enumerate() {
-                    let at = basis[n % NODES][a] * basis[n / NODES % NODES][b] * basis[n / NODES / NODES][c];
-                    for (total, value) in total.iter_mut().zip(value) {
-                        *total += at * value;
-                    }
-                }
-                let twos = [a, b, c].into_iter().filter(|&k| k > 0).count();
-                let norm = f64::from(1 << twos) / (NODES * NODES * NODES) as f64;
-                out.push(total.map(|total| total * norm));
+    grid.map(|input| {
+        let target = inputs.undo(input);
+        for _ in 0..MAX_STEPS {
+            let seen = see(views, point)?;
+            let inverse = seen.jacobian.inverse();
+            let step = inverse * (target - seen.at);
+            point += step;
+            // Newton's steps shrink quadratically: the next would be below 1e-12 mm.
+            if step.length() <= 1e-7 {
+                let rows = inverse.transpose() * seen.rows_gradient;
+                let column = |c: DVec3, row: f64| [c.x, c.y, c.z, row];
+                let by = [
+                    column(inverse.x_axis, rows.x),
+                    column(inverse.y_axis, rows.y),
+                    column(inverse.z_axis, rows.z),
+                ];
+                let slope = inputs.by_inputs(input.z, by);
+                return Some(Sample { value: [point.x, point.y, point.z, seen.rows_px], slope });
             }
         }
-    }
-    out
-}
-
-/// The sum of products, in the order in which [`coefficients`] makes them.
-fn sum<const N: usize>(degree: usize, coefficients: &[[f64; N]], basis: &[[f64; DEGREE + 1]; 3]) -> [f64; N] {
-    let mut rest = coefficients;
-    let mut total = [0.0; N];
-    for c in 0..=degree {
-        let mut plane = [0.0; N];
-        for b in 0..=degree - c {
-            let (line, after) = rest.split_at(degree - c - b + 1);
-            rest = after;
-            let mut row = [0.0; N];
-            for (coefficient, t) in line.iter().zip(&basis[0]) {
-                for (row, coefficient) in row.iter_mut().zip(coefficient) {
-                    *row += t * coefficient;
-                }
-            }
-            for (plane, row) in plane.iter_mut().zip(row) {
-                *plane += basis[1][b] * row;
-            }
-        }
-        for (total, plane) in total.iter_mut().zip(plane) {
-            *total += basis[2][c] * plane;
-        }
-    }
-    total
+        None
+    })
+    .collect()
 }

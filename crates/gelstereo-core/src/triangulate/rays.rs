@@ -1,44 +1,81 @@
 //! The exact rung: the most likely point of two centres with covariances, seen through the rig's layers.
 
-use super::{Pair, StereoPoint, TriangulateError};
+use super::root::Root;
+use super::{Pair, StereoPoint, TriangulateError, finite, sum_of_squares};
 use crate::camera::{CameraError, Ray};
-use crate::math::linalg::Symmetric;
-use crate::math::{DMat3, DVec2, DVec3};
+use crate::math::{DVec2, DVec3, sqrt};
 use crate::rig::{RigView, View};
 
 /// Steps of Gauss and Newton. Two do for a marker; more only help pairs whose rays miss each other by millimetres.
 const MAX_STEPS: usize = 20;
 
-/// The least squares around one point: information A and gradient b of the step A⁻¹ b.
-struct Normal {
-    information: DMat3,
-    gradient: DVec3,
+/// The gradients of one view's pixel by the point, and what is left to its centre.
+type Linear = ([DVec3; 2], DVec2);
+
+/// What one step of Gauss and Newton leads to.
+struct Step {
+    found: StereoPoint,
+    step_mm: DVec3,
 }
 
-impl Normal {
-    const fn zero() -> Self {
-        Self { information: DMat3::ZERO, gradient: DVec3::ZERO }
-    }
-
-    /// Adds one view: the gradients of its pixel, what is left to its centre, and the centre's weight.
-    fn add(&mut self, [u, v]: &[DVec3; 2], residual: DVec2, weight: &Symmetric<2>) {
-        let [[uu, uv], [_, vv]] = *weight;
-        let (wu, wv) = (*u * uu + *v * uv, *u * uv + *v * vv);
-        for (axis, (a, b)) in [(u.x, v.x), (u.y, v.y), (u.z, v.z)].into_iter().enumerate() {
-            *self.information.col_mut(axis) += wu * a + wv * b;
+/// One step: the least squares of both views' residuals, each weighted by its covariance. `None` when the point is not
+/// determined.
+///
+/// By orthogonal columns (modified Gram and Schmidt) of the gradients over the centres' noise, which keeps the digits that
+/// the information A = Jᵀ W J would lose, and makes the covariance A⁻¹ = R⁻¹ R⁻ᵀ a sum of squares (Björck 1996, section 2.4).
+fn step(from_mm: DVec3, views: &[Linear; 2], roots: &[Root; 2]) -> Option<Step> {
+    let (mut j, mut rest) = ([[0.0; 4]; 3], [0.0; 4]);
+    for k in 0..2 {
+        let (rows, residual) = roots[k].whiten(&views[k].0, views[k].1);
+        for (axis, column) in j.iter_mut().enumerate() {
+            (column[2 * k], column[2 * k + 1]) = (rows[0][axis], rows[1][axis]);
         }
-        self.gradient += wu * residual.x + wv * residual.y;
+        (rest[2 * k], rest[2 * k + 1]) = (residual.x, residual.y);
     }
+    let [mut x, mut y, mut z] = j;
+    let least = DVec3::new(dot(&x, &x), dot(&y, &y), dot(&z, &z)) * ROUND_OFF;
+    let xx = normalise(&mut x, least.x)?;
+    let (xy, xz, x_rest) = (take(&mut y, &x), take(&mut z, &x), take(&mut rest, &x));
+    let yy = normalise(&mut y, least.y)?;
+    let (yz, y_rest) = (take(&mut z, &y), take(&mut rest, &y));
+    let zz = normalise(&mut z, least.z)?;
+    let z_rest = take(&mut rest, &z);
+    // Columns of R⁻¹, in which xx, yy and zz are one over R's diagonal.
+    let first = DVec3::new(xx, 0.0, 0.0);
+    let second = DVec3::new(-xy * xx, 1.0, 0.0) * yy;
+    let third = DVec3::new((xy * yz * yy - xz) * xx, -yz * yy, 1.0) * zz;
+    let step_mm = first * x_rest + second * y_rest + third * z_rest;
+    let left = roots[0].colour(DVec2::new(rest[0], rest[1]));
+    let right = roots[1].colour(DVec2::new(rest[2], rest[3]));
+    let epipolar_px = (left.length() + right.length()).copysign(left.y - right.y);
+    let covariance_mm2 = sum_of_squares(&[first, second, third]);
+    let found = StereoPoint { point_mm: from_mm + step_mm, covariance_mm2, epipolar_px };
+    Some(Step { found, step_mm })
+}
 
-    /// One step from `from_mm`, with what it leaves of the views' residuals, and its length and direction.
-    fn solve(&self, from_mm: DVec3, views: &[([DVec3; 2], DVec2); 2]) -> (StereoPoint, DVec3) {
-        let covariance = self.information.inverse();
-        let step = covariance * self.gradient;
-        let [left, right] = views.map(|(rows, residual)| residual - along(&rows, step));
-        let epipolar_px = (left.length() + right.length()).copysign(left.y - right.y);
-        let covariance_mm2 = covariance.to_cols_array_2d();
-        (StereoPoint { point_mm: from_mm + step, covariance_mm2, epipolar_px }, step)
+/// What round-off leaves of a column that depends on those before it, squared: some ten roundings.
+const ROUND_OFF: f64 = 100.0 * f64::EPSILON * f64::EPSILON;
+
+fn dot(a: &[f64; 4], b: &[f64; 4]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
+}
+
+/// Makes it a unit vector and returns one over its length, unless its squared length is round-off.
+fn normalise(column: &mut [f64; 4], least: f64) -> Option<f64> {
+    let square = dot(column, column);
+    if !(square > least) {
+        return None;
     }
+    let inverse = 1.0 / sqrt(square);
+    column.iter_mut().for_each(|x| *x *= inverse);
+    Some(inverse)
+}
+
+/// Takes the part along a unit vector away and returns it.
+fn take(column: &mut [f64; 4], unit: &[f64; 4]) -> f64 {
+    let along = dot(column, unit);
+    column.iter_mut().zip(unit).for_each(|(x, u)| *x -= along * u);
+    along
 }
 
 /// The most likely point, in the sensor frame, with the inverse of the information as its covariance.
@@ -52,24 +89,23 @@ pub(super) fn point(
 ) -> Result<StereoPoint, TriangulateError> {
     let (first, slopes) = start(views, index, pair)?;
     let mut point_mm = match first {
-        Start::Done(found) => return Ok(found),
+        Start::Done(found) => return finite(index, found),
         Start::At(point_mm) => point_mm,
     };
     for _ in 0..MAX_STEPS {
-        let mut normal = Normal::zero();
         let mut linear = [([DVec3::ZERO; 2], DVec2::ZERO); 2];
         for (k, view) in VIEWS.into_iter().enumerate() {
             let seen = views[k].project_with_jacobian(point_mm, slopes[k]);
             let seen = seen.map_err(|error| TriangulateError::Ray { index, view, error })?;
             linear[k] = (seen.jacobian, pair.centres[k].at_px - seen.pixel_px);
-            normal.add(&linear[k].0, linear[k].1, &pair.weights[k]);
         }
-        let (found, step) = normal.solve(point_mm, &linear);
+        let next = step(point_mm, &linear, &pair.roots).ok_or(TriangulateError::Unknown { index })?;
+        let found = next.found;
         point_mm = found.point_mm;
         // A step leaves some residual / f of itself, or its own square over the depth: both below 1e-11 of the depth.
-        let (length, depth) = (step.length(), point_mm.length());
+        let (length, depth) = (next.step_mm.length(), point_mm.length());
         if length <= 1e-6 * depth && length * found.epipolar_px.abs() <= 2e-9 * depth {
-            return Ok(found);
+            return finite(index, found);
         }
     }
     Err(TriangulateError::NoPoint { index })
@@ -83,9 +119,10 @@ enum Start {
     Done(StereoPoint),
 }
 
-/// A step that ends nearer than this to both rays, in units of sqrt(mm · depth), is the last: it leaves pixel residuals
-/// of f (distance / depth)², 1e-6 px, and so a ten-thousandth of the standard deviation of centres good to 0.01 px.
-const NEAR: f64 = 1.5e-4;
+/// The first step is the last when what it leaves out is below these: a share of the centres' standard deviations, and
+/// pixels of the residual.
+const ENOUGH: f64 = 2e-4;
+const ENOUGH_PX: f64 = 2e-5;
 
 /// One step from the middle of the refracted rays, and the slope of both rays in air. It needs no search for a light
 /// path, because the nearest points of both rays are seen exactly at their pixels.
@@ -110,16 +147,19 @@ fn start(
         );
         return Ok((Start::At((a + b) * 0.5), slopes));
     }
-    let mut normal = Normal::zero();
     let mut linear = [([DVec3::ZERO; 2], DVec2::ZERO); 2];
     for k in 0..2 {
         let rows = views[k].jacobian_on_ray(nearest[k], slopes[k]);
         linear[k] = (rows, along(&rows, nearest[k] - middle));
-        normal.add(&rows, linear[k].1, &pair.weights[k]);
     }
-    let (found, _) = normal.solve(middle, &linear);
-    let limit = NEAR * NEAR * found.point_mm.length();
-    let near = nearest.iter().all(|on_ray| (*on_ray - found.point_mm).length_squared() <= limit);
+    let next = step(middle, &linear, &pair.roots).ok_or(TriangulateError::Unknown { index })?;
+    let found = next.found;
+    // The linear model was made on the rays: away from there it is wrong by this share of the residuals.
+    let away = nearest.map(|on_ray| (on_ray - found.point_mm).length_squared());
+    let share2 = away[0].max(away[1]) / found.point_mm.length_squared();
+    let sigma_px = pair.roots.iter().map(|root| root.xx.min(root.yy)).fold(f64::INFINITY, f64::min);
+    let enough_px = (ENOUGH * sigma_px).min(ENOUGH_PX);
+    let near = found.epipolar_px * found.epipolar_px * share2 <= enough_px * enough_px;
     Ok((if near { Start::Done(found) } else { Start::At(found.point_mm) }, slopes))
 }
 

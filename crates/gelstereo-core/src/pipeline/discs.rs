@@ -1,0 +1,85 @@
+//! Points of the dots' own centres, made of the centres of their images.
+
+use crate::math::{DVec2, DVec3, median, sqrt};
+use crate::rig::{Disc, View};
+use crate::triangulate::{Centre, Centres, Ready};
+use alloc::vec::Vec;
+
+/// Takes off each point what its dot's tilt and stretch put on the centres of its images ([`Disc`]).
+///
+/// The dots are printed on the gel and go with it, so that a dot's half diameters are a fixed share of the steps to the
+/// markers beside it: no surface has to be known.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Discs {
+    rows: usize,
+    cols: usize,
+    /// Radius over pitch, at rest; none while nothing is to be corrected.
+    share: Option<f64>,
+    /// Markers whose points are made of this frame's centres.
+    pub fresh: Vec<usize>,
+}
+
+impl Discs {
+    /// For the lattice at rest, whose dots have this radius, or else this median area in the left view.
+    pub fn start(
+        &mut self,
+        (rows, cols): (usize, usize),
+        radius_pitches: Option<f64>,
+        area_px2: f64,
+        ready: &Ready<'_>,
+        points_mm: &[DVec3],
+    ) {
+        (self.rows, self.cols, self.share) = (rows, cols, None);
+        self.fresh.clear();
+        self.fresh.extend(0..points_mm.len());
+        self.share = radius_pitches.or_else(|| {
+            let mut cells: Vec<f64> = (0..points_mm.len())
+                .filter_map(|i| {
+                    let steps = self.steps_mm(points_mm, i);
+                    let seen = ready.view(View::Left).project_with_jacobian(points_mm[i], 0.0).ok()?;
+                    let [a, b] = steps.map(|s| DVec2::new(seen.jacobian[0].dot(s), seen.jacobian[1].dot(s)));
+                    Some(a.perp_dot(b).abs())
+                })
+                .collect();
+            median(&mut cells).map(|cell_px2| sqrt(area_px2 / (core::f64::consts::PI * cell_px2)))
+        });
+    }
+
+    /// For a lattice whose dots are known already ([`Self::radius_pitches`]).
+    pub const fn resume(&mut self, (rows, cols): (usize, usize), radius_pitches: Option<f64>) {
+        (self.rows, self.cols, self.share) = (rows, cols, radius_pitches);
+    }
+
+    /// Radius of the dots over their pitch, at rest; none while nothing is corrected.
+    pub const fn radius_pitches(&self) -> Option<f64> {
+        self.share
+    }
+
+    /// Corrects the fresh points and leaves those that have no answer.
+    pub fn correct(&self, ready: &Ready<'_>, left: Centres<'_>, right: Centres<'_>, points_mm: &mut [DVec3]) {
+        let Some(share) = self.share else { return };
+        for &i in &self.fresh {
+            // Neighbours that are corrected already and those that are not differ by a thousandth of the step.
+            let half_mm = self.steps_mm(points_mm, i).map(|step| step * share);
+            let disc = Disc { centre_mm: points_mm[i], half_mm };
+            let moved = |view, centre: Centre| {
+                let bias_px = ready.view(view).disc_bias_px(&disc).ok()?;
+                Some(Centre { at_px: centre.at_px - bias_px, ..centre })
+            };
+            let pair = moved(View::Left, left.at(i)).zip(moved(View::Right, right.at(i)));
+            if let Some(found) = pair.and_then(|(left, right)| ready.point(i, &left, &right).ok()) {
+                points_mm[i] = found.point_mm;
+            }
+        }
+    }
+
+    /// Steps along a row and along a column, at a marker.
+    fn steps_mm(&self, points_mm: &[DVec3], i: usize) -> [DVec3; 2] {
+        let step = |place: usize, end: usize, stride: usize| {
+            let before = if place > 0 { i - stride } else { i };
+            let after = if place + 1 < end { i + stride } else { i };
+            (points_mm[after] - points_mm[before]) * (stride as f64 / ((after - before).max(1)) as f64)
+        };
+        [step(i % self.cols, self.cols, 1), step(i / self.cols, self.rows, self.cols)]
+    }
+}

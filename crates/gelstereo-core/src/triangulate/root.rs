@@ -1,0 +1,44 @@
+//! A centre's covariance as the square of a triangle, so that what is made of it stays a square.
+
+use crate::math::linalg::Symmetric;
+use crate::math::{DVec2, DVec3, sqrt};
+
+/// The lower triangle L of a covariance L Lᵀ (Cholesky), px.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Root {
+    pub xx: f64,
+    pub yx: f64,
+    pub yy: f64,
+}
+
+impl Root {
+    /// `None` when the covariance is not positive definite, or its determinant beyond all numbers.
+    #[inline]
+    pub fn new(covariance_px2: &Symmetric<2>) -> Option<Self> {
+        let [[a, b], [c, d]] = *covariance_px2;
+        let determinant = a * d - b * c;
+        if !(a > 0.0 && determinant >= f64::MIN_POSITIVE && determinant <= f64::MAX) {
+            return None;
+        }
+        let xx = sqrt(a);
+        let inverse = 1.0 / xx;
+        Some(Self { xx, yx: b * inverse, yy: sqrt(determinant) * inverse })
+    }
+
+    /// Of independent noise of variance 1.
+    pub const fn unit() -> Self {
+        Self { xx: 1.0, yx: 0.0, yy: 1.0 }
+    }
+
+    /// L⁻¹ times two rows and a residual.
+    pub fn whiten(&self, [u, v]: &[DVec3; 2], residual: DVec2) -> ([DVec3; 2], DVec2) {
+        let (x, y) = (1.0 / self.xx, 1.0 / self.yy);
+        let (first, at) = (*u * x, residual.x * x);
+        ([first, (*v - first * self.yx) * y], DVec2::new(at, (residual.y - at * self.yx) * y))
+    }
+
+    /// L times a vector.
+    pub fn colour(&self, at: DVec2) -> DVec2 {
+        DVec2::new(self.xx * at.x, self.yx * at.x + self.yy * at.y)
+    }
+}
