@@ -63,10 +63,16 @@ fn look(u: &mut Unstructured<'_>, rest: bool) -> Result<[Vec<u8>; 2]> {
 }
 
 fn disc(pixels: &mut [u8], centre: DVec2) {
-    for (n, pixel) in pixels.iter_mut().enumerate() {
-        let at = DVec2::new((n % WIDTH) as f64, (n / WIDTH) as f64);
-        let inside = (RADIUS_PX - at.distance(centre) + 0.5).clamp(0.0, 1.0);
-        *pixel -= (f64::from(*pixel - 50) * inside) as u8;
+    let around = |at: f64, end: usize| {
+        // Casts of negative numbers give 0.
+        (at - RADIUS_PX - 1.0) as usize..((at + RADIUS_PX + 2.0) as usize).min(end)
+    };
+    for y in around(centre.y, HEIGHT) {
+        for x in around(centre.x, WIDTH) {
+            let pixel = &mut pixels[y * WIDTH + x];
+            let inside = (RADIUS_PX - DVec2::new(x as f64, y as f64).distance(centre) + 0.5).clamp(0.0, 1.0);
+            *pixel -= (f64::from(*pixel - 50) * inside) as u8;
+        }
     }
 }
 
