@@ -32,19 +32,19 @@ fn rig() -> Rig {
     Rig::parallel(camera, 5.0)
 }
 
-/// Both views of the print: each dot may be moved, raised or gone.
+/// Both views of the print: each dot may be moved, raised or gone. Where the bytes run out, all are in their places.
 fn look(u: &mut Unstructured<'_>, rest: bool) -> Result<[Vec<u8>; 2]> {
     let mut views = [vec![170_u8; WIDTH * HEIGHT], vec![170_u8; WIDTH * HEIGHT]];
     let eighth = |u: &mut Unstructured<'_>| Ok(f64::from(u.arbitrary::<i8>()?) / 8.0);
     let together = if rest { DVec2::ZERO } else { DVec2::new(eighth(u)?, eighth(u)?) };
     for n in 0..SIDE * SIDE {
         let choice = u.int_in_range(0..=31_u8)?;
-        if choice == 0 {
+        if choice == 31 {
             continue;
         }
         let mut at = DVec2::new((n % SIDE) as f64, (n / SIDE) as f64) * PITCH_PX + DVec2::new(37.0, 20.0);
         let mut raised = 0.0;
-        if choice < 8 {
+        if choice > 22 {
             at += DVec2::new(eighth(u)?, eighth(u)?) * 0.25;
             raised = eighth(u)? * 0.25;
         }
@@ -63,10 +63,16 @@ fn look(u: &mut Unstructured<'_>, rest: bool) -> Result<[Vec<u8>; 2]> {
 }
 
 fn disc(pixels: &mut [u8], centre: DVec2) {
-    for (n, pixel) in pixels.iter_mut().enumerate() {
-        let at = DVec2::new((n % WIDTH) as f64, (n / WIDTH) as f64);
-        let inside = (RADIUS_PX - at.distance(centre) + 0.5).clamp(0.0, 1.0);
-        *pixel -= (f64::from(*pixel - 50) * inside) as u8;
+    let around = |at: f64, end: usize| {
+        // Casts of negative numbers give 0.
+        (at - RADIUS_PX - 1.0) as usize..((at + RADIUS_PX + 2.0) as usize).min(end)
+    };
+    for y in around(centre.y, HEIGHT) {
+        for x in around(centre.x, WIDTH) {
+            let pixel = &mut pixels[y * WIDTH + x];
+            let inside = (RADIUS_PX - DVec2::new(x as f64, y as f64).distance(centre) + 0.5).clamp(0.0, 1.0);
+            *pixel -= (f64::from(*pixel - 50) * inside) as u8;
+        }
     }
 }
 

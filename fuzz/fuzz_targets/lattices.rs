@@ -28,7 +28,7 @@ fn detections(u: &mut Unstructured<'_>, lattice: &[DVec2]) -> Result<Markers> {
     let dense = u.int_in_range(4..=32_u8)?;
     let mut found = Vec::new();
     for &at in lattice {
-        if u.int_in_range(0..=dense)? > 0 {
+        if u.int_in_range(0..=dense)? < dense {
             found.push(at + together + shift(u)?);
         }
     }
