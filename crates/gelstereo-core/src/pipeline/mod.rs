@@ -93,6 +93,8 @@ impl Pipeline {
         self.rest = None;
         self.frames = 0;
         self.resumes = false;
+        self.left.forget();
+        self.right.forget();
     }
 
     /// Measures [`Frame::motion_px`] from the last processed frame on: the paper's "moment before grasping" or

@@ -208,6 +208,8 @@ impl Pipeline {
         self.check_record(record).map_err(PipelineError::Record)?;
         let rest = RestSurface::new(&record.points_mm).map_err(PipelineError::Contact)?;
         let lattice = (record.rows, record.cols);
+        self.left.forget();
+        self.right.forget();
         self.left.resume(&self.params, lattice, &record.left);
         self.right.resume(&self.params, lattice, &record.right);
         self.triangulator.clear_map();
