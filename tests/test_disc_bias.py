@@ -32,7 +32,7 @@ def pixels(points_mm: Floats, pose: Floats, lens: tuple[float, ...]) -> Floats:
 
 
 def outline_centroid(disc: tuple[Floats, Floats, Floats], pose: Floats, lens: tuple[float, ...]) -> Floats:
-    """Centroid of a polygon of 2048 points of the outline: its area is short by 2e-6 of itself, its centroid by nothing."""
+    """Centroid of a polygon of 2048 points of the outline: its area is short by 2e-6 of itself."""
     centre, along, across = disc
     angle = np.linspace(0.0, 2.0 * np.pi, 2048, endpoint=False)[:, None]
     rim = pixels(centre + np.cos(angle) * along + np.sin(angle) * across, pose, lens)
