@@ -49,6 +49,7 @@ __all__ = [
     "ViewEvidence",
     "__version__",
     "adjusted_gripper",
+    "disc_bias",
     "foresight_sort",
     "localize",
     "marker_states",
@@ -229,6 +230,9 @@ def triangulate(
     *,
     rest_mm: npt.ArrayLike | None = None,
 ) -> _Floats: ...
+def disc_bias(
+    rig: Rig, centres_mm: npt.ArrayLike, along_mm: npt.ArrayLike, across_mm: npt.ArrayLike
+) -> tuple[_Floats, _Floats]: ...
 def triangulate_covariance(
     rig: Rig, points_mm: npt.ArrayLike, sigma_px: float | None = None, params: Params | None = None
 ) -> _Floats: ...

@@ -60,7 +60,7 @@ mod _native {
     #[pymodule_export]
     use crate::tree::parse_toml;
     #[pymodule_export]
-    use crate::triangulate::{triangulate, triangulate_covariance};
+    use crate::triangulate::{disc_bias, triangulate, triangulate_covariance};
 
     #[pymodule_init]
     fn init(module: &pyo3::Bound<'_, pyo3::types::PyModule>) -> pyo3::PyResult<()> {

@@ -119,10 +119,9 @@ enum Start {
     Done(StereoPoint),
 }
 
-/// The first step is the last when what it leaves out is below these: a share of the centres' standard deviations, and
-/// pixels of the residual.
-const ENOUGH: f64 = 2e-4;
-const ENOUGH_PX: f64 = 2e-5;
+/// A step that ends nearer than this to both rays, in units of sqrt(mm · depth), is the last: it leaves pixel residuals
+/// of f (distance / depth)², 1e-6 px, and so a ten-thousandth of the standard deviation of centres good to 0.01 px.
+const NEAR: f64 = 1.5e-4;
 
 /// One step from the middle of the refracted rays, and the slope of both rays in air. It needs no search for a light
 /// path, because the nearest points of both rays are seen exactly at their pixels.
@@ -154,12 +153,8 @@ fn start(
     }
     let next = step(middle, &linear, &pair.roots).ok_or(TriangulateError::Unknown { index })?;
     let found = next.found;
-    // The linear model was made on the rays: away from there it is wrong by this share of the residuals.
-    let away = nearest.map(|on_ray| (on_ray - found.point_mm).length_squared());
-    let share2 = away[0].max(away[1]) / found.point_mm.length_squared();
-    let sigma_px = pair.roots.iter().map(|root| root.xx.min(root.yy)).fold(f64::INFINITY, f64::min);
-    let enough_px = (ENOUGH * sigma_px).min(ENOUGH_PX);
-    let near = found.epipolar_px * found.epipolar_px * share2 <= enough_px * enough_px;
+    let limit = NEAR * NEAR * found.point_mm.length();
+    let near = nearest.iter().all(|on_ray| (*on_ray - found.point_mm).length_squared() <= limit);
     Ok((if near { Start::Done(found) } else { Start::At(found.point_mm) }, slopes))
 }
 
