@@ -17,7 +17,7 @@ impl Root {
     pub fn new(covariance_px2: &Symmetric<2>) -> Option<Self> {
         let [[a, b], [c, d]] = *covariance_px2;
         let determinant = a * d - b * c;
-        if !(a > 0.0 && determinant >= f64::MIN_POSITIVE && determinant <= f64::MAX) {
+        if !(a > 0.0 && (f64::MIN_POSITIVE..=f64::MAX).contains(&determinant)) {
             return None;
         }
         let xx = sqrt(a);
