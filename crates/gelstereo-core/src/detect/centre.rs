@@ -53,6 +53,13 @@ impl Columns {
 }
 
 impl GreyCentre {
+    /// Forgets the last component and makes room for the tallest and widest that there can be.
+    pub fn reserve(&mut self, (width, height): (usize, usize)) {
+        self.spans.clear();
+        self.spans.reserve(height + 2 * MARGIN_PX as usize);
+        self.columns.reserve(width);
+    }
+
     /// The centre of a component with these runs. Falls back to [`binary`] where too little of the surround lies
     /// within the image to lay a plane through it.
     #[must_use]
@@ -63,10 +70,7 @@ impl GreyCentre {
         runs: impl Iterator<Item = &'a Run> + Clone,
         polarity: Polarity,
     ) -> DVec2 {
-        self.spans.clear();
-        // The tallest and widest there can be.
-        self.spans.reserve(image.height() + 2 * MARGIN_PX as usize);
-        self.columns.reserve(image.width());
+        self.reserve((image.width(), image.height()));
         self.grow(blob, runs.clone());
         let window = Window::new(image, blob, &self.spans);
         let Some(surround) = window.surround() else {

@@ -9,12 +9,14 @@ pub mod components;
 mod difference;
 mod error;
 pub mod fit;
+pub mod glance;
 pub mod morphology;
 pub mod near;
 pub mod noise;
 pub mod pieces;
 pub mod smooth;
 pub mod threshold;
+mod windows;
 
 pub use error::DetectError;
 
@@ -28,8 +30,10 @@ use centre::GreyCentre;
 use components::{Blob, Components, Most};
 use difference::Difference;
 use fit::DiscFit;
+use glance::{Eye, Kind};
 use morphology::Closing;
 use near::Search;
+use windows::Glances;
 
 /// Markers found in one image, in the raster order of their first pixels.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -106,6 +110,7 @@ pub struct Detector {
     mask: Vec<u8>,
     areas_px2: Vec<u32>,
     near: Search,
+    glances: Glances,
 }
 
 impl Detector {
@@ -123,6 +128,7 @@ impl Detector {
             mask: Vec::new(),
             areas_px2: Vec::new(),
             near: Search::default(),
+            glances: Glances::default(),
         }
     }
 
@@ -137,6 +143,7 @@ impl Detector {
         out.clear();
         self.check(image)?;
         self.find_components(image)?;
+        let flip = self.flip();
         let Self { params, components, grey_centre, disc_fit, mask, areas_px2, .. } = self;
         // No two markers share pixels, so that this many are the most there can be.
         let most = (image.width() * image.height() / params.min_area_px2.max(4) as usize).min(MOST_MARKERS);
@@ -156,12 +163,17 @@ impl Detector {
         let (least_px2, most_px2) = area_range_px2(params.threshold, usual_px2);
         let variance = params.centre_sigma_px * params.centre_sigma_px;
         let in_range = |blob: &&Blob| (least_px2..=most_px2).contains(&blob.area_px2);
+        let kind = Kind::of(usual_px2).filter(|_| params.centre == Centre::Band);
+        let at_a_glance = |at_px| match kind? {
+            kind if kind.is_small() => Eye::<16>::new(kind, flip).centre(image, at_px),
+            kind => Eye::<32>::new(kind, flip).centre(image, at_px),
+        };
         for blob in whole.filter(in_range) {
+            let mut grey = || grey_centre.run(image, blob, components.runs(blob), params.polarity);
             let centre_px = match params.centre {
                 Centre::Binary => centre::binary(blob),
-                Centre::Grey | Centre::Fit => {
-                    grey_centre.run(image, blob, components.runs(blob), params.polarity)
-                }
+                Centre::Band => at_a_glance(centre::binary(blob)).unwrap_or_else(grey),
+                Centre::Grey | Centre::Fit => grey(),
             };
             out.push(centre_px, [[variance, 0.0], [0.0, variance]], blob.area_px2);
             if params.centre == Centre::Fit {

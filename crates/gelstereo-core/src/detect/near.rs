@@ -164,7 +164,7 @@ impl Detector {
                 key: (runs[0].y, runs[0].start),
                 centre_px: match params.centre {
                     Centre::Binary => centre::binary(&blob),
-                    Centre::Grey | Centre::Fit => {
+                    Centre::Grey | Centre::Band | Centre::Fit => {
                         self.grey_centre.run(image, &blob, runs.iter(), params.polarity)
                     }
                 },

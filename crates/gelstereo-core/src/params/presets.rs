@@ -2,7 +2,8 @@
 
 use super::{
     Background, Centre, ContactParams, DetectParams, LabelMethod, LabelParams, LatticeParams, Motion, Params,
-    RegisterMethod, RegisterParams, Saliency, Threshold, TrackParams, TriangulateMethod, TriangulateParams,
+    RegisterMethod, RegisterParams, Saliency, Search, Threshold, TrackParams, TriangulateMethod,
+    TriangulateParams,
 };
 
 impl Params {
@@ -40,7 +41,8 @@ impl Params {
             detect: DetectParams {
                 background: Background::Blocks,
                 threshold: Threshold::Auto,
-                centre: Centre::Grey,
+                centre: Centre::Band,
+                search: Search::Windows,
                 centre_sigma_px: 0.04,
                 ..Default::default()
             },
@@ -55,7 +57,7 @@ impl Params {
     fn exact() -> Self {
         let balanced = Self::balanced();
         Self {
-            detect: DetectParams { centre: Centre::Fit, ..balanced.detect },
+            detect: DetectParams { centre: Centre::Fit, search: Search::Whole, ..balanced.detect },
             triangulate: TriangulateParams { method: TriangulateMethod::Rays, ..balanced.triangulate },
             ..balanced
         }
