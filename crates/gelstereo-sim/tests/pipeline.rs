@@ -274,6 +274,8 @@ fn images_of_another_size_and_settings_that_make_no_sense_are_refused() {
 #[test]
 fn checked_tracks_agree_with_unchecked_ones() {
     let mut params = Params::preset("balanced").unwrap();
+    // Windows lie where markers are predicted, and each tracker predicts in its own way.
+    params.detect.search = Search::Whole;
     params.label.method = LabelMethod::Temporal;
     let (_, unchecked, truth) = run(&scene(vec![[0, 0]]), &params, false);
     params.label.method = LabelMethod::Lattice;
