@@ -17,7 +17,7 @@ const AREA_PX2: f64 = 58.0;
 const REACH_PX: f64 = 8.8;
 
 fn params() -> DetectParams {
-    Params::preset("balanced").unwrap().detect
+    Params::preset("fast").unwrap().detect
 }
 
 fn windows(params: &DetectParams, image: &[u8], width: usize, at: &[DVec2], reach_px: f64) -> Found {
@@ -51,6 +51,25 @@ fn markers_are_found_in_windows_as_in_the_whole_image() {
             let apart = all.centres_px.iter().map(|c| c.distance(centre)).fold(f64::INFINITY, f64::min);
             assert!(apart <= most_px, "{apart} px, noise {noise}");
         }
+    }
+}
+
+/// Both steps leave 0.005 px each at most, and began at different places of the weights' grid with other radii: what noise does
+/// to them differs by less than the standard deviation of one coordinate, on both axes.
+#[test]
+fn matched_steps_from_windows_end_where_those_of_the_whole_image_do() {
+    let truth = paper_lattice();
+    let params = Params::preset("balanced").unwrap().detect;
+    let image = Dots { noise: 2.0, seed: 3, ..Dots::new(640, 480, truth.clone()) }.render();
+    let (mut detector, mut all, mut found) = (Detector::new(&params), Markers::default(), Found::default());
+    detector.run(view(&image, 640), &mut all).unwrap();
+    let kind = detector.kind_for_windows(AREA_PX2, 17.6).unwrap();
+    let expected: Vec<DVec2> = truth.iter().map(|&t| t + DVec2::new(1.3, -0.8)).collect();
+    detector.run_windows(view(&image, 640), &expected, (&kind, REACH_PX), &mut found);
+    assert_eq!((found.markers.centres_px.len(), found.markers.unfitted), (625, all.unfitted));
+    for (centre, covariance) in found.markers.centres_px.iter().zip(&found.markers.covariance_px2) {
+        let apart = all.centres_px.iter().map(|c| c.distance(*centre)).fold(f64::INFINITY, f64::min);
+        assert!(apart < 0.01 + (2.0 * covariance[0][0]).sqrt(), "{apart} px of {covariance:?}");
     }
 }
 

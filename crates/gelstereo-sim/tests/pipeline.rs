@@ -3,7 +3,7 @@
 use gelstereo_core::digest::Digest;
 use gelstereo_core::image::GrayView;
 use gelstereo_core::math::{DVec3, Pose};
-use gelstereo_core::params::{LabelMethod, Motion, Params, Saliency};
+use gelstereo_core::params::{LabelMethod, Motion, Params, Saliency, Search};
 use gelstereo_core::pipeline::{Frame, LabelSource, Pipeline, PipelineError, View};
 use gelstereo_core::track::MarkerState;
 use gelstereo_core::triangulate::{TriangulateError, Triangulator};

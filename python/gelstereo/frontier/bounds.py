@@ -200,9 +200,12 @@ def marker_bounds_px(
     radius = focal_px * gel["dot_radius_mm"] / depth
     gain = _gain(effects.get("uneven_light"), camera, np.asarray(centres_px, np.float64))
     contrast = float(gel["bright_level"] - gel["dark_level"])
-    lens2 = 0.0
+    lens2 = grain2 = 0.0
     if (defocus := effects.get("defocus")) is not None:
-        lens2 = defocus["sigma_px"] ** 2 + _PIXEL_PX2  # the simulator integrates its kernel over pixels
+        # The simulator blurs on pixels half as wide, with a kernel that is integrated over them; grain is painted in
+        # whole pixels and averaged over them again.
+        lens2 = defocus["sigma_px"] ** 2 + _PIXEL_PX2 / 4.0
+        grain2 = lens2 + 2.0 * _PIXEL_PX2
     blur = float(np.sqrt(lens2 + _PIXEL_PX2))
     noise = effects.get("sensor_noise", {"sigma_levels": 0.0})["sigma_levels"]
     painted = effects.get("grain") if with_grain else None
@@ -219,7 +222,7 @@ def marker_bounds_px(
         grain = None
         if painted is not None:
             size = float(np.sqrt(painted["size_px"] ** 2 + _PIXEL_PX2))
-            grain = Grain.behind_lens(painted["sigma_levels"] * g, size, float(np.sqrt(lens2)))
+            grain = Grain.behind_lens(painted["sigma_levels"] * g, size, float(np.sqrt(grain2)))
         table[:, j] = centre_bound_px(radii, g * contrast, blur, noise, grain=grain, pitch_px=pitch)
     return np.asarray(RegularGridInterpolator((radii, gains), table)(np.column_stack([radius, gain])))
 

@@ -52,6 +52,11 @@ RUNGS = (
         "blocks + auto + grey",
         {"detect": {"background": "blocks", "threshold": "auto", "centre": "grey"}},
     ),
+    Rung(
+        "detect",
+        "blocks + auto + matched",
+        {"detect": {"background": "blocks", "threshold": "auto", "centre": "matched"}},
+    ),
     Rung("label", "foresight (paper)", {"label": {"method": "foresight"}}, "balanced"),
     Rung("label", "temporal", {"label": {"method": "temporal"}}, "balanced"),
     Rung(

@@ -109,6 +109,14 @@ impl Components {
         (self.rows, self.above, self.pieces) = (0, 0, 0);
     }
 
+    /// Sets the bytes of `row` that some component has in the same column of these rows of the image.
+    pub fn cover(&self, rows: core::ops::RangeInclusive<usize>, row: &mut [u8]) {
+        let first = self.runs.partition_point(|run| (run.y as usize) < *rows.start());
+        for run in self.runs[first..].iter().take_while(|run| run.y as usize <= *rows.end()) {
+            row[run.start as usize..run.end as usize].fill(u8::MAX);
+        }
+    }
+
     /// Components of the rows pushed since [`Self::start`]; later rows may join some.
     #[must_use]
     pub const fn pieces(&self) -> usize {

@@ -80,6 +80,10 @@ impl Kind {
         self.side_px <= 16
     }
 
+    pub(super) fn usual_area_px2(&self) -> f64 {
+        core::f64::consts::PI * self.radius_px * self.radius_px
+    }
+
     /// A square with this side holds no two markers' centres: they would overlap by half.
     pub(super) const fn cell_px(&self) -> f64 {
         self.radius_px.max(1.0)

@@ -10,6 +10,7 @@ mod difference;
 mod error;
 pub mod fit;
 pub mod glance;
+mod matched;
 pub mod morphology;
 pub mod near;
 pub mod noise;
@@ -29,8 +30,9 @@ use alloc::vec::Vec;
 use centre::GreyCentre;
 use components::{Blob, Components, Most};
 use difference::Difference;
-use fit::DiscFit;
+use fit::{DiscFit, NoiseMeter};
 use glance::{Eye, Kind};
+use matched::Matched;
 use morphology::Closing;
 use near::Search;
 use windows::Glances;
@@ -106,6 +108,8 @@ pub struct Detector {
     components: Components,
     grey_centre: GreyCentre,
     disc_fit: DiscFit,
+    matched: Matched,
+    meter: NoiseMeter,
     size_px: (usize, usize),
     mask: Vec<u8>,
     areas_px2: Vec<u32>,
@@ -124,6 +128,8 @@ impl Detector {
             components: Components::default(),
             grey_centre: GreyCentre::default(),
             disc_fit: DiscFit::new(params),
+            matched: Matched::new(params),
+            meter: NoiseMeter::default(),
             size_px: (0, 0),
             mask: Vec::new(),
             areas_px2: Vec::new(),
@@ -144,7 +150,7 @@ impl Detector {
         self.check(image)?;
         self.find_components(image)?;
         let flip = self.flip();
-        let Self { params, components, grey_centre, disc_fit, mask, areas_px2, .. } = self;
+        let Self { params, components, grey_centre, disc_fit, matched, meter, mask, areas_px2, .. } = self;
         // No two markers share pixels, so that this many are the most there can be.
         let most = (image.width() * image.height() / params.min_area_px2.max(4) as usize).min(MOST_MARKERS);
         out.reserve(most);
@@ -168,10 +174,10 @@ impl Detector {
             kind if kind.is_small() => Eye::<16>::new(kind, flip).centre(image, at_px),
             kind => Eye::<32>::new(kind, flip).centre(image, at_px),
         };
-        for blob in whole.filter(in_range) {
+        for blob in whole.clone().filter(in_range) {
             let mut grey = || grey_centre.run(image, blob, components.runs(blob), params.polarity);
             let centre_px = match params.centre {
-                Centre::Binary => centre::binary(blob),
+                Centre::Binary | Centre::Matched => centre::binary(blob),
                 Centre::Band => at_a_glance(centre::binary(blob)).unwrap_or_else(grey),
                 Centre::Grey | Centre::Fit => grey(),
             };
@@ -184,6 +190,17 @@ impl Detector {
             fill_mask(components, self.size_px, mask);
             let others = components.blobs().iter().filter(|blob| blob.area_px2 > 2);
             disc_fit.finish(image, mask, others.map(centre::binary), out);
+        }
+        if params.centre == Centre::Matched {
+            let every = rows_between(size_px.1);
+            let noise = meter.run_rows(image, every, |rows, near| components.cover(rows, near));
+            matched.prepare(image, noise.unwrap_or_default(), out);
+            grey_centre.reserve((image.width(), image.height()));
+            for (k, blob) in whole.filter(in_range).enumerate() {
+                if !matched.replace(image, k, out) {
+                    out.centres_px[k] = grey_centre.run(image, blob, components.runs(blob), params.polarity);
+                }
+            }
         }
         for blob in markers.filter(in_range) {
             let reached = blob.sides_reached(size_px);
@@ -259,6 +276,13 @@ impl Detector {
         }
         self.closing.run(&mut self.mask, width);
     }
+}
+
+/// Rows from which noise is measured, for the matched step.
+const NOISE_ROWS: usize = 80;
+
+const fn rows_between(height: usize) -> usize {
+    if height < 2 * NOISE_ROWS { 1 } else { height / NOISE_ROWS }
 }
 
 fn fill_mask(components: &Components, (width, height): (usize, usize), out: &mut Vec<u8>) {

@@ -1,7 +1,7 @@
 //! Markers near expected positions: what a tracker asks for.
 
 use super::pieces::Pieces;
-use super::{DetectError, Detector, Markers, area_range_px2, centre, in_shape, usual_area_px2};
+use super::{DetectError, Detector, Markers, area_range_px2, centre, in_shape, rows_between, usual_area_px2};
 use crate::image::GrayView;
 use crate::math::DVec2;
 use crate::math::linalg::Symmetric;
@@ -135,17 +135,55 @@ impl Detector {
             let others = near.candidates.iter().map(|c| c.centre_px);
             disc_fit.finish(image, mask, others, &mut out.markers);
         }
+        if self.params.centre == Centre::Matched {
+            self.match_near(image, expected_px, reach_px, &mut out.markers);
+        }
         Ok(())
+    }
+
+    /// Takes a matched step from the markers found, or else their grey centroid.
+    fn match_near(
+        &mut self,
+        image: GrayView<'_>,
+        expected_px: &[DVec2],
+        reach_px: f64,
+        markers: &mut Markers,
+    ) {
+        let size_px = (image.width(), image.height());
+        let noise = self.meter.run(image, &self.mask, rows_between(size_px.1));
+        self.matched.prepare(image, noise.unwrap_or_default(), markers);
+        self.grey_centre.reserve((image.width(), image.height()));
+        for k in 0..markers.centres_px.len() {
+            if self.matched.replace(image, k, markers) {
+                continue;
+            }
+            let Candidate { position, key, .. } = self.near.candidates[k];
+            let Some(window) = Window::around(expected_px[position as usize], reach_px, size_px) else {
+                continue;
+            };
+            self.load_pieces(image, &window);
+            let Self { near: Search { pieces, .. }, grey_centre, params, .. } = self;
+            while let Some((blob, _)) = pieces.next(&window) {
+                let runs = pieces.runs();
+                if (runs[0].y, runs[0].start) == key {
+                    markers.centres_px[k] = grey_centre.run(image, &blob, runs.iter(), params.polarity);
+                    break;
+                }
+            }
+        }
+    }
+
+    fn load_pieces(&mut self, image: GrayView<'_>, window: &Window) {
+        self.near.pieces.start();
+        for y in window.first.1..window.end.1 {
+            self.near.pieces.push(&self.mask[y * image.width()..][window.first.0..window.end.0]);
+        }
     }
 
     /// Adds the window's whole pieces to the candidates; `Unclear` if there are others that matter.
     fn look(&mut self, image: GrayView<'_>, position: usize, window: &Window) -> Sight {
-        let Search { pieces, candidates, .. } = &mut self.near;
-        let (params, width) = (&self.params, image.width());
-        pieces.start();
-        for y in window.first.1..window.end.1 {
-            pieces.push(&self.mask[y * width..][window.first.0..window.end.0]);
-        }
+        self.load_pieces(image, window);
+        let (params, Search { pieces, candidates, .. }) = (&self.params, &mut self.near);
         let (mut sight, most) = (Sight::Nothing, candidates.len() + MOST_CANDIDATES);
         while let Some((blob, partial)) = pieces.next(window) {
             if blob.area_px2 < params.min_area_px2 {
@@ -163,7 +201,7 @@ impl Detector {
                 position: position as u32,
                 key: (runs[0].y, runs[0].start),
                 centre_px: match params.centre {
-                    Centre::Binary => centre::binary(&blob),
+                    Centre::Binary | Centre::Matched => centre::binary(&blob),
                     Centre::Grey | Centre::Band | Centre::Fit => {
                         self.grey_centre.run(image, &blob, runs.iter(), params.polarity)
                     }

@@ -57,7 +57,8 @@ impl Detector {
     /// Whether markers of a usual area that stand a pitch apart can be searched by [`Self::run_windows`] with these settings.
     #[must_use]
     pub fn kind_for_windows(&self, usual_area_px2: f64, pitch_px: f64) -> Option<Kind> {
-        let suits = self.params.threshold == Threshold::Auto && self.params.centre == Centre::Band;
+        let suits = self.params.threshold == Threshold::Auto
+            && matches!(self.params.centre, Centre::Band | Centre::Matched);
         Kind::of(usual_area_px2).filter(|kind| suits && kind.fits(pitch_px))
     }
 
@@ -80,7 +81,7 @@ impl Detector {
     ///
     /// Most windows show one marker or nothing at a glance. What they do not is searched again as pieces of the
     /// square within reach, as [`Self::run_near`] does, but by the light in that square. No marker is
-    /// given twice. No allocation after [`Self::reserve_windows`].
+    /// given twice. A matched step starts from the band's centre, with weights that the last [`Self::run`] chose. No allocation after [`Self::reserve_windows`].
     pub fn run_windows(
         &mut self,
         image: GrayView<'_>,
@@ -98,6 +99,16 @@ impl Detector {
             self.look_at_all(&Eye::<32>::new(*kind, flip), image, expected_px, reach_px, out);
         }
         self.share_out(expected_px, kind, (image.width(), image.height()), out);
+        if self.params.centre == Centre::Matched {
+            // With the weights for what the last image that was searched whole showed, and the usual radius, which is known better
+            // than that of a single window.
+            let usual_px2 = crate::math::round(kind.usual_area_px2()) as u32;
+            for marker in 0..out.markers.centres_px.len() {
+                let area_px2 = core::mem::replace(&mut out.markers.area_px2[marker], usual_px2);
+                self.matched.replace(image, marker, &mut out.markers);
+                out.markers.area_px2[marker] = area_px2;
+            }
+        }
     }
 
     pub(super) const fn flip(&self) -> u8 {

@@ -11,7 +11,7 @@ impl Params {
     ///
     /// - `paper`: the paper's pipeline to the letter;
     /// - `fast`: the cheapest rung of every stage that keeps identities safe;
-    /// - `balanced`: what to begin with: as `fast`, with contacts found by pressure;
+    /// - `balanced`: what to begin with: as `fast`, with centres by a matched step and contacts by pressure;
     /// - `exact`: the most accurate rung of every stage.
     ///
     /// All but `paper` derive the threshold from the image, check every identity against the lattice, tolerate a fifth of
@@ -32,7 +32,11 @@ impl Params {
 
     fn fast() -> Self {
         let balanced = Self::balanced();
-        Self { contact: ContactParams { saliency: Saliency::Depth, ..balanced.contact }, ..balanced }
+        Self {
+            detect: DetectParams { centre: Centre::Band, ..balanced.detect },
+            contact: ContactParams { saliency: Saliency::Depth, ..balanced.contact },
+            ..balanced
+        }
     }
 
     fn balanced() -> Self {
@@ -41,7 +45,7 @@ impl Params {
             detect: DetectParams {
                 background: Background::Blocks,
                 threshold: Threshold::Auto,
-                centre: Centre::Band,
+                centre: Centre::Matched,
                 search: Search::Windows,
                 centre_sigma_px: 0.04,
                 ..Default::default()

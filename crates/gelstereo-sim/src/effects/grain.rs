@@ -1,6 +1,7 @@
 //! Grain of the paint.
 
 use super::{Blur, Defocus};
+use crate::render::rows_of;
 use crate::scene::SceneError;
 use alloc::vec::Vec;
 use gelstereo_core::camera::Camera;
@@ -55,9 +56,12 @@ impl Texture {
         Self(levels)
     }
 
-    pub(crate) fn apply(&self, image: &mut [f32]) {
-        for (pixel, &grain) in image.iter_mut().zip(&self.0) {
-            *pixel += grain;
+    /// On a canvas whose pixels are so many `times` as narrow as the view's.
+    pub(crate) fn apply(&self, canvas: &mut [f32], width: usize, times: usize) {
+        for (row, grains) in rows_of(canvas, &self.0, width, times) {
+            for (pixels, grain) in row.chunks_exact_mut(times).zip(grains) {
+                pixels.iter_mut().for_each(|pixel| *pixel += grain);
+            }
         }
     }
 }

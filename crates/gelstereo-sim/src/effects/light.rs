@@ -1,5 +1,6 @@
 //! Uneven light.
 
+use crate::render::rows_of;
 use crate::scene::SceneError;
 use alloc::vec::Vec;
 use gelstereo_core::camera::Camera;
@@ -66,9 +67,12 @@ impl Gain {
         Self((0..h).flat_map(|row| (0..w).map(move |col| gain(row, col))).collect())
     }
 
-    pub(crate) fn apply(&self, image: &mut [f32]) {
-        for (pixel, &gain) in image.iter_mut().zip(&self.0) {
-            *pixel *= gain;
+    /// On a canvas whose pixels are so many `times` as narrow as the view's.
+    pub(crate) fn apply(&self, canvas: &mut [f32], width: usize, times: usize) {
+        for (row, gains) in rows_of(canvas, &self.0, width, times) {
+            for (pixels, gain) in row.chunks_exact_mut(times).zip(gains) {
+                pixels.iter_mut().for_each(|pixel| *pixel *= gain);
+            }
         }
     }
 }

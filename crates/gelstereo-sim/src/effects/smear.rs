@@ -189,21 +189,25 @@ impl SmearsOfView {
         self.0.iter().filter(move |ready| (ready.patch.from_s..ready.patch.until_s).contains(&time_s))
     }
 
-    /// Lays the patches that are there at that time over the image, in their order.
-    pub(crate) fn apply(&self, time_s: f64, image: &mut [f32], width: usize) {
-        let height = image.len() / width;
+    /// Lays the patches that are there at that time over a canvas whose pixels are so many `times` as narrow as the view's,
+    /// in their order.
+    pub(crate) fn apply(&self, time_s: f64, canvas: &mut [f32], width: usize, times: usize) {
+        let columns = width * times;
+        let rows = canvas.len() / columns;
+        let (per, half) = (1.0 / times as f64, 0.5 * (times as f64 - 1.0));
         for ready in self.present(time_s) {
             let reach = ready.reach_px();
             let span = |low: f64, high: f64, end: usize| {
-                let first = floor(low).max(0.0) as usize;
-                first.min(end)..(floor(high).max(-1.0) + 1.0).min(end as f64) as usize
+                let (low, high) = (low * times as f64, (high + 1.0) * times as f64);
+                (low.max(0.0) as usize).min(end)..(high.max(0.0) as usize).min(end)
             };
             let (low, high) = (ready.centre - reach, ready.centre + reach);
-            let columns = span(low.x, high.x, width);
-            for y in span(low.y, high.y, height) {
-                for x in columns.clone() {
-                    let opacity = ready.opacity(DVec2::new(x as f64, y as f64)) as f32;
-                    let pixel = &mut image[y * width + x];
+            let across = span(floor(low.x), floor(high.x), columns);
+            for y in span(floor(low.y), floor(high.y), rows) {
+                for x in across.clone() {
+                    let at = (DVec2::new(x as f64, y as f64) - half) * per;
+                    let opacity = ready.opacity(at) as f32;
+                    let pixel = &mut canvas[y * columns + x];
                     *pixel += (f32::from(ready.patch.level) - *pixel) * opacity;
                 }
             }

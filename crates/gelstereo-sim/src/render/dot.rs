@@ -91,6 +91,12 @@ impl Ellipse {
         DVec2::new(sqrt(a.x * a.x + b.x * b.x), sqrt(a.y * a.y + b.y * b.y))
     }
 
+    /// As counted in pixels so many times as narrow.
+    pub(crate) fn magnified(&self, times: usize) -> Self {
+        let half_px = self.half_px.map(|half| half * times as f64);
+        Self { centre_px: super::magnified(self.centre_px, times), half_px }
+    }
+
     /// Adds the share of every pixel that lies within.
     pub(crate) fn cover(&self, canvas: &mut [f32], width: usize, height: usize) {
         // Second moments: a horizontal line at dy from the centre is cut from dy·xy/yy -+ sqrt(det/yy (1 -

@@ -1,6 +1,5 @@
 //! What the image's noise does to a fitted centre.
 
-use super::noise::Noise;
 use crate::math::{DVec2, exp};
 use alloc::vec;
 use alloc::vec::Vec;
@@ -8,6 +7,13 @@ use alloc::vec::Vec;
 /// Farthest pixel from the middle that is looked at. A larger marker has edges that are straight within the grain.
 const REACH: i32 = 16;
 const SIDE: usize = 2 * REACH as usize + 1;
+
+/// Something's variance for a variance of 1 of the white noise, and of the grain.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Variances {
+    pub white: f64,
+    pub grain: f64,
+}
 
 /// How a centre answers to the pixels of a window, px per grey level.
 #[derive(Clone, Debug)]
@@ -36,13 +42,14 @@ impl Influence {
         }
     }
 
-    /// Variance of both coordinates together, px²: gᵀ C g for the answers g and the noise's covariance C, whose grain is
-    /// exp(-dx² / (4 l²)) exp(-dy² / (4 l²)). `None` for a window that is too large.
-    pub fn variance_px2(&mut self, noise: &Noise) -> Option<f64> {
+    /// Variance of both coordinates together, px² per squared grey level of white noise and of grain: gᵀ C g for the
+    /// answers g and the noise's correlation C, exp(-dx² / (4 l²)) exp(-dy² / (4 l²)) for grain. `None` for a window that
+    /// is too large.
+    pub fn variances_px2(&mut self, grain_size_px: f64) -> Option<Variances> {
         if !self.fits {
             return None;
         }
-        let l2 = noise.grain_size_px * noise.grain_size_px;
+        let l2 = grain_size_px * grain_size_px;
         let alike: [f64; SIDE] = core::array::from_fn(|d| exp(-0.25 * (d * d) as f64 / l2));
         blur(&self.answers, &mut self.blurred, &alike, SIDE);
         let white: f64 = self.answers.iter().map(|g| g.length_squared()).sum();
@@ -56,7 +63,7 @@ impl Influence {
                 grain += alike[row.abs_diff(other)] * product;
             }
         }
-        Some(noise.white_levels2 * white + noise.grain_levels2 * grain)
+        Some(Variances { white, grain })
     }
 }
 

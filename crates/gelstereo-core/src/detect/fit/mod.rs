@@ -13,6 +13,8 @@ mod noise;
 mod solve;
 
 pub use noise::Noise;
+pub(super) use noise::NoiseMeter;
+pub(super) use solve::Factor;
 
 use super::Markers;
 use super::components::Most;
@@ -24,9 +26,7 @@ use crate::track::grid::Grid;
 use alloc::vec::Vec;
 use disc::{Levels, Outline, Window};
 use edge::Edge;
-use influence::Influence;
-use noise::NoiseMeter;
-use solve::Factor;
+use influence::{Influence, Variances};
 
 /// Gel around the outline that takes part: farther pixels say nothing of the edge and little of the light.
 const REACH_PX: f64 = 3.5;
@@ -47,8 +47,10 @@ const FIRST_BLUR_PX: f64 = 0.8;
 /// small faults, which cost the centre nothing.
 const CHANCE: f64 = 3.0;
 /// Shares of the covariance that are believed.
-const LEAST_CURVATURE: f64 = 0.5;
-const MOST_CURVATURE: f64 = 10.0;
+const LEAST_INFLATION: f64 = 0.5;
+const MOST_INFLATION: f64 = 10.0;
+/// Samples over which the covariance is calibrated: one alone is a few percent off.
+const INFLUENCES: f64 = 5.0;
 /// A step of the outline that is shorter leaves the model's slopes as they are.
 const SAME_SLOPES_PX: f64 = 0.25;
 /// Longest step.
@@ -107,8 +109,10 @@ pub struct DiscFit {
     /// Contrast of the samples, grey levels.
     contrast: f64,
     influence: Influence,
-    /// Covariance over the inverse information, for the weights are those of a straight edge without end.
-    curvature: f64,
+    /// Variance of a centre over the inverse information, for a variance of 1 of white noise and of grain: the sandwich
+    /// J⁻¹ K J⁻¹ over J⁻¹ (Huber 1967), for the weights are those of a straight edge without end in the light of the
+    /// samples.
+    sandwich: Variances,
     starts: Vec<Start>,
     grid: Grid,
     centres: Vec<DVec2>,
@@ -122,6 +126,7 @@ struct Sample {
     start: Start,
     outline: Outline,
     contrast: f64,
+    ground: f64,
     alive: bool,
 }
 
@@ -143,7 +148,7 @@ impl DiscFit {
             radius_off_px: 0.0,
             contrast: 0.0,
             influence: Influence::new(),
-            curvature: 1.0,
+            sandwich: Variances::default(),
             starts: Vec::new(),
             grid: Grid::default(),
             centres: Vec::new(),
@@ -166,7 +171,7 @@ impl DiscFit {
 
     /// Learns noise and blur of an image from its gel (`mask` is 0 there) and some of its markers.
     pub fn learn(&mut self, image: GrayView<'_>, mask: &[u8], starts: &[Start]) {
-        self.noise = self.meter.run(image, mask).unwrap_or_default();
+        self.noise = self.meter.run(image, mask, 1).unwrap_or_default();
         self.blur_px = self.given_blur_px.unwrap_or(FIRST_BLUR_PX);
         self.radius_off_px = 0.0;
         self.edge.weigh(self.blur_px, &self.noise);
@@ -176,7 +181,7 @@ impl DiscFit {
         for k in 0..count {
             let start = starts[k * starts.len() / count];
             let Some(outline) = Outline::new(DVec2::ZERO, &start.spread_px2) else { continue };
-            self.samples.push(Sample { start, outline, contrast: 0.0, alive: true });
+            self.samples.push(Sample { start, outline, contrast: 0.0, ground: 0.0, alive: true });
         }
         for _ in 0..ROUNDS {
             self.scratch.clear();
@@ -192,19 +197,22 @@ impl DiscFit {
                 self.blur_px = (self.blur_px + step_px).clamp(*BLURS_PX.start(), *BLURS_PX.end());
             }
         }
+        self.radius_off_px = self.median_of(|sample| {
+            let spread_px2 = sample.outline.spread_px2()?;
+            Some(Start { spread_px2, ..sample.start }.radius_px() - sample.start.radius_px())
+        });
+        self.contrast = self.median_of(|sample| Some(sample.contrast));
+        let gel_level = self.median_of(|sample| Some(sample.ground));
+        self.noise = self.noise.at(gel_level);
         self.edge.weigh(self.blur_px, &self.noise);
+        self.measure_sandwich(image);
+    }
+
+    /// Median over the samples; 0 without any.
+    fn median_of(&mut self, value: impl Fn(&Sample) -> Option<f64>) -> f64 {
         self.scratch.clear();
-        let radius = |spread_px2| Start { spread_px2, ..self.samples[0].start }.radius_px();
-        for sample in self.samples.iter().filter(|sample| sample.alive) {
-            if let Some(spread_px2) = sample.outline.spread_px2() {
-                self.scratch.push(radius(spread_px2) - sample.start.radius_px());
-            }
-        }
-        self.radius_off_px = median(&mut self.scratch).unwrap_or(0.0);
-        self.scratch.clear();
-        self.scratch.extend(self.samples.iter().filter(|s| s.alive).map(|s| s.contrast));
-        self.contrast = median(&mut self.scratch).unwrap_or(0.0);
-        self.curvature = self.measure_curvature(image).unwrap_or(1.0);
+        self.scratch.extend(self.samples.iter().filter(|sample| sample.alive).filter_map(value));
+        median(&mut self.scratch).unwrap_or(0.0)
     }
 
     /// Moves one sample's outline and says by how much more blur would fit it better.
@@ -223,7 +231,7 @@ impl DiscFit {
         apply(&mut outline, &step(&factor, &self.window.pull(&levels).right, &levels)?);
         outline.centre -= start.centre_px - self.window.origin;
         self.samples[k].outline = outline;
-        self.samples[k].contrast = levels.contrast;
+        (self.samples[k].contrast, self.samples[k].ground) = (levels.contrast, levels.ground);
         self.samples[k].alive = plausible(&start, outline.centre, outline.spread_px2());
         self.samples[k].alive.then_some(wider_px)
     }
@@ -253,13 +261,10 @@ impl DiscFit {
             }
             if sqrt(step[0] * step[0] + step[1] * step[1]) <= self.step_px {
                 let surprise = pull.residual2 / (pixels as f64 - 9.0) / self.noise.variance_levels2();
+                let inflation = self.inflation(&levels) * (surprise / CHANCE).max(1.0);
                 return Some(Fitted {
                     centre_px: self.window.origin + outline.centre,
-                    covariance_px2: covariance(
-                        &factor,
-                        &levels,
-                        self.curvature * (surprise / CHANCE).max(1.0),
-                    )?,
+                    covariance_px2: covariance(&factor, &levels, inflation)?,
                     spread_px2: outline.spread_px2()?,
                     contrast_levels: levels.contrast,
                     steps,
@@ -269,10 +274,40 @@ impl DiscFit {
         None
     }
 
-    /// Variance of a sample's centre in the image's noise over what the inverse information says.
-    fn measure_curvature(&mut self, image: GrayView<'_>) -> Option<f64> {
-        let sample = self.samples.iter().skip(self.samples.len() / 2).find(|sample| sample.alive);
-        let Sample { start, mut outline, .. } = *sample?;
+    /// Covariance over the inverse information, in the light of this marker.
+    fn inflation(&self, levels: &Levels) -> f64 {
+        let Noise { white_levels2, grain_levels2, .. } = self.noise;
+        let grain_levels2 = grain_levels2 * self.noise.grain_share(levels.ground);
+        let Variances { white, grain } = self.sandwich;
+        (white * white_levels2 + grain * grain_levels2).clamp(LEAST_INFLATION, MOST_INFLATION)
+    }
+
+    /// Measures variances of some samples' centres over what the inverse information says.
+    fn measure_sandwich(&mut self, image: GrayView<'_>) {
+        let mut sums = Variances::default();
+        let mut count = 0.0;
+        for k in 0..self.samples.len() {
+            if count < INFLUENCES
+                && let Some(Variances { white, grain }) = self.sandwich_of(image, k)
+            {
+                sums.white += white;
+                sums.grain += grain;
+                count += 1.0;
+            }
+        }
+        self.sandwich = if count > 0.0 {
+            Variances { white: sums.white / count, grain: sums.grain / count }
+        } else {
+            let all = 1.0 / self.noise.variance_levels2();
+            Variances { white: all, grain: all }
+        };
+    }
+
+    fn sandwich_of(&mut self, image: GrayView<'_>, k: usize) -> Option<Variances> {
+        let Sample { start, mut outline, alive, .. } = self.samples[k];
+        if !alive {
+            return None;
+        }
         self.load(image, &start)?;
         outline.centre += start.centre_px - self.window.origin;
         self.window.draw(&outline, self.blur_px, &self.edge);
@@ -282,8 +317,9 @@ impl DiscFit {
         let Self { window, influence, .. } = self;
         influence.clear();
         window.influence(&factor, &follow, levels.contrast, |place, answer| influence.set(place, answer));
-        let ratio = influence.variance_px2(&self.noise)? / (xx + yy);
-        ratio.is_finite().then(|| ratio.clamp(LEAST_CURVATURE, MOST_CURVATURE))
+        let Variances { white, grain } = influence.variances_px2(self.noise.grain_size_px)?;
+        let ratios = Variances { white: white / (xx + yy), grain: grain / (xx + yy) };
+        (ratios.white.is_finite() && ratios.grain.is_finite()).then_some(ratios)
     }
 
     /// Least variance of a coordinate, px², for the marker that did not fit.

@@ -1,7 +1,7 @@
 //! Noise of the image, measured on the gel between the markers.
 
 use crate::image::GrayView;
-use crate::math::{cbrt, exp, ln, median};
+use crate::math::{exp, median, sqrt};
 use alloc::vec::Vec;
 use core::f64::consts::PI;
 
@@ -14,6 +14,17 @@ const CLEARANCE_PX: usize = 4;
 const SLOPE_DIFFERENCES: usize = 64;
 /// Fewer say nothing.
 const LEAST_DIFFERENCES: usize = 16;
+/// Size of grain of about a pixel behind a lens that blurs by about a pixel, and the spread of its logarithm.
+const USUAL_SIZE_PX: f64 = 1.3;
+const SPREAD_OF_SIZES: f64 = 0.4;
+/// Logarithm of the largest size over the usual one: 4.3 px and 0.4 px. Coarser grain is light, finer grain is white.
+const LARGEST_LOG_SIZE: f64 = 1.2;
+/// Grain must explain this much more of the sum of squares than none at all (Akaike's criterion, one parameter).
+const LEAST_GAIN: f64 = 2.0;
+/// Grain is believed to differ by at most this factor from that of the gel on which it was measured.
+const MOST_SHARE: f64 = 16.0;
+/// Standard deviation of a median over that of the mean.
+const MEDIAN: f64 = 1.2533;
 /// Distances at which pixels are compared.
 const LAGS: [usize; 3] = [1, 2, 4];
 
@@ -22,15 +33,18 @@ const LAGS: [usize; 3] = [1, 2, 4];
 pub struct Noise {
     /// Variance of the noise that differs from pixel to pixel.
     pub white_levels2: f64,
-    /// Variance of the grain.
+    /// Variance of the grain where the gel has the level `gel_level`. It is of the surface: in twice the light it has
+    /// twice the contrast.
     pub grain_levels2: f64,
     /// The grain's correlation at distance d is exp(-d² / (4 l²)) with this l.
     pub grain_size_px: f64,
+    /// Level of the gel that the variances are for, grey levels; 0 when unknown.
+    pub gel_level: f64,
 }
 
 impl Default for Noise {
     fn default() -> Self {
-        Self { white_levels2: 1.0, grain_levels2: 0.0, grain_size_px: 1.0 }
+        Self { white_levels2: 1.0, grain_levels2: 0.0, grain_size_px: USUAL_SIZE_PX, gel_level: 0.0 }
     }
 }
 
@@ -48,62 +62,127 @@ impl Noise {
         self.white_levels2 + self.grain_levels2
     }
 
-    /// From half the variances of the differences of pixels 1, 2 and 4 px apart (a variogram without its drift): with x = exp(-1 / (4 l²)) they are w + g (1 - x), w + g (1 - x^4), w + g (1 - x^16).
-    fn from_variogram([one, two, four]: [f64; 3]) -> Self {
+    /// Variance of the grain over `grain_levels2`, where the gel has another level.
+    pub(in crate::detect) fn grain_share(&self, gel_level: f64) -> f64 {
+        let share = if self.gel_level > 0.0 { gel_level / self.gel_level } else { 1.0 };
+        (share * share).clamp(1.0 / MOST_SHARE, MOST_SHARE)
+    }
+
+    /// The same noise where the gel has another level.
+    pub(super) fn at(&self, gel_level: f64) -> Self {
+        let grain_levels2 = self.grain_levels2 * self.grain_share(gel_level);
+        Self { grain_levels2, gel_level, ..*self }
+    }
+
+    /// The likeliest noise.
+    ///
+    /// With x = exp(-1 / (4 l²)), half the variances of the differences of pixels 1, 2 and 4 px apart (a variogram
+    /// without its drift) are w + g (1 - x), w + g (1 - x^4), w + g (1 - x^16). Faint grain says too little about its
+    /// size l: that has the usual one as its prior.
+    fn from_variogram(variogram: &Variogram) -> Self {
+        let Variogram { one, more: [two, four], sigma } = *variogram;
+        let cost = |grain: f64, at: &[f64; 2]| {
+            let (e, f) = ((two - grain * at[0]) / sigma, (four - grain * at[1]) / sigma);
+            e * e + f * f
+        };
+        let fitted = |log_size: f64| {
+            let x = correlation(USUAL_SIZE_PX * exp(log_size));
+            let (x2, prior) = (x * x, log_size / SPREAD_OF_SIZES);
+            let x4 = x2 * x2;
+            let at = [x - x4, x - x4 * x4 * x4 * x4];
+            let grain = ((at[0] * two + at[1] * four) / (at[0] * at[0] + at[1] * at[1])).max(0.0);
+            (cost(grain, &at) + prior * prior, grain)
+        };
+        let (mut best, mut centre, mut reach) = ((f64::INFINITY, 0.0), 0.0, LARGEST_LOG_SIZE);
+        for _ in 0..3 {
+            let middle: f64 = centre;
+            for k in -8..=8 {
+                let log_size =
+                    (middle + f64::from(k) * reach / 8.0).clamp(-LARGEST_LOG_SIZE, LARGEST_LOG_SIZE);
+                let found = fitted(log_size);
+                if found.0 < best.0 {
+                    (best, centre) = (found, log_size);
+                }
+            }
+            reach /= 8.0;
+        }
         let white_only = Self { white_levels2: one.max(ROUNDING_LEVELS2), ..Self::default() };
-        if !(two - one > 0.01 * one) {
+        if !(cost(0.0, &[0.0; 2]) - best.0 > LEAST_GAIN) {
             return white_only; // less than chance
         }
-        // (x^4 - x^16) / (x - x^4) = y (1 + y) (1 + y²) grows with y = x³ from 0 to 4.
-        let ratio = (four - two) / (two - one);
-        let (mut low, mut high) = (0.0, 0.97);
-        for _ in 0..40 {
-            let y = 0.5 * (low + high);
-            if y * (1.0 + y) * (1.0 + y * y) < ratio { low = y } else { high = y }
-        }
-        // Above x = 0.4 the grain is at least half a pixel wide; finer grain is white.
-        let y = (0.5 * (low + high)).max(0.064);
-        let x = cbrt(y);
-        let grain_levels2 = (two - one) / (x - x * y);
-        let white_levels2 = (one - grain_levels2 * (1.0 - x)).max(ROUNDING_LEVELS2);
-        Self { white_levels2, grain_levels2, grain_size_px: crate::math::sqrt(-0.25 / ln(x)) }
+        let (grain_levels2, grain_size_px) = (best.1, USUAL_SIZE_PX * exp(centre));
+        let white_levels2 = (one - grain_levels2 * (1.0 - correlation(grain_size_px))).max(ROUNDING_LEVELS2);
+        Self { white_levels2, grain_levels2, grain_size_px, gel_level: 0.0 }
     }
+}
+
+/// Correlation of the grain of neighbouring pixels.
+fn correlation(size_px: f64) -> f64 {
+    exp(-0.25 / (size_px * size_px))
+}
+
+/// Half the variance of the differences between neighbours, how much more it is 2 and 4 px apart, and the standard
+/// deviation of either of the latter.
+#[derive(Clone, Copy, Debug)]
+struct Variogram {
+    one: f64,
+    more: [f64; 2],
+    sigma: f64,
 }
 
 /// Measures [`Noise`], with its scratch.
 #[derive(Clone, Debug, Default)]
-pub(super) struct NoiseMeter {
+pub(in crate::detect) struct NoiseMeter {
     /// Non-zero where a row's pixel is near a marker.
     near: Vec<u8>,
-    /// One value per row and lag.
+    /// One value per row for each entry of the variogram.
     rows: [Vec<f64>; 3],
+    /// Pairs of pixels at each lag, and the sum of the levels of the first ones.
+    pairs: u64,
+    levels: u64,
 }
 
 impl NoiseMeter {
-    /// From all pixels of `image` (faint grain shows in no fewer) that lie [`CLEARANCE_PX`] off the set pixels of `mask`: medians over the rows, which
-    /// a scratch or a smear does not reach. `None` when there is no such gel.
-    pub fn run(&mut self, image: GrayView<'_>, mask: &[u8]) -> Option<Noise> {
+    /// From the pixels of every so many rows of `image` (faint grain shows in no fewer than all) that lie [`CLEARANCE_PX`]
+    /// off the set pixels of `mask`: medians over the rows, which a scratch or a smear does not reach. `None` when there is
+    /// no such gel.
+    pub fn run(&mut self, image: GrayView<'_>, mask: &[u8], every: usize) -> Option<Noise> {
+        let width = image.width();
+        self.run_rows(image, every, |rows, near| {
+            // A marker is at least two rows high.
+            for row in rows.step_by(2) {
+                for (near, &set) in near.iter_mut().zip(&mask[row * width..]) {
+                    *near |= set;
+                }
+            }
+        })
+    }
+
+    /// As [`Self::run`]; `cover` sets the pixels of one row that have some of the mask in the same column of these rows.
+    pub fn run_rows(
+        &mut self,
+        image: GrayView<'_>,
+        every: usize,
+        mut cover: impl FnMut(core::ops::RangeInclusive<usize>, &mut [u8]),
+    ) -> Option<Noise> {
         let (width, height) = (image.width(), image.height());
         for rows in &mut self.rows {
             rows.clear();
             rows.reserve(height);
         }
-        for y in CLEARANCE_PX..height.saturating_sub(CLEARANCE_PX) {
+        (self.pairs, self.levels) = (0, 0);
+        for y in (CLEARANCE_PX..height.saturating_sub(CLEARANCE_PX)).step_by(every) {
             self.near.clear();
             self.near.resize(width, 0);
-            // A marker is at least two rows high.
-            for row in (y - CLEARANCE_PX..=y + CLEARANCE_PX).step_by(2) {
-                for (near, &set) in self.near.iter_mut().zip(&mask[row * width..]) {
-                    *near |= set;
-                }
-            }
+            cover(y - CLEARANCE_PX..=y + CLEARANCE_PX, &mut self.near);
             self.row(image.row(y));
         }
-        let mut variogram = [0.0; 3];
-        for (value, rows) in variogram.iter_mut().zip(&mut self.rows) {
-            *value = median(rows)?;
-        }
-        Some(Noise::from_variogram(variogram))
+        let [one, two, four] = &mut self.rows;
+        let (one, more) = (median(one)?, [median(two)?, median(four)?]);
+        // In white noise, as the difference of two covariances of so many pairs.
+        let sigma = MEDIAN * (one + more[1].max(0.0)).max(ROUNDING_LEVELS2) * sqrt(2.0 / self.pairs as f64);
+        let noise = Noise::from_variogram(&Variogram { one, more, sigma });
+        Some(Noise { gel_level: self.levels as f64 / self.pairs as f64, ..noise })
     }
 
     /// Adds one row.
@@ -122,9 +201,12 @@ impl NoiseMeter {
         }
         row.add(&group);
         if row.count >= LEAST_DIFFERENCES {
-            for (rows, sum) in self.rows.iter_mut().zip(row.sums) {
-                rows.push(sum / (2 * row.count) as f64);
+            let [one, two, four] = row.sums.map(|sum| sum / (2 * row.count) as f64);
+            for (rows, value) in self.rows.iter_mut().zip([one, two - one, four - one]) {
+                rows.push(value);
             }
+            self.pairs += row.count as u64;
+            self.levels += row.levels;
         }
     }
 }
@@ -133,6 +215,8 @@ impl NoiseMeter {
 #[derive(Clone, Copy, Debug, Default)]
 struct Differences {
     count: usize,
+    /// Sum of the levels of each pair's first pixel.
+    levels: u64,
     sums: [i64; 3],
     squares: [u64; 3],
 }
@@ -143,6 +227,7 @@ impl Differences {
         let count = stretch.len() - LAGS[2];
         let level = |levels: &[u8]| levels.iter().map(|&level| i64::from(level)).sum::<i64>();
         self.count += count;
+        self.levels += level(&stretch[..count]) as u64;
         for ((sum, square), lag) in self.sums.iter_mut().zip(&mut self.squares).zip(LAGS) {
             // All pixels but the first ones less all but the last ones: what both have is left out.
             *sum += level(&stretch[count.max(lag)..][..lag.min(count)]) - level(&stretch[..lag.min(count)]);
@@ -155,6 +240,7 @@ impl Differences {
 #[derive(Clone, Copy, Debug, Default)]
 struct Spread {
     count: usize,
+    levels: u64,
     sums: [f64; 3],
 }
 
@@ -165,6 +251,7 @@ impl Spread {
             return;
         }
         self.count += group.count;
+        self.levels += group.levels;
         for (total, (&sum, &square)) in self.sums.iter_mut().zip(group.sums.iter().zip(&group.squares)) {
             *total += square as f64 - (sum * sum) as f64 / group.count as f64;
         }

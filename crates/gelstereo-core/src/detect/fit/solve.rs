@@ -4,7 +4,7 @@ use crate::math::linalg::Symmetric;
 
 /// L and D of a symmetric matrix that is clearly positive definite (L D Lᵀ, Golub and Van Loan, section 4.1).
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Factor<const N: usize> {
+pub(in crate::detect) struct Factor<const N: usize> {
     lower: Symmetric<N>,
     diagonal: [f64; N],
 }

@@ -1,0 +1,225 @@
+//! Centres by one step of a matched template: weights that were made once say how far a blurred disc is from where it
+//! was thought to be.
+//!
+//! The weights are those of the best linear unbiased estimator of the displacement in the image's noise and grain, for a
+//! disc of that radius and blur at the nearest of 4 x 4 places within a pixel (Lucas and Kanade's step with the template's
+//! slopes instead of the image's: Baker and Matthews, "Lucas-Kanade 20 years on", IJCV 2004, section 3.2). Its sums are of
+//! whole numbers. They do not answer to contrast, ground, slope of light, radius, stretch and blur, and what is left of a
+//! displacement after a step is of third order in it.
+
+mod correlate;
+mod design;
+mod disc;
+mod learn;
+mod tables;
+
+use super::Markers;
+use super::fit::Noise;
+use crate::image::GrayView;
+use crate::math::linalg::Symmetric;
+use crate::math::{DVec2, round_even, sqrt};
+use crate::params::{DetectParams, Polarity};
+use correlate::Patch;
+use tables::{Kind, PLACES, Tables};
+
+/// Steps at most. A binary centroid needs one, a prediction two or three.
+const MOST_STEPS: usize = 4;
+/// A displacement from the weights' own place over the blur, below which a step is the last: what is left of it is below
+/// 0.005 px.
+const SETTLED: f64 = 0.27;
+/// The same for later steps, which begin near a place of the weights.
+const SETTLED_LATER_PX: f64 = 0.4;
+/// Standard deviation of a grey centroid over that of a step, where the step did not serve.
+const UNFITTED: f64 = 4.0;
+/// Standard deviations of what noise leaves that are chance.
+const CHANCE: f64 = 3.0;
+/// Responses beyond this are no displacements.
+const MOST_RESPONSE_PX: f64 = 1.5;
+/// Least contrast over the standard deviation of a pixel.
+const LEAST_CONTRAST: f64 = 1.0;
+/// Rms of what noise and model leave over the contrast, above which the patch is no single whole disc.
+pub(crate) const MOST_MISFIT: f64 = 0.12;
+
+/// A marker's centre by a matched step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Refined {
+    /// Centre, pixels.
+    pub centre_px: DVec2,
+    /// Its covariance, px², from the image's noise and grain.
+    pub covariance_px2: Symmetric<2>,
+    /// Level of the dot less that of the gel, grey levels.
+    pub contrast_levels: f64,
+    /// Rms of what the disc leaves of the levels, noise and grain taken off, over the contrast. Below [`MOST_MISFIT`] for
+    /// one whole marker; neighbours within the support, merged pairs, covered halves and smears have more.
+    pub misfit: f64,
+}
+
+/// The step, the weights made so far, and what was last learned of an image.
+#[derive(Clone, Debug)]
+pub(crate) struct Matched {
+    given_blur_px: Option<f64>,
+    bright: bool,
+    noise: Noise,
+    blur_px: f64,
+    /// Radius of discs less that of components of the same area.
+    radius_off_px: f64,
+    /// Usual contrast, grey levels; 0 when nothing is known.
+    contrast_levels: f64,
+    tables: Tables,
+    patch: Patch,
+    samples: learn::Samples,
+}
+
+/// Where the weights of one step lie, and their answer.
+struct Step {
+    set: usize,
+    place: usize,
+    at_px: DVec2,
+    moved_px: DVec2,
+    contrast: f64,
+    variances: [f64; 2],
+}
+
+impl Matched {
+    /// With these settings.
+    pub fn new(params: &DetectParams) -> Self {
+        Self {
+            given_blur_px: params.fit.blur_px,
+            bright: params.polarity == Polarity::Bright,
+            noise: Noise::default(),
+            blur_px: learn::FIRST_BLUR_PX,
+            radius_off_px: 0.0,
+            contrast_levels: 0.0,
+            tables: Tables::default(),
+            patch: Patch::default(),
+            samples: learn::Samples::default(),
+        }
+    }
+
+    /// Learns blur and radius of an image's discs from some of its markers, given by their approximate centres and areas,
+    /// and chooses the weights for that, for its noise and for the distance of neighbours. What was learned serves later
+    /// images of the same camera and light.
+    pub fn prepare(&mut self, image: GrayView<'_>, noise: Noise, markers: &Markers) {
+        self.noise = noise;
+        self.learn(image, markers);
+    }
+
+    /// Radius of a disc whose component has this area.
+    pub fn radius_px(&self, area_px2: u32) -> f64 {
+        sqrt(f64::from(area_px2) * core::f64::consts::FRAC_1_PI) + self.radius_off_px
+    }
+
+    /// Replaces centre and covariance of a marker of the list, of which centre and area are known; whether it could.
+    pub fn replace(&mut self, image: GrayView<'_>, index: usize, markers: &mut Markers) -> bool {
+        let (near_px, radius_px) = (markers.centres_px[index], self.radius_px(markers.area_px2[index]));
+        let found = self.refine(image, near_px, radius_px).filter(|refined| refined.misfit <= MOST_MISFIT);
+        match found {
+            Some(refined) => {
+                markers.centres_px[index] = refined.centre_px;
+                markers.covariance_px2[index] = refined.covariance_px2;
+            }
+            None => {
+                markers.unfitted += 1;
+                let least = self.unfitted_variance_px2(radius_px);
+                let [[xx, _], [_, yy]] = &mut markers.covariance_px2[index];
+                (*xx, *yy) = (xx.max(least), yy.max(least));
+            }
+        }
+        found.is_some()
+    }
+
+    /// Least variance of a coordinate, px², where the step did not serve.
+    fn unfitted_variance_px2(&mut self, radius_px: f64) -> f64 {
+        let Some((_, [white, grain])) = self.tables.find(radius_px) else { return 0.0 };
+        UNFITTED * UNFITTED * (white + grain) / (self.contrast_levels * self.contrast_levels).max(1.0)
+    }
+
+    /// Finds the disc of about this radius whose centre lies within about a pixel of `near_px`. `None` where the support
+    /// leaves the image, nothing of that polarity is there, or steps do not settle.
+    #[inline]
+    pub fn refine(&mut self, image: GrayView<'_>, near_px: DVec2, radius_px: f64) -> Option<Refined> {
+        let (mut near, mut settled_px) = (near_px, SETTLED * self.blur_px);
+        for _ in 0..MOST_STEPS {
+            let step = self.step(image, near, radius_px)?;
+            near = step.at_px + step.moved_px;
+            if step.moved_px.length_squared() <= settled_px * settled_px {
+                return Some(self.judge(&step));
+            }
+            settled_px = SETTLED_LATER_PX;
+        }
+        None
+    }
+
+    #[inline]
+    fn step(&mut self, image: GrayView<'_>, near_px: DVec2, radius_px: f64) -> Option<Step> {
+        let (index, variances) = self.tables.find(radius_px)?;
+        let set = self.tables.set(index);
+        let (place, first, at_px) = locate(image, set.side, near_px)?;
+        self.patch.load(image, first, set.side);
+        let sum = |kind| f64::from(self.patch.correlate(self.tables.kernel(set, place, kind)));
+        let contrast = sum(Kind::Contrast) * set.contrast_per_unit;
+        let toward = if self.bright { contrast } else { -contrast };
+        if !(toward > 0.0
+            && toward * toward > LEAST_CONTRAST * LEAST_CONTRAST * self.noise.variance_levels2())
+        {
+            return None;
+        }
+        let response = DVec2::new(sum(Kind::X), sum(Kind::Y)) * (set.px_per_unit / contrast);
+        let long2 = response.length_squared();
+        if !(long2 <= MOST_RESPONSE_PX * MOST_RESPONSE_PX) {
+            return None;
+        }
+        let moved_px = response * (1.0 + set.bend_per_px2 * long2);
+        Some(Step { set: index, place, at_px, moved_px, contrast, variances })
+    }
+
+    /// Level of the gel, and variance of what a step's disc leaves of the levels.
+    #[inline]
+    fn rest(&mut self, step: &Step) -> (f64, f64) {
+        let set = self.tables.set(step.set);
+        let (share, mask) = (self.tables.kernel(set, step.place, Kind::Share), self.tables.mask(set));
+        let whole = round_even(step.contrast).clamp(-255.0, 255.0) as i16;
+        let (sum, square) = self.patch.residual(share, mask, whole);
+        let (sum, square, pixels) = (f64::from(sum), f64::from(square), f64::from(set.pixels));
+        (sum / pixels, (square - sum * sum / pixels) / (pixels - 1.0))
+    }
+
+    /// Covariance and misfit after the last step.
+    #[inline]
+    fn judge(&mut self, step: &Step) -> Refined {
+        let (ground, rest2) = self.rest(step);
+        let pixels = f64::from(self.tables.set(step.set).pixels);
+        // Grain is of the surface: it grows with the light.
+        let grain_share = self.noise.grain_share(ground);
+        let noise2 = self.noise.white_levels2 + grain_share * self.noise.grain_levels2;
+        let chance2 = noise2 * (1.0 + CHANCE * sqrt(2.0 / pixels));
+        let per_contrast2 = 1.0 / (step.contrast * step.contrast);
+        let variance = (step.variances[0] + grain_share * step.variances[1]) * per_contrast2;
+        Refined {
+            centre_px: step.at_px + step.moved_px,
+            covariance_px2: [[variance, 0.0], [0.0, variance]],
+            contrast_levels: step.contrast,
+            misfit: sqrt((rest2 - chance2).max(0.0) * per_contrast2),
+        }
+    }
+}
+
+/// The place within its pixel that is nearest, the support's first pixel, and where that place is; `None` where the support
+/// leaves the image.
+#[inline]
+fn locate(image: GrayView<'_>, side: usize, near_px: DVec2) -> Option<(usize, (usize, usize), DVec2)> {
+    let half = side as i64 / 2;
+    let axis = |at: f64, size: usize| {
+        // Positions below -1 become negative all the same.
+        let quarter = ((at + 1.5) * PLACES as f64) as i64 - PLACES as i64;
+        let pixel = quarter.div_euclid(PLACES as i64);
+        if !(pixel >= half && pixel + half < size as i64) {
+            return None;
+        }
+        let middle = (quarter as f64 + 0.5) / PLACES as f64 - 0.5;
+        Some((quarter.rem_euclid(PLACES as i64) as usize, (pixel - half) as usize, middle))
+    };
+    let ((column, x, at_x), (row, y, at_y)) =
+        (axis(near_px.x, image.width())?, axis(near_px.y, image.height())?);
+    Some((row * PLACES + column, (x, y), DVec2::new(at_x, at_y)))
+}

@@ -1,0 +1,322 @@
+//! Weights as whole numbers for every disc and place within a pixel that an image has needed so far.
+
+use super::correlate::{columns, numbers};
+use super::design::{Design, MOST_SIDE_PX, Support, Weights};
+use super::disc::Disc;
+use crate::detect::fit::Noise;
+use crate::math::{DVec2, abs, exp, floor, ln, round};
+use alloc::vec::Vec;
+
+/// Places of a centre within a pixel, per axis.
+pub(super) const PLACES: usize = 4;
+/// Kernels of one place, one after the other.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Kind {
+    X,
+    Y,
+    Contrast,
+    Share,
+    Radius,
+    Blur,
+}
+const KINDS: usize = 6;
+/// Largest weight: its products with levels fill 31 bits only for sums of more than 1000 pixels.
+const MOST_WEIGHT: f64 = 8191.0;
+/// The share of a disc is stored with so many fractional bits: its product with a contrast of 255 fits 16 bits.
+pub(super) const SHARE_BITS: u32 = 7;
+/// Room for numbers: a dozen discs 4 px wide at four places by four. Without room all are forgotten.
+const ROOM: usize = 1 << 18;
+const MOST_SETS: usize = 64;
+/// Sizes of grain over that of the design for which the variance is known.
+const SIZES: [f64; 3] = [0.7, 1.0, 1.4];
+
+/// What the weights are made for, in steps: nothing is lost by a neighbour's.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Conditions {
+    blur: u8,
+    /// Quarters of a pixel to the middle between neighbours; the most for far ones.
+    half_way: u8,
+    grain: u8,
+    grain_size: u8,
+    /// Quarters of the contrast over the gel's level.
+    dot_slope: i8,
+}
+
+impl Conditions {
+    /// `half_way_px` is half the distance to the nearest neighbour, `per_ground` the contrast over the gel's level.
+    pub fn new(blur_px: f64, half_way_px: f64, noise: &Noise, per_ground: f64) -> Self {
+        let step = |value: f64, first: f64, ratio: f64, most: f64| {
+            round(ln(value / first) / ln(ratio)).clamp(0.0, most) as u8
+        };
+        let share = noise.grain_levels2 / noise.white_levels2;
+        let grain = if share < 0.03 { 0 } else { 1 + step(share, 0.125, 4.0, 3.0) };
+        Self {
+            blur: step(blur_px, LEAST_BLUR_PX, BLUR_STEP, 40.0),
+            half_way: floor(4.0 * half_way_px) as u8,
+            grain,
+            grain_size: if grain == 0 { 2 } else { step(noise.grain_size_px, 0.7, 1.5, 5.0) },
+            dot_slope: round(4.0 * per_ground).clamp(-4.0, 16.0) as i8,
+        }
+    }
+
+    /// Radius of the support of a disc: to the middle between neighbours at most, `None` if they are too near.
+    fn reach_px(self, radius_px: f64) -> Option<f64> {
+        let half_way = if self.half_way == u8::MAX { f64::INFINITY } else { 0.25 * f64::from(self.half_way) };
+        (half_way >= radius_px + LEAST_REACH_PX).then(|| half_way.min(radius_px + REACH_PX))
+    }
+
+    pub fn blur_px(self) -> f64 {
+        LEAST_BLUR_PX * exp(f64::from(self.blur) * ln(BLUR_STEP))
+    }
+
+    fn noise(self) -> Noise {
+        let grain_levels2 =
+            if self.grain == 0 { 0.0 } else { 0.125 * exp(f64::from(self.grain - 1) * ln(4.0)) };
+        let grain_size_px = 0.7 * exp(f64::from(self.grain_size) * ln(1.5));
+        Noise { white_levels2: 1.0, grain_levels2, grain_size_px, gel_level: 0.0 }
+    }
+}
+
+/// Gel around the outline that takes part, at most and at least: farther pixels say little of the light.
+pub(super) const REACH_PX: f64 = 3.0;
+const LEAST_REACH_PX: f64 = 1.0;
+const LEAST_BLUR_PX: f64 = 0.4;
+const BLUR_STEP: f64 = 1.12;
+
+/// Steps of the radius, and their number.
+const RADIUS_STEP_PX: f64 = 0.25;
+const RADII: usize = 60;
+
+/// The weights of one disc.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Set {
+    conditions: Conditions,
+    radius: u8,
+    /// Pixels on a side.
+    pub side: usize,
+    /// Pixels that count.
+    pub pixels: u32,
+    first: usize,
+    pub radius_px: f64,
+    /// Pixels, and shares of the contrast, per unit of a sum.
+    pub px_per_unit: f64,
+    pub contrast_per_unit: f64,
+    pub form_per_unit: f64,
+    pub bend_per_px2: f64,
+    /// Variances for a contrast of 1 and of white noise, and of grain of the design's size times [`SIZES`].
+    gains: [f64; 4],
+    grain_size_px: f64,
+}
+
+impl Set {
+    /// Variances of one coordinate for a contrast of one level, px²: from white noise and from grain.
+    fn variances(&self, noise: &Noise) -> [f64; 2] {
+        let [white, grain @ ..] = self.gains;
+        // Lagrange's parabola over the logarithm of the size.
+        let at = SIZES.map(ln);
+        let size = ln(noise.grain_size_px / self.grain_size_px).clamp(2.0 * at[0], 2.0 * at[2]);
+        let mut gain = 0.0;
+        for k in 0..3 {
+            let others = (0..3).filter(|&j| j != k).map(|j| (size - at[j]) / (at[k] - at[j]));
+            gain += grain[k] * others.product::<f64>();
+        }
+        [white * noise.white_levels2, gain.max(0.0) * noise.grain_levels2]
+    }
+}
+
+/// What is known of a radius in the conditions that hold.
+#[derive(Clone, Copy, Debug, Default)]
+enum Known {
+    #[default]
+    Nothing,
+    /// There are no weights for it.
+    None,
+    /// Index of the set, and [`Set::variances`].
+    Set(usize, [f64; 2]),
+}
+
+/// All weights, and those of the conditions that hold.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Tables {
+    numbers: Vec<i16>,
+    sets: Vec<Set>,
+    conditions: Conditions,
+    noise: Noise,
+    by_radius: Vec<Known>,
+    disc: Disc,
+    design: Design,
+}
+
+impl Tables {
+    /// Chooses the conditions that hold from now on, and the noise of which variances follow. Room is taken when first
+    /// called.
+    pub fn choose(&mut self, conditions: Conditions, noise: &Noise) {
+        if self.by_radius.is_empty() {
+            self.numbers.reserve(ROOM);
+            self.sets.reserve(MOST_SETS);
+            self.by_radius.resize(RADII, Known::Nothing);
+            self.design.reserve();
+        }
+        self.by_radius.fill(Known::Nothing);
+        (self.conditions, self.noise) = (conditions, *noise);
+    }
+
+    pub const fn conditions(&self) -> Conditions {
+        self.conditions
+    }
+
+    /// Index of the weights for a disc of this radius, made if need be, and variances for a contrast of one level, px²:
+    /// from white noise and from grain. `None` if there are no weights.
+    #[inline]
+    pub fn find(&mut self, radius_px: f64) -> Option<(usize, [f64; 2])> {
+        let step = (radius_px * (1.0 / RADIUS_STEP_PX) + 0.5) as usize;
+        match *self.by_radius.get(step)? {
+            Known::Set(set, variances) => Some((set, variances)),
+            Known::None => None,
+            Known::Nothing => {
+                let found = self.look(step).map(|set| (set, self.sets[set].variances(&self.noise)));
+                self.by_radius[step] =
+                    found.map_or(Known::None, |(set, variances)| Known::Set(set, variances));
+                found
+            }
+        }
+    }
+
+    #[inline]
+    pub fn set(&self, index: usize) -> &Set {
+        &self.sets[index]
+    }
+
+    /// The weights of one kind for one place within the pixel.
+    #[inline]
+    pub fn kernel(&self, set: &Set, place: usize, kind: Kind) -> &[i16] {
+        let count = numbers(set.side);
+        &self.numbers[set.first + (place * KINDS + kind as usize) * count..][..count]
+    }
+
+    /// -1 where a pixel counts, otherwise 0.
+    #[inline]
+    pub fn mask(&self, set: &Set) -> &[i16] {
+        let count = numbers(set.side);
+        &self.numbers[set.first + PLACES * PLACES * KINDS * count..][..count]
+    }
+
+    fn look(&mut self, step: usize) -> Option<usize> {
+        let same = |set: &Set| set.conditions == self.conditions && usize::from(set.radius) == step;
+        self.sets.iter().position(same).or_else(|| self.make(step))
+    }
+
+    fn make(&mut self, step: usize) -> Option<usize> {
+        let radius_px = RADIUS_STEP_PX * step as f64;
+        let support = Support::new(self.conditions.reach_px(radius_px)?);
+        if !(radius_px >= 0.75 && support.side <= MOST_SIDE_PX) {
+            return None;
+        }
+        let side = support.side;
+        let count = numbers(side);
+        let needed = (PLACES * PLACES * KINDS + 1) * count;
+        if self.sets.len() == MOST_SETS || self.numbers.len() + needed > ROOM {
+            self.sets.clear();
+            self.numbers.clear();
+            self.by_radius.fill(Known::Nothing);
+        }
+        let first = self.numbers.len();
+        self.numbers.resize(first + needed, 0);
+        let found = self.fill(first, support, radius_px);
+        let Some([px_per_unit, contrast_per_unit, form_per_unit, bend_per_px2, gains @ ..]) = found else {
+            self.numbers.truncate(first);
+            return None;
+        };
+        let mut pixels = 0;
+        for (row, numbers) in
+            self.numbers[first + needed - count..].chunks_exact_mut(columns(side)).take(side).enumerate()
+        {
+            for (column, number) in numbers[..side].iter_mut().enumerate() {
+                let half = support.half() as f64;
+                let inside = support.has(DVec2::new(column as f64 - half, row as f64 - half));
+                *number = -i16::from(inside);
+                pixels += u32::from(inside);
+            }
+        }
+        self.sets.push(Set {
+            conditions: self.conditions,
+            radius: step as u8,
+            side,
+            pixels,
+            first,
+            radius_px,
+            px_per_unit,
+            contrast_per_unit,
+            form_per_unit,
+            bend_per_px2,
+            gains,
+            grain_size_px: self.conditions.noise().grain_size_px,
+        });
+        Some(self.sets.len() - 1)
+    }
+
+    /// Fills a set's kernels: units of displacement, contrast and form, bend and four gains.
+    fn fill(&mut self, first: usize, support: Support, radius_px: f64) -> Option<[f64; 8]> {
+        let noise = self.conditions.noise();
+        self.disc.draw(radius_px, self.conditions.blur_px());
+        let (mut units, mut bend, mut gains) = ([0.0; 3], 0.0, [0.0; 4]);
+        let half = PLACES / 2;
+        let off = |k: usize| (k as f64 + 0.5) / PLACES as f64 - 0.5;
+        // One quarter of the places; the others are its mirror images.
+        for (n, (row, column)) in (0..half * half).map(|n| (n, (half + n / half, half + n % half))) {
+            let at = DVec2::new(off(column), off(row));
+            self.design.run(&self.disc, support, at, &noise, 0.25 * f64::from(self.conditions.dot_slope))?;
+            let sizes = SIZES.map(|size| size * noise.grain_size_px);
+            for (sum, gain) in gains.iter_mut().zip(self.design.gains(support, &sizes)) {
+                *sum += gain / (half * half) as f64;
+            }
+            let weights = &self.design.weights;
+            bend += weights.bend_per_px2 / (half * half) as f64;
+            if n == 0 {
+                // Others differ little; 1/2 leaves room.
+                let unit = |list: &[f64]| {
+                    list.iter().fold(0.0, |most: f64, &w| most.max(abs(w))) / (0.5 * MOST_WEIGHT)
+                };
+                units = [
+                    unit(&weights.x).max(unit(&weights.y)),
+                    unit(&weights.contrast),
+                    unit(&weights.radius).max(unit(&weights.blur)),
+                ];
+            }
+            let mirrors = [(false, false), (true, false), (false, true), (true, true)];
+            for (left, up) in mirrors {
+                let place = |at: usize, mirrored: bool| if mirrored { PLACES - 1 - at } else { at };
+                let place = place(row, up) * PLACES + place(column, left);
+                let count = numbers(support.side);
+                let kernels = &mut self.numbers[first + place * KINDS * count..][..KINDS * count];
+                write(kernels, weights, &units, support.side, (left, up));
+            }
+        }
+        Some([units[0], units[1], units[2], bend, gains[0], gains[1], gains[2], gains[3]])
+    }
+}
+
+/// Writes the kernels of one place, mirrored about the middle column, row or both.
+fn write(kernels: &mut [i16], weights: &Weights, units: &[f64; 3], side: usize, (left, up): (bool, bool)) {
+    let lists: [(&[f64], f64); KINDS] = [
+        (&weights.x, if left { -1.0 } else { 1.0 } / units[0]),
+        (&weights.y, if up { -1.0 } else { 1.0 } / units[0]),
+        (&weights.contrast, 1.0 / units[1]),
+        (&weights.share, f64::from(1 << SHARE_BITS)),
+        (&weights.radius, 1.0 / units[2]),
+        (&weights.blur, 1.0 / units[2]),
+    ];
+    for (kernel, (list, per_unit)) in kernels.chunks_exact_mut(numbers(side)).zip(lists) {
+        // What rounding leaves goes to the next pixel, so that sums and slopes stay right.
+        let mut left_over = 0.0;
+        for row in 0..side {
+            for column in 0..side {
+                let from = |at: usize, mirrored: bool| if mirrored { side - 1 - at } else { at };
+                let exact = list[from(row, up) * side + from(column, left)] * per_unit;
+                let number = if exact == 0.0 { 0.0 } else { round(exact + left_over) };
+                left_over += exact - number;
+                kernel[row * columns(side) + column] = number.clamp(-MOST_WEIGHT, MOST_WEIGHT) as i16;
+            }
+        }
+    }
+}
