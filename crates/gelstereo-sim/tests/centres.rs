@@ -62,18 +62,20 @@ impl Condition {
 }
 
 /// Mean over markers and axes of the squared errors over their covariance, the 2-D rms error and the number of errors.
-fn errors(pictures: &[Picture]) -> (f64, f64, f64) {
+fn errors(centre: Centre, pictures: &[Picture]) -> (f64, f64, f64) {
     let params = DetectParams {
         background: Background::Box,
         threshold: Threshold::Auto,
-        centre: Centre::Fit,
+        centre,
         ..DetectParams::default()
     };
     let (mut detector, mut markers) = (Detector::new(&params), Markers::default());
     let (mut count, mut square, mut normalised) = (0.0, 0.0, 0.0);
     for picture in pictures {
         detector.run(GrayView::new(&picture.pixels, 640, 480, 640).unwrap(), &mut markers).unwrap();
-        assert_eq!((markers.centres_px.len(), markers.unfitted), (picture.centres_px.len(), 0));
+        // Less than a thousandth is given up, which noise of 18 levels sometimes does to a step.
+        assert_eq!(markers.centres_px.len(), picture.centres_px.len());
+        assert!(1000 * markers.unfitted < 2 * markers.centres_px.len(), "{} given up", markers.unfitted);
         for (centre, [[xx, xy], [_, yy]]) in markers.centres_px.iter().zip(&markers.covariance_px2) {
             let errors = picture.centres_px.iter().map(|truth| *centre - *truth);
             let e = errors.min_by(|a, b| a.length().total_cmp(&b.length())).unwrap();
@@ -93,10 +95,22 @@ fn errors(pictures: &[Picture]) -> (f64, f64, f64) {
 fn covariances_are_calibrated_on_presses() {
     for condition in &CONDITIONS {
         let pictures: Vec<_> = (1..=3).flat_map(|seed| condition.pictures(seed)).collect();
-        let (nees, rms_px, count) = errors(&pictures);
-        println!("{:24} rms {rms_px:.4} px, normalised squared errors {nees:.3}", condition.name);
-        let band = 2.6 / (0.5 * count).sqrt() + 0.03;
-        let off = nees - 1.0;
-        assert!(off.abs() < band, "{}: {nees} is {off:+.3} off, band {band:.3}", condition.name);
+        let [fit, step] = [Centre::Fit, Centre::Matched].map(|centre| {
+            let (nees, rms_px, count) = errors(centre, &pictures);
+            println!(
+                "{:24} {centre:?} rms {rms_px:.4} px, normalised squared errors {nees:.3}",
+                condition.name
+            );
+            let band = 2.6 / (0.5 * count).sqrt() + 0.03;
+            let off = nees - 1.0;
+            assert!(
+                off.abs() < band,
+                "{}, {centre:?}: {nees} is {off:+.3} off, band {band:.3}",
+                condition.name
+            );
+            rms_px
+        });
+        // The step is an approximation of the fit: a tenth more than its error at most.
+        assert!(step < 1.1 * fit, "{}: {step} {fit}", condition.name);
     }
 }

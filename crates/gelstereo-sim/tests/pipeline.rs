@@ -161,10 +161,10 @@ fn row_34_one_thread_or_two_and_any_repeat_give_the_same_bits() {
 #[test]
 fn row_34_the_bits_of_a_fixed_scene_are_known() {
     let known = [
-        ("paper", 0xd9c1_21b2_6f45_c9d5),
-        ("fast", 0xea5e_1207_dcdd_5179),
-        ("balanced", 0x0390_8b51_f332_db6e),
-        ("exact", 0xe9cc_c375_2684_31a3),
+        ("paper", 0x244c_4e9e_0321_9249),
+        ("fast", 0x81c2_b20a_f9e3_5c2d),
+        ("balanced", 0x07af_770f_9f49_2ec1),
+        ("exact", 0x2f18_039f_d219_d08d),
     ];
     assert_eq!(known.map(|(preset, _)| preset), Params::PRESETS, "every preset has its digest");
     let found = known.map(|(preset, _)| {

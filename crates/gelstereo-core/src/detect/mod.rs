@@ -10,7 +10,7 @@ mod difference;
 mod error;
 pub mod fit;
 pub mod glance;
-mod matched;
+pub mod matched;
 pub mod morphology;
 pub mod near;
 pub mod noise;
@@ -107,7 +107,7 @@ pub struct Detector {
     closing: Closing,
     components: Components,
     grey_centre: GreyCentre,
-    disc_fit: DiscFit,
+    disc_fit: Option<DiscFit>,
     matched: Matched,
     meter: NoiseMeter,
     size_px: (usize, usize),
@@ -127,7 +127,7 @@ impl Detector {
             closing: Closing::new(params.morphology_kernel_px),
             components: Components::default(),
             grey_centre: GreyCentre::default(),
-            disc_fit: DiscFit::new(params),
+            disc_fit: (params.centre == Centre::Fit).then(|| DiscFit::new(params)),
             matched: Matched::new(params),
             meter: NoiseMeter::default(),
             size_px: (0, 0),
@@ -154,7 +154,9 @@ impl Detector {
         // No two markers share pixels, so that this many are the most there can be.
         let most = (image.width() * image.height() / params.min_area_px2.max(4) as usize).min(MOST_MARKERS);
         out.reserve(most);
-        disc_fit.clear(if params.centre == Centre::Fit { most } else { 0 });
+        if let Some(fit) = disc_fit.as_mut() {
+            fit.clear(most);
+        }
         areas_px2.clear();
         areas_px2.reserve(most);
         let size_px = (image.width(), image.height());
@@ -182,14 +184,14 @@ impl Detector {
                 Centre::Grey | Centre::Fit => grey(),
             };
             out.push(centre_px, [[variance, 0.0], [0.0, variance]], blob.area_px2);
-            if params.centre == Centre::Fit {
-                disc_fit.add(centre_px, blob.spread_px2(components.runs(blob)));
+            if let Some(fit) = disc_fit.as_mut() {
+                fit.add(centre_px, blob.spread_px2(components.runs(blob)));
             }
         }
-        if params.centre == Centre::Fit {
+        if let Some(fit) = disc_fit {
             fill_mask(components, self.size_px, mask);
             let others = components.blobs().iter().filter(|blob| blob.area_px2 > 2);
-            disc_fit.finish(image, mask, others.map(centre::binary), out);
+            fit.finish(image, mask, others.map(centre::binary), out);
         }
         if params.centre == Centre::Matched {
             let every = rows_between(size_px.1);

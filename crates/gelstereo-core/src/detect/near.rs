@@ -128,12 +128,11 @@ impl Detector {
             };
         }
         self.decide(expected_px, out);
-        if self.params.centre == Centre::Fit {
-            let Self { near, disc_fit, mask, .. } = self;
-            disc_fit.clear(expected_px.len());
-            near.candidates.iter().for_each(|c| disc_fit.add(c.centre_px, c.spread_px2));
+        if let Self { near, disc_fit: Some(fit), mask, .. } = self {
+            fit.clear(expected_px.len());
+            near.candidates.iter().for_each(|c| fit.add(c.centre_px, c.spread_px2));
             let others = near.candidates.iter().map(|c| c.centre_px);
-            disc_fit.finish(image, mask, others, &mut out.markers);
+            fit.finish(image, mask, others, &mut out.markers);
         }
         if self.params.centre == Centre::Matched {
             self.match_near(image, expected_px, reach_px, &mut out.markers);

@@ -46,7 +46,7 @@ impl Support {
     }
 
     /// Places of all pixels, row by row, relative to the middle one.
-    fn places(self) -> impl Iterator<Item = DVec2> {
+    pub fn places(self) -> impl Iterator<Item = DVec2> {
         let half = self.half() as f64;
         (0..self.side * self.side)
             .map(move |n| DVec2::new((n % self.side) as f64 - half, (n / self.side) as f64 - half))
@@ -84,15 +84,15 @@ pub(super) struct Design {
 }
 
 impl Design {
-    /// Makes room for any support.
-    pub fn reserve(&mut self) {
+    /// Makes room for supports of at most so many pixels on a side.
+    pub fn reserve(&mut self, side: usize) {
         let Weights { x, y, contrast, radius, blur, share, .. } = &mut self.weights;
         let Gradients { residual, direction, image, rows } = &mut self.scratch;
         let own = [x, y, contrast, radius, blur, share, residual, direction, image, rows];
         let all = own.into_iter().chain(&mut self.columns).chain(&mut self.whitened);
         for list in all.chain([&mut self.covariance.mask, &mut self.covariance.alike]) {
             list.clear();
-            list.reserve(MOST_SIDE_PX * MOST_SIDE_PX);
+            list.reserve(side * side);
         }
     }
 

@@ -21,8 +21,8 @@ pub(super) struct Share {
 }
 
 /// Most nodes, and angles of half a turn, for the radii and blurs that are looked at.
-const MOST_NODES: usize = 2048;
-const MOST_ANGLES: usize = 512;
+const MOST_NODES: usize = 1408;
+const MOST_ANGLES: usize = 160;
 
 /// A table of [`Share`] over the distance.
 #[derive(Clone, Debug, Default)]

@@ -13,8 +13,10 @@ const ROUNDS: usize = 3;
 /// A pixel's own width and a little defocus.
 pub(super) const FIRST_BLUR_PX: f64 = 0.8;
 /// Contrast over the gel's level to begin with: paint that takes 70 % of the light, gel that does.
-const DARK_PER_GROUND: f64 = -0.7;
-const BRIGHT_PER_GROUND: f64 = 2.3;
+pub(super) const DARK_PER_GROUND: f64 = -0.7;
+pub(super) const BRIGHT_PER_GROUND: f64 = 2.3;
+/// Radius of a disc beyond that of its component, at most.
+const MOST_OFF_PX: f64 = 1.5;
 /// Blurs that are believed.
 const BLURS_PX: core::ops::RangeInclusive<f64> = 0.4..=5.0;
 
@@ -37,51 +39,62 @@ struct Form {
 }
 
 impl Matched {
-    /// Radius, blur and contrast by the weights for them, again with the weights for what they said.
+    /// Radius, blur and contrast by the weights for them, again with the weights for what they said. Weights once made are
+    /// kept as long as they serve: to make others takes some 10 ms.
     pub(super) fn learn(&mut self, image: GrayView<'_>, markers: &Markers) {
         let count = markers.centres_px.len();
+        if count == 0 {
+            return;
+        }
         let samples = SAMPLES.min(count);
         let sample = |k: usize| k * count / samples;
-        self.samples.reserve();
+        self.samples.clear();
         let apart = (0..samples).filter_map(|k| nearest_px(&markers.centres_px, sample(k)));
         let half_way_px = 0.5 * quantile(&mut self.samples.radius, apart, 4).unwrap_or(f64::INFINITY);
         let areas = (0..samples).map(|k| f64::from(markers.area_px2[sample(k)]));
         let usual_px2 = quantile(&mut self.samples.radius, areas, 2).unwrap_or(0.0) as u32;
-        self.blur_px = self.given_blur_px.unwrap_or(FIRST_BLUR_PX);
-        (self.radius_off_px, self.contrast_levels) = (0.0, 0.0);
-        let mut per_ground = if self.bright { BRIGHT_PER_GROUND } else { DARK_PER_GROUND };
+        let mut keeps = true;
         for round in 0..=ROUNDS {
-            let far_px = 1.25 * self.radius_px(usual_px2) + REACH_PX;
-            let half_way_px = if half_way_px > far_px { f64::INFINITY } else { half_way_px };
-            let conditions = Conditions::new(self.blur_px, half_way_px, &self.noise, per_ground);
-            let settled = round > 0 && conditions == self.tables.conditions();
-            self.tables.choose(conditions, &self.noise);
-            if round == ROUNDS || settled {
+            let usual_px = self.radius_px(usual_px2);
+            let half_way_px =
+                if half_way_px > 1.25 * usual_px + REACH_PX { f64::INFINITY } else { half_way_px };
+            let wanted = Conditions::new(self.blur_px, half_way_px, &self.noise, self.per_ground);
+            let chosen = self.tables.chosen();
+            // What served the last image, or else what the last round said.
+            keeps &= chosen.is_some_and(|chosen| chosen.is_near(wanted));
+            let conditions = chosen.filter(|_| keeps).unwrap_or(wanted);
+            self.tables.choose(conditions, &self.noise, usual_px);
+            if round == ROUNDS || (round > 0 && chosen == Some(conditions)) {
                 break;
             }
-            self.samples.reserve();
+            self.samples.clear();
             for k in (0..samples).map(sample) {
                 let radius_px = self.radius_px(markers.area_px2[k]);
                 if let Some(form) = self.form(image, markers.centres_px[k], radius_px) {
-                    self.samples.radius.push(form.radius_px - radius_px);
-                    self.samples.blur.push(form.blur_px);
-                    self.samples.per_ground.push(form.per_ground);
-                    self.samples.contrast.push(form.contrast_levels);
+                    self.samples.push(&form, radius_px);
                 }
             }
-            let Samples { radius, blur, per_ground: shares, contrast } = &mut self.samples;
-            let (Some(wider_px), Some(blur_px), Some(share), Some(contrast_levels)) =
-                (median(radius), median(blur), median(shares), median(contrast))
-            else {
+            if !self.take_medians() {
                 break;
-            };
-            self.radius_off_px += wider_px.clamp(-0.5, 0.5);
-            (per_ground, self.contrast_levels) = (share, contrast_levels);
-            if self.given_blur_px.is_none() {
-                let near_px = blur_px.clamp(0.6 * self.blur_px, 1.6 * self.blur_px);
-                self.blur_px = near_px.clamp(*BLURS_PX.start(), *BLURS_PX.end());
             }
         }
+    }
+
+    /// Takes over what the samples say; whether there were any.
+    fn take_medians(&mut self) -> bool {
+        let Samples { radius, blur, per_ground, contrast } = &mut self.samples;
+        let medians = (median(radius), median(blur), median(per_ground), median(contrast));
+        let (Some(wider_px), Some(blur_px), Some(per_ground), Some(contrast_levels)) = medians else {
+            return false;
+        };
+        self.radius_off_px =
+            (self.radius_off_px + wider_px.clamp(-0.5, 0.5)).clamp(-MOST_OFF_PX, MOST_OFF_PX);
+        (self.per_ground, self.contrast_levels) = (per_ground, contrast_levels);
+        if self.given_blur_px.is_none() {
+            let near_px = blur_px.clamp(0.6 * self.blur_px, 1.6 * self.blur_px);
+            self.blur_px = near_px.clamp(*BLURS_PX.start(), *BLURS_PX.end());
+        }
+        true
     }
 
     /// What the disc at a place looks like.
@@ -104,12 +117,19 @@ impl Matched {
 }
 
 impl Samples {
-    /// Makes room, and begins anew.
-    fn reserve(&mut self) {
+    /// Begins anew, with room for all.
+    fn clear(&mut self) {
         for list in [&mut self.radius, &mut self.blur, &mut self.per_ground, &mut self.contrast] {
             list.clear();
             list.reserve(SAMPLES);
         }
+    }
+
+    fn push(&mut self, form: &Form, began_px: f64) {
+        self.radius.push(form.radius_px - began_px);
+        self.blur.push(form.blur_px);
+        self.per_ground.push(form.per_ground);
+        self.contrast.push(form.contrast_levels);
     }
 }
 

@@ -22,8 +22,8 @@ use crate::params::{DetectParams, Polarity};
 use correlate::Patch;
 use tables::{Kind, PLACES, Tables};
 
-/// Steps at most. A binary centroid needs one, a prediction two or three.
-const MOST_STEPS: usize = 4;
+/// Steps at most. A binary centroid needs one, a prediction two to four.
+const MOST_STEPS: usize = 6;
 /// A displacement from the weights' own place over the blur, below which a step is the last: what is left of it is below
 /// 0.005 px.
 const SETTLED: f64 = 0.27;
@@ -33,16 +33,16 @@ const SETTLED_LATER_PX: f64 = 0.4;
 const UNFITTED: f64 = 4.0;
 /// Standard deviations of what noise leaves that are chance.
 const CHANCE: f64 = 3.0;
-/// Responses beyond this are no displacements.
-const MOST_RESPONSE_PX: f64 = 1.5;
+/// Longest step.
+const LONGEST_PX: f64 = 1.0;
 /// Least contrast over the standard deviation of a pixel.
 const LEAST_CONTRAST: f64 = 1.0;
 /// Rms of what noise and model leave over the contrast, above which the patch is no single whole disc.
-pub(crate) const MOST_MISFIT: f64 = 0.12;
+pub const MOST_MISFIT: f64 = 0.12;
 
 /// A marker's centre by a matched step.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Refined {
+pub struct Refined {
     /// Centre, pixels.
     pub centre_px: DVec2,
     /// Its covariance, px², from the image's noise and grain.
@@ -56,7 +56,7 @@ pub(crate) struct Refined {
 
 /// The step, the weights made so far, and what was last learned of an image.
 #[derive(Clone, Debug)]
-pub(crate) struct Matched {
+pub struct Matched {
     given_blur_px: Option<f64>,
     bright: bool,
     noise: Noise,
@@ -65,6 +65,8 @@ pub(crate) struct Matched {
     radius_off_px: f64,
     /// Usual contrast, grey levels; 0 when nothing is known.
     contrast_levels: f64,
+    /// Usual contrast over the gel's level.
+    per_ground: f64,
     tables: Tables,
     patch: Patch,
     samples: learn::Samples,
@@ -82,14 +84,17 @@ struct Step {
 
 impl Matched {
     /// With these settings.
+    #[must_use]
     pub fn new(params: &DetectParams) -> Self {
+        let bright = params.polarity == Polarity::Bright;
         Self {
             given_blur_px: params.fit.blur_px,
-            bright: params.polarity == Polarity::Bright,
+            bright,
             noise: Noise::default(),
-            blur_px: learn::FIRST_BLUR_PX,
+            blur_px: params.fit.blur_px.unwrap_or(learn::FIRST_BLUR_PX),
             radius_off_px: 0.0,
             contrast_levels: 0.0,
+            per_ground: if bright { learn::BRIGHT_PER_GROUND } else { learn::DARK_PER_GROUND },
             tables: Tables::default(),
             patch: Patch::default(),
             samples: learn::Samples::default(),
@@ -104,13 +109,20 @@ impl Matched {
         self.learn(image, markers);
     }
 
-    /// Radius of a disc whose component has this area.
+    /// Standard deviation of all blur of the image that was last learned, pixels.
+    #[must_use]
+    pub const fn blur_px(&self) -> f64 {
+        self.blur_px
+    }
+
+    /// Radius of a disc whose component has this area, in the image that was last learned.
+    #[must_use]
     pub fn radius_px(&self, area_px2: u32) -> f64 {
         sqrt(f64::from(area_px2) * core::f64::consts::FRAC_1_PI) + self.radius_off_px
     }
 
     /// Replaces centre and covariance of a marker of the list, of which centre and area are known; whether it could.
-    pub fn replace(&mut self, image: GrayView<'_>, index: usize, markers: &mut Markers) -> bool {
+    pub(super) fn replace(&mut self, image: GrayView<'_>, index: usize, markers: &mut Markers) -> bool {
         let (near_px, radius_px) = (markers.centres_px[index], self.radius_px(markers.area_px2[index]));
         let found = self.refine(image, near_px, radius_px).filter(|refined| refined.misfit <= MOST_MISFIT);
         match found {
@@ -166,10 +178,12 @@ impl Matched {
         }
         let response = DVec2::new(sum(Kind::X), sum(Kind::Y)) * (set.px_per_unit / contrast);
         let long2 = response.length_squared();
-        if !(long2 <= MOST_RESPONSE_PX * MOST_RESPONSE_PX) {
-            return None;
-        }
-        let moved_px = response * (1.0 + set.bend_per_px2 * long2);
+        let moved_px = if long2 < LONGEST_PX * LONGEST_PX {
+            response * (1.0 + set.bend_per_px2 * long2)
+        } else {
+            // Far away only its direction is good for something.
+            response * (LONGEST_PX / sqrt(long2))
+        };
         Some(Step { set: index, place, at_px, moved_px, contrast, variances })
     }
 

@@ -24,9 +24,10 @@ const KINDS: usize = 6;
 const MOST_WEIGHT: f64 = 8191.0;
 /// The share of a disc is stored with so many fractional bits: its product with a contrast of 255 fits 16 bits.
 pub(super) const SHARE_BITS: u32 = 7;
-/// Room for numbers: a dozen discs 4 px wide at four places by four. Without room all are forgotten.
-const ROOM: usize = 1 << 18;
-const MOST_SETS: usize = 64;
+/// Sets there is room for, of discs as large as those of the first image. The markers of an image need two or three.
+const MOST_SETS: usize = 5;
+/// Larger discs than in the first image that are served: pixels more on a side of their support.
+const WIDER_PX: usize = 4;
 /// Sizes of grain over that of the design for which the variance is known.
 const SIZES: [f64; 3] = [0.7, 1.0, 1.4];
 
@@ -57,6 +58,22 @@ impl Conditions {
             grain_size: if grain == 0 { 2 } else { step(noise.grain_size_px, 0.7, 1.5, 5.0) },
             dot_slope: round(4.0 * per_ground).clamp(-4.0, 16.0) as i8,
         }
+    }
+
+    /// Whether weights for the others serve here too: they differ by a step at most, which costs less than a percent of
+    /// precision.
+    pub fn is_near(self, other: Self) -> bool {
+        let (dot_slope, other_slope) = (self.dot_slope, other.dot_slope);
+        let steps = [
+            self.blur.abs_diff(other.blur),
+            self.half_way.abs_diff(other.half_way),
+            self.grain.abs_diff(other.grain),
+            dot_slope.abs_diff(other_slope),
+        ];
+        // Without grain its size means nothing.
+        let sizes =
+            if self.grain.min(other.grain) <= 1 { 0 } else { self.grain_size.abs_diff(other.grain_size) };
+        steps.into_iter().chain([sizes]).all(|steps| steps <= 1)
     }
 
     /// Radius of the support of a disc: to the middle between neighbours at most, `None` if they are too near.
@@ -90,7 +107,6 @@ const RADII: usize = 60;
 /// The weights of one disc.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Set {
-    conditions: Conditions,
     radius: u8,
     /// Pixels on a side.
     pub side: usize,
@@ -135,7 +151,7 @@ enum Known {
     Set(usize, [f64; 2]),
 }
 
-/// All weights, and those of the conditions that hold.
+/// The weights that were made for the conditions that hold.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Tables {
     numbers: Vec<i16>,
@@ -143,22 +159,38 @@ pub(super) struct Tables {
     conditions: Conditions,
     noise: Noise,
     by_radius: Vec<Known>,
+    /// Most numbers, and most pixels on a side of a support.
+    room: usize,
+    most_side: usize,
     disc: Disc,
     design: Design,
 }
 
 impl Tables {
-    /// Chooses the conditions that hold from now on, and the noise of which variances follow. Room is taken when first
-    /// called.
-    pub fn choose(&mut self, conditions: Conditions, noise: &Noise) {
-        if self.by_radius.is_empty() {
-            self.numbers.reserve(ROOM);
-            self.sets.reserve(MOST_SETS);
+    /// Chooses the conditions that hold from now on, and the noise of which variances follow. Weights for other conditions
+    /// are forgotten. Room is taken for discs of about this radius, anew only for much larger ones.
+    pub fn choose(&mut self, conditions: Conditions, noise: &Noise, usual_px: f64) {
+        let widest = Support::new((usual_px + REACH_PX).clamp(4.0, 0.5 * MOST_SIDE_PX as f64));
+        let wider = widest.side > self.most_side;
+        if wider {
+            self.most_side = (widest.side + WIDER_PX).min(MOST_SIDE_PX);
+            self.room = MOST_SETS * needed(widest.side);
+            self.design.reserve(self.most_side);
             self.by_radius.resize(RADII, Known::Nothing);
-            self.design.reserve();
+        }
+        if wider || conditions != self.conditions {
+            self.sets.clear();
+            self.numbers.clear();
+            self.numbers.reserve(self.room);
+            self.sets.reserve(MOST_SETS);
         }
         self.by_radius.fill(Known::Nothing);
         (self.conditions, self.noise) = (conditions, *noise);
+    }
+
+    /// The conditions that hold, once there are any.
+    pub fn chosen(&self) -> Option<Conditions> {
+        (!self.by_radius.is_empty()).then_some(self.conditions)
     }
 
     pub const fn conditions(&self) -> Conditions {
@@ -202,24 +234,20 @@ impl Tables {
     }
 
     fn look(&mut self, step: usize) -> Option<usize> {
-        let same = |set: &Set| set.conditions == self.conditions && usize::from(set.radius) == step;
+        let same = |set: &Set| usize::from(set.radius) == step;
         self.sets.iter().position(same).or_else(|| self.make(step))
     }
 
     fn make(&mut self, step: usize) -> Option<usize> {
         let radius_px = RADIUS_STEP_PX * step as f64;
         let support = Support::new(self.conditions.reach_px(radius_px)?);
-        if !(radius_px >= 0.75 && support.side <= MOST_SIDE_PX) {
+        let needed = needed(support.side);
+        let room = self.sets.len() < MOST_SETS && self.numbers.len() + needed <= self.room;
+        if !(radius_px >= 0.75 && support.side <= self.most_side && room) {
             return None;
         }
         let side = support.side;
         let count = numbers(side);
-        let needed = (PLACES * PLACES * KINDS + 1) * count;
-        if self.sets.len() == MOST_SETS || self.numbers.len() + needed > ROOM {
-            self.sets.clear();
-            self.numbers.clear();
-            self.by_radius.fill(Known::Nothing);
-        }
         let first = self.numbers.len();
         self.numbers.resize(first + needed, 0);
         let found = self.fill(first, support, radius_px);
@@ -239,7 +267,6 @@ impl Tables {
             }
         }
         self.sets.push(Set {
-            conditions: self.conditions,
             radius: step as u8,
             side,
             pixels,
@@ -294,6 +321,11 @@ impl Tables {
         }
         Some([units[0], units[1], units[2], bend, gains[0], gains[1], gains[2], gains[3]])
     }
+}
+
+/// Numbers of a set whose support has so many pixels on a side.
+const fn needed(side: usize) -> usize {
+    (PLACES * PLACES * KINDS + 1) * numbers(side)
 }
 
 /// Writes the kernels of one place, mirrored about the middle column, row or both.
