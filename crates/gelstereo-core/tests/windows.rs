@@ -28,11 +28,12 @@ fn windows(params: &DetectParams, image: &[u8], width: usize, at: &[DVec2], reac
     found
 }
 
-/// Expected positions up to 3 px off. The search of the whole image weighs the same pixels, but its windows may lie a pixel
-/// away, so that other corners tell the gel's slope. Each corner is the mean of 9 pixels, 13 px apart: the slope is known to
-/// noise / 39 a pixel, and over the 40 pixels of the edge, at a mean squared distance of 9 px², against weights of 58 times half
-/// of 120 levels, shifts the centre by 0.1 / 39 px per level of noise, here 0.005 px. A maximum of 1250 differences is 5 times that,
-/// and rounding to whole levels as much again.
+/// Expected positions up to 3 px off. The search of the whole image weighs the same pixels, but its windows
+/// may lie a pixel away, so that other corners tell the gel's slope. Each corner is the mean of 9 pixels, 13
+/// px apart: the slope is known to noise / 39 a pixel, and over the 40 pixels of the edge, at a mean squared
+/// distance of 9 px², against weights of 58 times half of 120 levels, shifts the centre by 0.1 / 39 px per
+/// level of noise, here 0.005 px. A maximum of 1250 differences is 5 times that, and rounding to whole levels
+/// as much again.
 #[test]
 fn markers_are_found_in_windows_as_in_the_whole_image() {
     let truth = paper_lattice();
@@ -54,8 +55,9 @@ fn markers_are_found_in_windows_as_in_the_whole_image() {
     }
 }
 
-/// Both steps leave 0.005 px each at most, and began at different places of the weights' grid with other radii: what noise does
-/// to them differs by less than the standard deviation of one coordinate, on both axes.
+/// Both steps leave 0.005 px each at most, and began at different places of the weights' grid with other
+/// radii: what noise does to them differs by less than the standard deviation of one coordinate, on both
+/// axes.
 #[test]
 fn matched_steps_from_windows_end_where_those_of_the_whole_image_do() {
     let truth = paper_lattice();
@@ -73,8 +75,8 @@ fn matched_steps_from_windows_end_where_those_of_the_whole_image_do() {
     }
 }
 
-/// A marker that is not there, one beyond the lattice, one that the border cuts, two that touch, and a place outside the
-/// image are not found.
+/// A marker that is not there, one beyond the lattice, one that the border cuts, two that touch, and a place
+/// outside the image are not found.
 #[test]
 fn what_is_no_single_marker_is_not_found() {
     let mut centres = lattice(5, 7, 17.0, DVec2::new(80.2, 60.1), 0.0, 0.0);
@@ -156,8 +158,8 @@ fn markers_are_found_in_windows_under_all_conditions() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Whatever the image: every marker belongs to one position and lies within its reach; bright markers are dark ones of the
-    /// inverted image; and a second look sees the same bits.
+    /// Whatever the image: every marker belongs to one position and lies within its reach; bright markers are
+    /// dark ones of the inverted image; and a second look sees the same bits.
     #[test]
     fn any_image_is_searched_alike_twice(
         (width, bytes) in (16..80_usize, 12..60_usize).prop_flat_map(|(width, height)| {

@@ -95,22 +95,24 @@ fn errors(centre: Centre, pictures: &[Picture]) -> (f64, f64, f64) {
 fn covariances_are_calibrated_on_presses() {
     for condition in &CONDITIONS {
         let pictures: Vec<_> = (1..=3).flat_map(|seed| condition.pictures(seed)).collect();
-        let [fit, step] = [Centre::Fit, Centre::Matched].map(|centre| {
-            let (nees, rms_px, count) = errors(centre, &pictures);
-            println!(
-                "{:24} {centre:?} rms {rms_px:.4} px, normalised squared errors {nees:.3}",
-                condition.name
-            );
-            let band = 2.6 / (0.5 * count).sqrt() + 0.03;
-            let off = nees - 1.0;
-            assert!(
-                off.abs() < band,
-                "{}, {centre:?}: {nees} is {off:+.3} off, band {band:.3}",
-                condition.name
-            );
-            rms_px
-        });
-        // The step is an approximation of the fit: a tenth more than its error at most.
-        assert!(step < 1.1 * fit, "{}: {step} {fit}", condition.name);
+        let (nees, rms_px, count) = errors(Centre::Fit, &pictures);
+        println!("{:24} rms {rms_px:.4} px, normalised squared errors {nees:.3}", condition.name);
+        let band = 2.6 / (0.5 * count).sqrt() + 0.03;
+        let off = nees - 1.0;
+        assert!(off.abs() < band, "{}: {nees} is {off:+.3} off, band {band:.3}", condition.name);
+    }
+}
+
+/// As above for the matched step, whose error is at most a tenth more than that of the fit, which it approximates.
+#[test]
+fn matched_steps_are_calibrated_and_nearly_as_good_as_the_fit() {
+    for condition in &CONDITIONS {
+        let pictures: Vec<_> = (1..=3).flat_map(|seed| condition.pictures(seed)).collect();
+        let (nees, rms_px, count) = errors(Centre::Matched, &pictures);
+        println!("{:24} rms {rms_px:.4} px, normalised squared errors {nees:.3}", condition.name);
+        let band = 2.6 / (0.5 * count).sqrt() + 0.03;
+        assert!((nees - 1.0).abs() < band, "{}: {nees}, band {band:.3}", condition.name);
+        let (_, fit_px, _) = errors(Centre::Fit, &pictures);
+        assert!(rms_px < 1.1 * fit_px, "{}: {rms_px} {fit_px}", condition.name);
     }
 }

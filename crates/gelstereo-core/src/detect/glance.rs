@@ -1,7 +1,9 @@
-//! What a small window around an expected position shows, at a glance: one marker, nothing, or something else.
+//! What a small window around an expected position shows, at a glance: one marker, nothing, or something
+//! else.
 //!
-//! Light, threshold and moments come from the window alone, by loops of fixed length over rows of whole numbers, which
-//! compile to vector code. What is not clearly one marker is left to those who look closer ([`super::near`]).
+//! Light, threshold and moments come from the window alone, by loops of fixed length over rows of whole
+//! numbers, which compile to vector code. What is not clearly one marker is left to those who look closer
+//! ([`super::near`]).
 
 use crate::image::GrayView;
 use crate::math::DVec2;
@@ -21,8 +23,8 @@ const OFF_PX: f64 = 1.0;
 /// Windows tried for one position.
 const TRIES: usize = 3;
 
-/// Contrasts that count, as shares of that of the window's darkest pixel: noise of the gel lies below, grain of the
-/// paint above.
+/// Contrasts that count, as shares of that of the window's darkest pixel: noise of the gel lies below, grain
+/// of the paint above.
 const BAND: (f64, f64) = (0.2, 0.7);
 
 /// Contrasts of less than this share of the usual one are no marker; and no marker has less than the second.
@@ -34,8 +36,8 @@ const MOST_UNEVEN: f64 = 0.35;
 /// Shares of the usual area that a marker may have.
 const SHARES_OF_AREA: (f64, f64) = (0.4, 2.0);
 
-/// A disc's second moment about its centre is area / 2 pi in each axis together; ellipses of 1 : 2 have 1.25 times as much, two
-/// pieces more.
+/// A disc's second moment about its centre is area / 2 pi in each axis together; ellipses of 1 : 2 have 1.25
+/// times as much, two pieces more.
 const MOST_SPREAD: f64 = 1.35;
 
 /// What blur adds to it, px².
@@ -309,7 +311,8 @@ impl<const L: usize> Eye<L> {
         &self.kind
     }
 
-    /// The usual contrast around positions, grey levels: their mean, each weighted by its square, so that empty places carry none.
+    /// The usual contrast around positions, grey levels: their mean, each weighted by its square, so that
+    /// empty places carry none.
     pub fn usual_contrast<'p>(
         &self,
         image: GrayView<'_>,

@@ -138,6 +138,12 @@ impl Detector {
         }
     }
 
+    /// Forgets what was learned of earlier images (the weights of [`Centre::Matched`]), so that the next one has the same
+    /// bits as a first one.
+    pub fn reset(&mut self) {
+        self.matched.forget();
+    }
+
     /// Finds the markers; `out` is cleared first. No allocation after the first image of a size.
     ///
     /// A component that reaches the outermost pixels of the image is listed in [`Markers::cut`]: what the border cut off is

@@ -13,10 +13,12 @@ use alloc::vec::Vec;
 /// Windows from which an image's usual contrast is taken, spread evenly over the positions.
 const SAMPLES: usize = 64;
 
-/// Of all pixels of a window, this share is not brighter than the gel: where gel is seen at all, half of the rest.
+/// Of all pixels of a window, this share is not brighter than the gel: where gel is seen at all, half of the
+/// rest.
 const GEL_SHARE: f64 = 0.75;
 
-/// Share of the contrast at which pieces are outlined; and of the usual contrast, the least contrast they have.
+/// Share of the contrast at which pieces are outlined; and of the usual contrast, the least contrast they
+/// have.
 const SHARE: f64 = 0.5;
 const LEAST_OF_USUAL: f64 = 0.45;
 
@@ -54,7 +56,8 @@ impl Glances {
 }
 
 impl Detector {
-    /// Whether markers of a usual area that stand a pitch apart can be searched by [`Self::run_windows`] with these settings.
+    /// Whether markers of a usual area that stand a pitch apart can be searched by [`Self::run_windows`] with
+    /// these settings.
     #[must_use]
     pub fn kind_for_windows(&self, usual_area_px2: f64, pitch_px: f64) -> Option<Kind> {
         let suits = self.params.threshold == Threshold::Auto
@@ -76,12 +79,13 @@ impl Detector {
         out.sights.reserve(positions);
     }
 
-    /// Looks for one marker within `reach_px` of each expected position, in both axes, reading windows of the image only.
-    /// `out` is cleared first.
+    /// Looks for one marker within `reach_px` of each expected position, in both axes, reading windows of the
+    /// image only. `out` is cleared first.
     ///
-    /// Most windows show one marker or nothing at a glance. What they do not is searched again as pieces of the
-    /// square within reach, as [`Self::run_near`] does, but by the light in that square. No marker is
-    /// given twice. A matched step starts from the band's centre, with weights that the last [`Self::run`] chose. No allocation after [`Self::reserve_windows`].
+    /// Most windows show one marker or nothing at a glance. What they do not is searched again as pieces of
+    /// the square within reach, as [`Self::run_near`] does, but by the light in that square. No marker is
+    /// given twice. A matched step starts from the band's centre, with weights that the last [`Self::run`]
+    /// chose. No allocation after [`Self::reserve_windows`].
     pub fn run_windows(
         &mut self,
         image: GrayView<'_>,
@@ -100,8 +104,8 @@ impl Detector {
         }
         self.share_out(expected_px, kind, (image.width(), image.height()), out);
         if self.params.centre == Centre::Matched {
-            // With the weights for what the last image that was searched whole showed, and the usual radius, which is known better
-            // than that of a single window.
+            // With the weights for what the last image that was searched whole showed, and the usual radius,
+            // which is known better than that of a single window.
             let usual_px2 = crate::math::round(kind.usual_area_px2()) as u32;
             for marker in 0..out.markers.centres_px.len() {
                 let area_px2 = core::mem::replace(&mut out.markers.area_px2[marker], usual_px2);
@@ -230,8 +234,8 @@ impl Detector {
     }
 }
 
-/// Level below which pixels of a square are darker than half way from its gel to its darkest; `None` where nothing is as dark as a
-/// marker of an image with this usual contrast.
+/// Level below which pixels of a square are darker than half way from its gel to its darkest; `None` where
+/// nothing is as dark as a marker of an image with this usual contrast.
 fn outline_level(levels: impl Iterator<Item = u8> + Clone, usual: f64) -> Option<u8> {
     let mut histogram = [0_u32; 256];
     levels.for_each(|level| histogram[usize::from(level)] += 1);

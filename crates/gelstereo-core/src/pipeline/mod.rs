@@ -83,6 +83,8 @@ impl Pipeline {
     pub fn reset(&mut self) {
         self.rest = None;
         self.frames = 0;
+        self.left.forget();
+        self.right.forget();
     }
 
     /// Measures [`Frame::motion_px`] from the last processed frame on: the paper's "moment before grasping" or

@@ -55,6 +55,11 @@ impl ViewStages {
         }
     }
 
+    /// Forgets what detection learned of earlier images.
+    pub fn forget(&mut self) {
+        self.detector.reset();
+    }
+
     pub fn check_size(&self, image: &GrayView<'_>) -> Result<(), PipelineError> {
         let found = (image.width(), image.height());
         if found == self.size_px {

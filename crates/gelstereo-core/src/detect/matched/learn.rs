@@ -15,6 +15,8 @@ pub(super) const FIRST_BLUR_PX: f64 = 0.8;
 /// Contrast over the gel's level to begin with: paint that takes 70 % of the light, gel that does.
 pub(super) const DARK_PER_GROUND: f64 = -0.7;
 pub(super) const BRIGHT_PER_GROUND: f64 = 2.3;
+/// Change of the usual radius that changes no weights.
+const SAME_RADIUS_PX: f64 = 0.1;
 /// Radius of a disc beyond that of its component, at most.
 const MOST_OFF_PX: f64 = 1.5;
 /// Blurs that are believed.
@@ -74,21 +76,23 @@ impl Matched {
                     self.samples.push(&form, radius_px);
                 }
             }
-            if !self.take_medians() {
+            if !self.take_medians(keeps) {
                 break;
             }
         }
     }
 
-    /// Takes over what the samples say; whether there were any.
-    fn take_medians(&mut self) -> bool {
+    /// Takes over what the samples say, a radius that still serves excepted; whether there were any.
+    fn take_medians(&mut self, keeps: bool) -> bool {
         let Samples { radius, blur, per_ground, contrast } = &mut self.samples;
         let medians = (median(radius), median(blur), median(per_ground), median(contrast));
         let (Some(wider_px), Some(blur_px), Some(per_ground), Some(contrast_levels)) = medians else {
             return false;
         };
-        self.radius_off_px =
-            (self.radius_off_px + wider_px.clamp(-0.5, 0.5)).clamp(-MOST_OFF_PX, MOST_OFF_PX);
+        if !keeps || crate::math::abs(wider_px) > SAME_RADIUS_PX {
+            let off_px = self.radius_off_px + wider_px.clamp(-0.5, 0.5);
+            self.radius_off_px = off_px.clamp(-MOST_OFF_PX, MOST_OFF_PX);
+        }
         (self.per_ground, self.contrast_levels) = (per_ground, contrast_levels);
         if self.given_blur_px.is_none() {
             let near_px = blur_px.clamp(0.6 * self.blur_px, 1.6 * self.blur_px);

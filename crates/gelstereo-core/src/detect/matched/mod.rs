@@ -101,9 +101,18 @@ impl Matched {
         }
     }
 
+    /// Forgets what was learned, but keeps its room.
+    pub fn forget(&mut self) {
+        self.noise = Noise::default();
+        self.blur_px = self.given_blur_px.unwrap_or(learn::FIRST_BLUR_PX);
+        (self.radius_off_px, self.contrast_levels) = (0.0, 0.0);
+        self.per_ground = if self.bright { learn::BRIGHT_PER_GROUND } else { learn::DARK_PER_GROUND };
+        self.tables.forget();
+    }
+
     /// Learns blur and radius of an image's discs from some of its markers, given by their approximate centres and areas,
-    /// and chooses the weights for that, for its noise and for the distance of neighbours. What was learned serves later
-    /// images of the same camera and light.
+    /// and chooses the weights for that, for its noise and for the distance of neighbours. Weights are kept from image to
+    /// image as long as they serve.
     pub fn prepare(&mut self, image: GrayView<'_>, noise: Noise, markers: &Markers) {
         self.noise = noise;
         self.learn(image, markers);
@@ -150,7 +159,7 @@ impl Matched {
     /// leaves the image, nothing of that polarity is there, or steps do not settle.
     #[inline]
     pub fn refine(&mut self, image: GrayView<'_>, near_px: DVec2, radius_px: f64) -> Option<Refined> {
-        let (mut near, mut settled_px) = (near_px, SETTLED * self.blur_px);
+        let (mut near, mut settled_px) = (near_px, SETTLED * self.tables.blur_px());
         for _ in 0..MOST_STEPS {
             let step = self.step(image, near, radius_px)?;
             near = step.at_px + step.moved_px;

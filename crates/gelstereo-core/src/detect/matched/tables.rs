@@ -50,7 +50,7 @@ impl Conditions {
             round(ln(value / first) / ln(ratio)).clamp(0.0, most) as u8
         };
         let share = noise.grain_levels2 / noise.white_levels2;
-        let grain = if share < 0.03 { 0 } else { 1 + step(share, 0.125, 4.0, 3.0) };
+        let grain = if share < 0.03 { 0 } else { 1 + step(share, 0.125, 2.0, 6.0) };
         Self {
             blur: step(blur_px, LEAST_BLUR_PX, BLUR_STEP, 40.0),
             half_way: floor(4.0 * half_way_px) as u8,
@@ -72,7 +72,7 @@ impl Conditions {
         ];
         // Without grain its size means nothing.
         let sizes =
-            if self.grain.min(other.grain) <= 1 { 0 } else { self.grain_size.abs_diff(other.grain_size) };
+            if self.grain.min(other.grain) <= 2 { 0 } else { self.grain_size.abs_diff(other.grain_size) };
         steps.into_iter().chain([sizes]).all(|steps| steps <= 1)
     }
 
@@ -88,7 +88,7 @@ impl Conditions {
 
     fn noise(self) -> Noise {
         let grain_levels2 =
-            if self.grain == 0 { 0.0 } else { 0.125 * exp(f64::from(self.grain - 1) * ln(4.0)) };
+            if self.grain == 0 { 0.0 } else { 0.125 * exp(f64::from(self.grain - 1) * ln(2.0)) };
         let grain_size_px = 0.7 * exp(f64::from(self.grain_size) * ln(1.5));
         Noise { white_levels2: 1.0, grain_levels2, grain_size_px, gel_level: 0.0 }
     }
@@ -156,7 +156,9 @@ enum Known {
 pub(super) struct Tables {
     numbers: Vec<i16>,
     sets: Vec<Set>,
+    chosen: bool,
     conditions: Conditions,
+    blur_px: f64,
     noise: Noise,
     by_radius: Vec<Known>,
     /// Most numbers, and most pixels on a side of a support.
@@ -178,19 +180,33 @@ impl Tables {
             self.design.reserve(self.most_side);
             self.by_radius.resize(RADII, Known::Nothing);
         }
-        if wider || conditions != self.conditions {
+        if wider || self.chosen().is_none_or(|chosen| chosen != conditions) {
+            self.blur_px = conditions.blur_px();
             self.sets.clear();
             self.numbers.clear();
             self.numbers.reserve(self.room);
             self.sets.reserve(MOST_SETS);
         }
         self.by_radius.fill(Known::Nothing);
-        (self.conditions, self.noise) = (conditions, *noise);
+        (self.chosen, self.conditions, self.noise) = (true, conditions, *noise);
     }
 
     /// The conditions that hold, once there are any.
     pub fn chosen(&self) -> Option<Conditions> {
-        (!self.by_radius.is_empty()).then_some(self.conditions)
+        self.chosen.then_some(self.conditions)
+    }
+
+    /// Forgets the conditions and all weights.
+    pub fn forget(&mut self) {
+        self.chosen = false;
+        self.sets.clear();
+        self.numbers.clear();
+        self.by_radius.fill(Known::None);
+    }
+
+    /// Standard deviation of the blur that the weights are for, pixels.
+    pub const fn blur_px(&self) -> f64 {
+        self.blur_px
     }
 
     pub const fn conditions(&self) -> Conditions {
@@ -285,7 +301,7 @@ impl Tables {
     /// Fills a set's kernels: units of displacement, contrast and form, bend and four gains.
     fn fill(&mut self, first: usize, support: Support, radius_px: f64) -> Option<[f64; 8]> {
         let noise = self.conditions.noise();
-        self.disc.draw(radius_px, self.conditions.blur_px());
+        self.disc.draw(radius_px, self.blur_px);
         let (mut units, mut bend, mut gains) = ([0.0; 3], 0.0, [0.0; 4]);
         let half = PLACES / 2;
         let off = |k: usize| (k as f64 + 0.5) / PLACES as f64 - 0.5;
