@@ -107,6 +107,14 @@ impl<'a> GrayView<'a> {
         &self.data[y * self.stride..y * self.stride + self.width]
     }
 
+    /// The `L` bytes from column `x` on of each row from `y` on; none where the image is narrower.
+    pub(crate) fn lanes<const L: usize>(&self, x: usize, y: usize) -> impl Iterator<Item = &'a [u8; L]> {
+        let data = self.data.get(y * self.stride + x..).unwrap_or_default();
+        let left = self.width.saturating_sub(x);
+        let rows = data.chunks(self.stride).take(if left < L { 0 } else { self.height.saturating_sub(y) });
+        rows.map_while(|row| row.first_chunk::<L>())
+    }
+
     /// The part of `width` x `height` pixels whose first pixel is (`x`, `y`), without copying.
     ///
     /// # Errors

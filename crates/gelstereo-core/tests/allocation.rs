@@ -61,6 +61,7 @@ fn detection_allocates_for_the_first_image_only() {
         for (centre, kernel_px) in [
             (Centre::Binary, 1),
             (Centre::Grey, 1),
+            (Centre::Band, 1),
             (Centre::Grey, 5),
             (Centre::Matched, 1),
             (Centre::Fit, 1),
@@ -99,6 +100,19 @@ fn the_search_near_positions_allocates_for_the_first_image_only() {
             assert_eq!(allocations(|| [&noise, &few, &noise].into_iter().for_each(|i| search(i))), 0);
         }
     }
+}
+
+#[test]
+fn the_search_in_windows_allocates_nothing_once_there_is_room() {
+    let truth = paper_lattice();
+    let few = Dots::new(640, 480, truth[..100].to_vec()).render();
+    let mut stream = Stream::new(1, "noise");
+    let noise: Vec<u8> = (0..640 * 480).map(|_| stream.next_u64() as u8).collect();
+    let mut detector = Detector::new(&Params::preset("balanced").unwrap().detect);
+    let (kind, mut found) = (detector.kind_for_windows(58.0, 17.6).unwrap(), Found::default());
+    assert!(allocations(|| detector.reserve_windows(truth.len(), &kind, (640, 480), &mut found)) > 0);
+    let mut search = |image: &[u8]| detector.run_windows(view(image, 640), &truth, (&kind, 8.8), &mut found);
+    assert_eq!(allocations(|| [&noise, &few, &noise].into_iter().for_each(|i| search(i))), 0);
 }
 
 #[test]

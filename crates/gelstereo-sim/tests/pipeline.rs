@@ -3,7 +3,7 @@
 use gelstereo_core::digest::Digest;
 use gelstereo_core::image::GrayView;
 use gelstereo_core::math::{DVec3, Pose};
-use gelstereo_core::params::{LabelMethod, Motion, Params, Saliency};
+use gelstereo_core::params::{LabelMethod, Motion, Params, Saliency, Search};
 use gelstereo_core::pipeline::{Frame, LabelSource, Pipeline, PipelineError, View};
 use gelstereo_core::track::MarkerState;
 use gelstereo_core::triangulate::{TriangulateError, Triangulator};
@@ -161,10 +161,10 @@ fn row_34_one_thread_or_two_and_any_repeat_give_the_same_bits() {
 #[test]
 fn row_34_the_bits_of_a_fixed_scene_are_known() {
     let known = [
-        ("paper", 0x0d31_dca8_665e_5334),
-        ("fast", 0x8a99_f7b2_a514_5d9d),
-        ("balanced", 0x7695_2d99_e486_9099),
-        ("exact", 0x9120_b00b_9cb1_4f6c),
+        ("paper", 0x244c_4e9e_0321_9249),
+        ("fast", 0x81c2_b20a_f9e3_5c2d),
+        ("balanced", 0x1e86_56be_b16b_3868),
+        ("exact", 0x2f18_039f_d219_d08d),
     ];
     assert_eq!(known.map(|(preset, _)| preset), Params::PRESETS, "every preset has its digest");
     let found = known.map(|(preset, _)| {
@@ -274,6 +274,8 @@ fn images_of_another_size_and_settings_that_make_no_sense_are_refused() {
 #[test]
 fn checked_tracks_agree_with_unchecked_ones() {
     let mut params = Params::preset("balanced").unwrap();
+    // Windows lie where markers are predicted, and each tracker predicts in its own way.
+    params.detect.search = Search::Whole;
     params.label.method = LabelMethod::Temporal;
     let (_, unchecked, truth) = run(&scene(vec![[0, 0]]), &params, false);
     params.label.method = LabelMethod::Lattice;

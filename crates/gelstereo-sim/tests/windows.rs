@@ -15,7 +15,7 @@ const WHOLE: [Searched; 2] = [Searched::Whole; 2];
 type Pair = [Vec<u8>; 2];
 
 fn params(method: LabelMethod, search: Search) -> Params {
-    let mut params = Params::preset("balanced").unwrap();
+    let mut params = Params::preset("fast").unwrap();
     (params.detect.background, params.detect.threshold) = (Background::Blocks, Threshold::Auto);
     (params.detect.search, params.label.method) = (search, method);
     params.track.motion = Motion::ConstantVelocity;
@@ -48,8 +48,9 @@ fn process(pipeline: &mut Pipeline, [left, right]: &Pair, frame: &mut Frame) -> 
     [frame.left.searched, frame.right.searched]
 }
 
-/// Both searches threshold and weigh the same pixels, but may take light and noise from different samples of the image: the
-/// centres then differ by a part of their own standard deviation (`detect.centre_sigma_px`), never by more than it.
+/// Both searches weigh the same pixels, but windows lie where markers are predicted, or where the whole image's components
+/// are, and take the gel's light from their own corners: the centres then differ by a part of their own standard deviation
+/// (`detect.centre_sigma_px`), never by more than it.
 #[test]
 fn presses_are_followed_in_windows_as_in_the_whole_image() {
     let (pairs, rig) = (presses(), Scene::default_rig());

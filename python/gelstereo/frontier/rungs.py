@@ -54,6 +54,11 @@ RUNGS = (
     ),
     Rung(
         "detect",
+        "blocks + auto + band",
+        {"detect": {"background": "blocks", "threshold": "auto", "centre": "band"}},
+    ),
+    Rung(
+        "detect",
         "blocks + auto + matched",
         {"detect": {"background": "blocks", "threshold": "auto", "centre": "matched"}},
     ),
@@ -76,7 +81,7 @@ RUNGS = (
     Rung("register", "icp_plane", {"register": {"method": "icp_plane"}}),
     Rung("whole", "preset paper"),
     Rung("whole", FAST, preset="fast"),
-    Rung("whole", "fast in windows", {"detect": {"search": "windows"}}, "fast"),
+    Rung("whole", "fast, whole images", {"detect": {"search": "whole"}}, "fast"),
     Rung("whole", "preset balanced", preset="balanced"),
     Rung("whole", EXACT, preset="exact"),
 )

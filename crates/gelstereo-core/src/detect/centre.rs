@@ -53,6 +53,13 @@ impl Columns {
 }
 
 impl GreyCentre {
+    /// Forgets the last component and makes room for the tallest and widest that there can be.
+    pub fn reserve(&mut self, (width, height): (usize, usize)) {
+        self.spans.clear();
+        self.spans.reserve(height + 2 * MARGIN_PX as usize);
+        self.columns.reserve(width);
+    }
+
     /// The centre of a component with these runs. Falls back to [`binary`] where too little of the surround lies
     /// within the image to lay a plane through it.
     #[must_use]
@@ -63,7 +70,7 @@ impl GreyCentre {
         runs: impl Iterator<Item = &'a Run> + Clone,
         polarity: Polarity,
     ) -> DVec2 {
-        self.reserve(image);
+        self.reserve((image.width(), image.height()));
         self.grow(blob, runs.clone());
         let window = Window::new(image, blob, &self.spans);
         let Some(surround) = window.surround() else {
@@ -81,13 +88,6 @@ impl GreyCentre {
         };
         let half = 0.5 / weight as f64;
         window.middle() + DVec2::new(moment_u as f64 * half, moment_v as f64 * half)
-    }
-
-    /// Makes room for the tallest and widest component there can be.
-    pub(super) fn reserve(&mut self, image: GrayView<'_>) {
-        self.spans.clear();
-        self.spans.reserve(image.height() + 2 * MARGIN_PX as usize);
-        self.columns.reserve(image.width());
     }
 
     fn grow<'a>(&mut self, blob: &Blob, runs: impl Iterator<Item = &'a Run>) {

@@ -234,6 +234,9 @@ impl Components {
         // The column at which the open run starts.
         let mut open = None;
         for (x, word) in (0_u32..).step_by(8).zip(words.iter().chain([&last])) {
+            if open.is_none() && *word == [0; 8] {
+                continue;
+            }
             let set = bits(*word);
             let mut edges = (set ^ (set << 1) ^ u32::from(open.is_some())) & 0xff;
             while edges != 0 {

@@ -8,6 +8,7 @@ pub mod components;
 mod difference;
 mod error;
 pub mod fit;
+pub mod glance;
 pub mod matched;
 pub mod morphology;
 pub mod near;
@@ -15,6 +16,7 @@ pub mod noise;
 pub mod pieces;
 pub mod smooth;
 pub mod threshold;
+mod windows;
 
 pub use error::DetectError;
 
@@ -28,9 +30,11 @@ use centre::GreyCentre;
 use components::{Blob, Components, Most};
 use difference::Difference;
 use fit::{DiscFit, NoiseMeter};
+use glance::{Eye, Kind};
 use matched::Matched;
 use morphology::Closing;
 use near::Search;
+use windows::Glances;
 
 /// Markers found in one image, in the raster order of their first pixels.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -115,6 +119,7 @@ pub struct Detector {
     mask: Vec<u8>,
     areas_px2: Vec<u32>,
     near: Search,
+    glances: Glances,
 }
 
 impl Detector {
@@ -134,6 +139,7 @@ impl Detector {
             mask: Vec::new(),
             areas_px2: Vec::new(),
             near: Search::default(),
+            glances: Glances::default(),
         }
     }
 
@@ -154,6 +160,7 @@ impl Detector {
         out.clear();
         self.check(image)?;
         self.find_components(image)?;
+        let flip = self.flip();
         let Self { params, difference, components, grey_centre, disc_fit, matched, meter, areas_px2, .. } = self;
         let most = most_markers(params, (image.width(), image.height()));
         // Along the border every second pixel at most begins a marker.
@@ -175,12 +182,17 @@ impl Detector {
         let (least_px2, most_px2) = area_range_px2(params.threshold, usual_px2);
         let variance = params.centre_sigma_px * params.centre_sigma_px;
         let in_range = |blob: &&Blob| (least_px2..=most_px2).contains(&blob.area_px2);
+        let kind = Kind::of(usual_px2).filter(|_| params.centre == Centre::Band);
+        let at_a_glance = |at_px| match kind? {
+            kind if kind.is_small() => Eye::<16>::new(kind, flip).centre(image, at_px),
+            kind => Eye::<32>::new(kind, flip).centre(image, at_px),
+        };
         for blob in whole.clone().filter(in_range) {
+            let mut grey = || grey_centre.run(image, blob, components.runs(blob), params.polarity);
             let centre_px = match params.centre {
                 Centre::Binary | Centre::Matched => centre::binary(blob),
-                Centre::Grey | Centre::Fit => {
-                    grey_centre.run(image, blob, components.runs(blob), params.polarity)
-                }
+                Centre::Band => at_a_glance(centre::binary(blob)).unwrap_or_else(grey),
+                Centre::Grey | Centre::Fit => grey(),
             };
             out.push(centre_px, [[variance, 0.0], [0.0, variance]], blob.area_px2);
             if let Some(fit) = disc_fit.as_mut() {
@@ -197,7 +209,7 @@ impl Detector {
             let every = rows_between(size_px.1);
             let noise = meter.run_rows(image, every, |rows, near| components.cover(rows, near));
             matched.prepare(image, noise.unwrap_or_default(), out);
-            grey_centre.reserve(image);
+            grey_centre.reserve((image.width(), image.height()));
             for (k, blob) in whole.filter(in_range).enumerate() {
                 if !matched.replace(image, k, out) {
                     out.centres_px[k] = grey_centre.run(image, blob, components.runs(blob), params.polarity);

@@ -49,6 +49,9 @@ pub enum Centre {
     Binary,
     /// Mean position weighted by contrast over the component and its border: about 0.06 px rms.
     Grey,
+    /// The same over a square about the marker, from a fifth to seven tenths of its largest contrast: 0.046 px rms,
+    /// 0.2 µs a marker. Markers that do not lie alone in that square get the `grey` centre.
+    Band,
     /// One step of a matched template from the mean position: 0.032 px rms, 4 % more than the model fit of the same images,
     /// with a covariance per marker from the image's noise and grain, at two thirds of the grey centroid's instructions.
     /// Where it does not serve (beside the border, merged, smeared) the grey centroid does. The first image takes some
@@ -68,8 +71,10 @@ pub enum Search {
     Whole,
     /// As long as the labels are certain: half a pitch around each marker's predicted position, and around places one pitch
     /// outside the lattice. The same frame is searched whole when one of those places shows a marker, when many windows
-    /// show none, or when the labels are not certain. Markers have the same centres either way; it is a fifth slower today,
-    /// for thresholds are still taken from the whole image.
+    /// show none, or when the labels are not certain. With `threshold` = `auto` and `centre` = `band` or `matched` nothing else
+    /// of the image is read: light and threshold are each window's own, a frame of 625 markers takes a third to a half of
+    /// the time, and centres differ from those of the whole search by about 0.01 px. Other rungs take light and threshold from
+    /// the whole image: same centres, a fifth slower than the whole search.
     Windows,
 }
 

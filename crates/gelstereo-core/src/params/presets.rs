@@ -2,7 +2,8 @@
 
 use super::{
     Background, Centre, ContactParams, DetectParams, DiscBias, LabelMethod, LabelParams, LatticeParams,
-    Motion, Params, RegisterMethod, RegisterParams, Saliency, Threshold, TrackParams, TriangulateMethod,
+    Motion, Params, RegisterMethod, RegisterParams, Saliency, Search, Threshold, TrackParams,
+    TriangulateMethod,
     TriangulateParams,
 };
 
@@ -11,7 +12,7 @@ impl Params {
     ///
     /// - `paper`: the paper's pipeline to the letter;
     /// - `fast`: the cheapest rung of every stage that keeps identities safe;
-    /// - `balanced`: what to begin with: as `fast`, with contacts found by pressure;
+    /// - `balanced`: what to begin with: as `fast`, with centres by a matched step and contacts by pressure;
     /// - `exact`: the most accurate rung of every stage.
     ///
     /// All but `paper` derive the threshold from the image, check every identity against the lattice, tolerate a fifth of
@@ -32,7 +33,11 @@ impl Params {
 
     fn fast() -> Self {
         let balanced = Self::balanced();
-        Self { contact: ContactParams { saliency: Saliency::Depth, ..balanced.contact }, ..balanced }
+        Self {
+            detect: DetectParams { centre: Centre::Band, ..balanced.detect },
+            contact: ContactParams { saliency: Saliency::Depth, ..balanced.contact },
+            ..balanced
+        }
     }
 
     fn balanced() -> Self {
@@ -42,6 +47,7 @@ impl Params {
                 background: Background::Blocks,
                 threshold: Threshold::Auto,
                 centre: Centre::Matched,
+                search: Search::Windows,
                 centre_sigma_px: 0.04,
                 ..Default::default()
             },
@@ -56,7 +62,7 @@ impl Params {
     fn exact() -> Self {
         let balanced = Self::balanced();
         Self {
-            detect: DetectParams { centre: Centre::Fit, ..balanced.detect },
+            detect: DetectParams { centre: Centre::Fit, search: Search::Whole, ..balanced.detect },
             triangulate: TriangulateParams {
                 method: TriangulateMethod::Rays,
                 disc_bias: DiscBias::Corrected,

@@ -119,7 +119,12 @@ impl ViewStages {
     /// Makes room for windows, in the rest frame, so that no later frame has to.
     pub fn prepare(&mut self, image: GrayView<'_>, params: &Params) {
         if params.detect.search == Search::Windows {
-            self.detect_in_windows(image, params);
+            let Self { windows, detector, markers, tracks, .. } = self;
+            let size_px = (image.width(), image.height());
+            windows.begin(detector, size_px, (self.cols, self.pitch_px), (markers, tracks));
+            if windows.kind.is_none() {
+                self.detect_in_windows(image, params);
+            }
         }
     }
 

@@ -1,7 +1,8 @@
 //! Detection in windows around predicted positions (`detect.search = windows`).
 
+use crate::detect::glance::Kind;
 use crate::detect::near::{Found, Sight};
-use crate::detect::{DetectError, Detector};
+use crate::detect::{DetectError, Detector, Markers};
 use crate::image::GrayView;
 use crate::math::DVec2;
 use crate::track::{MarkerState, Tracks};
@@ -25,11 +26,31 @@ pub(super) struct Windows {
     /// Markers row by row, then sentinels.
     places_px: Vec<DVec2>,
     pub found: Found,
+    /// What markers look like, if that is enough to search each window by its own light.
+    pub kind: Option<Kind>,
     /// The tracks of this frame, which stand only when they are certain.
     pub tracks: Tracks,
 }
 
 impl Windows {
+    /// Starts from the markers of a rest frame of `lattice` (columns, pitch in pixels), and makes room for later frames.
+    pub fn begin(
+        &mut self,
+        detector: &mut Detector,
+        size_px: (usize, usize),
+        (cols, pitch_px): (usize, f64),
+        (markers, tracks): (&Markers, &Tracks),
+    ) {
+        self.kind = detector.kind_for_windows(usual_area_px2(markers), pitch_px);
+        self.places_px.clear();
+        self.places_px.extend_from_slice(&tracks.positions_px);
+        add_sentinels(&tracks.positions_px, cols, &mut self.places_px);
+        self.tracks.clone_from(tracks);
+        if let Some(kind) = &self.kind {
+            detector.reserve_windows(self.places_px.len(), kind, size_px, &mut self.found);
+        }
+    }
+
     /// Looks around the predicted positions, row by row; whether what is seen there is as expected. No allocation after the
     /// first frame of a lattice.
     ///
@@ -46,7 +67,11 @@ impl Windows {
         self.places_px.clear();
         self.places_px.extend_from_slice(predicted_px);
         add_sentinels(predicted_px, cols, &mut self.places_px);
-        detector.run_near(image, &self.places_px, REACH_PITCHES * pitch_px, &mut self.found)?;
+        let reach_px = REACH_PITCHES * pitch_px;
+        match &self.kind {
+            Some(kind) => detector.run_windows(image, &self.places_px, (kind, reach_px), &mut self.found),
+            None => detector.run_near(image, &self.places_px, reach_px, &mut self.found)?,
+        }
         self.tracks.clone_from(tracks);
         Ok(self.is_as_expected(tracks, (image.width(), image.height())))
     }
@@ -64,6 +89,12 @@ impl Windows {
         let unclear = seen.filter(|&(&sight, _)| sight == Sight::Unclear).count();
         !alarm && ONE_MISSING_IN * missing.count() <= markers && ONE_UNCLEAR_IN * unclear <= sentinels.len()
     }
+}
+
+/// Median area; 0 for none.
+fn usual_area_px2(markers: &Markers) -> f64 {
+    let mut areas: Vec<f64> = markers.area_px2.iter().map(|&area| f64::from(area)).collect();
+    crate::math::median(&mut areas).unwrap_or(0.0)
 }
 
 /// Adds the places one pitch outside the lattice's four sides, each in line with its two nearest markers.

@@ -131,8 +131,9 @@ impl Anchor {
         let most = canvas.rings as isize;
         // With what a jump costs and without: both must give the same answer.
         let mut ranks = [Rank::default(); 2];
+        let all = self.present.iter().map(|&p| u32::from(p)).sum();
         for shift in (-most..=most).flat_map(|row| (-most..=most).map(move |col| [row, col])) {
-            let cost = self.cost(canvas, shift);
+            let cost = self.cost(canvas, shift, all);
             ranks[0].add(cost, shift);
             ranks[1].add(cost + surprise(canvas, shift, pitch_px), shift);
         }
@@ -168,7 +169,8 @@ impl Anchor {
         }
     }
 
-    fn cost(&self, canvas: &Canvas, shift: [isize; 2]) -> u32 {
+    /// Of a shift, among `all` detections of the canvas.
+    fn cost(&self, canvas: &Canvas, shift: [isize; 2], all: u32) -> u32 {
         let (rows, cols, width) = (canvas.rows, canvas.cols, canvas.width());
         let (mut missing, mut inside, mut misprinted) = (0, 0, 0);
         for row in 0..rows {
@@ -183,7 +185,6 @@ impl Anchor {
                 inside += u32::from(p);
             }
         }
-        let all: u32 = self.present.iter().map(|&p| u32::from(p)).sum();
         missing + STRAY * (all - inside + misprinted)
     }
 

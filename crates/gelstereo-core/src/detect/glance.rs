@@ -1,0 +1,390 @@
+//! What a small window around an expected position shows, at a glance: one marker, nothing, or something
+//! else.
+//!
+//! Light, threshold and moments come from the window alone, by loops of fixed length over rows of whole
+//! numbers, which compile to vector code. What is not clearly one marker is left to those who look closer
+//! ([`super::near`]).
+
+use crate::image::GrayView;
+use crate::math::DVec2;
+
+/// Most rows and columns of a window.
+pub const MOST_SIDE_PX: usize = 32;
+
+/// Gel around a marker, beyond its outline, that takes part in its centre: its blurred edge.
+const EDGE_PX: f64 = 2.5;
+
+/// Room for a marker beside its expected position, beyond its edge, pixels to both sides together.
+const SLACK_PX: f64 = 3.0;
+
+/// A centre farther from the window's middle is looked at again, from a window around it.
+const OFF_PX: f64 = 1.0;
+
+/// Windows tried for one position.
+const TRIES: usize = 3;
+
+/// Contrasts that count, as shares of that of the window's darkest pixel: noise of the gel lies below, grain
+/// of the paint above.
+const BAND: (f64, f64) = (0.2, 0.7);
+
+/// Contrasts of less than this share of the usual one are no marker; and no marker has less than the second.
+const SHARES_OF_USUAL: (f64, f64) = (0.3, 0.45);
+
+/// Corners whose levels differ by more than this share of the contrast: a shadow, a smear, another marker.
+const MOST_UNEVEN: f64 = 0.35;
+
+/// Shares of the usual area that a marker may have.
+const SHARES_OF_AREA: (f64, f64) = (0.4, 2.0);
+
+/// A disc's second moment about its centre is area / 2 pi in each axis together; ellipses of 1 : 2 have 1.25
+/// times as much, two pieces more.
+const MOST_SPREAD: f64 = 1.35;
+
+/// What blur adds to it, px².
+const BLUR_PX2: f64 = 1.0;
+
+/// Fractional bits of levels.
+const BITS: u32 = 3;
+
+/// Markers of one size, and the windows around them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Kind {
+    /// Rows and columns of a window.
+    pub side_px: usize,
+    /// Usual marker's radius.
+    pub radius_px: f64,
+    /// Least and largest area of a marker.
+    pub area_px2: (u32, u32),
+}
+
+impl Kind {
+    /// For markers of a usual area; `None` where they are too large for a window.
+    #[must_use]
+    pub fn of(usual_area_px2: f64) -> Option<Self> {
+        let radius_px = crate::math::sqrt(usual_area_px2.max(0.0) * core::f64::consts::FRAC_1_PI);
+        let side_px = crate::math::floor(2.0 * (radius_px + EDGE_PX) + SLACK_PX);
+        if !(usual_area_px2 > 0.0 && side_px <= MOST_SIDE_PX as f64) {
+            return None;
+        }
+        let area = |share: f64| (share * usual_area_px2) as u32;
+        let area_px2 = (area(SHARES_OF_AREA.0).max(1), area(SHARES_OF_AREA.1));
+        Some(Self { side_px: side_px as usize, radius_px, area_px2 })
+    }
+
+    /// Whether a window about one marker ends before its neighbours' edges when they stand a pitch away.
+    #[must_use]
+    pub fn fits(&self, pitch_px: f64) -> bool {
+        self.side_px as f64 <= 2.0 * (pitch_px - self.radius_px) - EDGE_PX
+    }
+
+    /// Whether windows are at most 16 pixels wide.
+    pub(super) const fn is_small(&self) -> bool {
+        self.side_px <= 16
+    }
+
+    pub(super) fn usual_area_px2(&self) -> f64 {
+        core::f64::consts::PI * self.radius_px * self.radius_px
+    }
+
+    /// A square with this side holds no two markers' centres: they would overlap by half.
+    pub(super) const fn cell_px(&self) -> f64 {
+        self.radius_px.max(1.0)
+    }
+
+    /// Side of the squares in a window's corners where the gel's level is taken.
+    const fn corner_px(&self) -> usize {
+        if self.side_px < 15 { 2 } else { self.side_px / 5 }
+    }
+}
+
+/// A marker in a window.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Spot {
+    /// Centre weighted by contrast, pixels.
+    pub centre_px: DVec2,
+    /// Pixels darker than half way.
+    pub area_px2: u32,
+}
+
+/// What a window shows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Glance {
+    /// One marker, whole, with gel all around.
+    Marker(Spot),
+    /// Gel.
+    Nothing,
+    /// Something else.
+    Unclear,
+}
+
+/// Steepest gel, 1 / 256 level per pixel.
+const MOST_SLOPE: i32 = 256;
+
+/// The gel of a window as a plane, and its darkest pixel.
+#[derive(Clone, Copy, Debug)]
+struct Gel {
+    /// In the middle, with [`BITS`].
+    level: i32,
+    /// Slopes along a row and down, 1 / 256 level per pixel.
+    along: i32,
+    down: i32,
+    /// Of the corners, from the darkest to the brightest, with [`BITS`].
+    uneven: i32,
+    /// Contrast of the darkest pixel, with [`BITS`].
+    depth: i32,
+}
+
+/// Where a window lies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Place<const L: usize> {
+    /// First column and row.
+    first: (usize, usize),
+    /// Column of the first lane; the window's own begin with it, or later where the image ends.
+    begin: usize,
+    side: usize,
+}
+
+impl<const L: usize> Place<L> {
+    /// The window whose middle is nearest to a position, or nearest within the image.
+    fn around(at_px: DVec2, side: usize, (width, height): (usize, usize)) -> Option<Self> {
+        let inside = |at: f64, size: usize| at >= 0.0 && at <= size as f64 - 1.0;
+        if width < L || height < side || side > L || !inside(at_px.x, width) || !inside(at_px.y, height) {
+            return None;
+        }
+        let half = 0.5 * (side as f64 - 2.0);
+        let first = |at: f64, size: usize| (at - half).clamp(0.0, (size - side) as f64) as usize;
+        let first = (first(at_px.x, width), first(at_px.y, height));
+        Some(Self { first, begin: first.0.min(width - L), side })
+    }
+
+    const fn lane(&self) -> usize {
+        self.first.0 - self.begin
+    }
+
+    fn middle_px(&self) -> DVec2 {
+        DVec2::new(self.first.0 as f64, self.first.1 as f64) + 0.5 * (self.side as f64 - 1.0)
+    }
+
+    fn rows<'a>(&self, image: &GrayView<'a>) -> impl Iterator<Item = &'a [u8; L]> {
+        image.lanes::<L>(self.begin, self.first.1).take(self.side)
+    }
+
+    /// Bytes of all ones within the window.
+    fn inside(&self) -> [u8; L] {
+        let mut inside = [0; L];
+        inside[self.lane()..][..self.side].fill(u8::MAX);
+        inside
+    }
+
+    /// The gel by the window's corners, squares of `corner` pixels.
+    fn gel(&self, image: &GrayView<'_>, corner: usize, flip: u8) -> Gel {
+        let (far, lane) = (self.side - corner, self.lane());
+        let mut darkest = [u8::MAX; L];
+        for row in self.rows(image) {
+            darkest = core::array::from_fn(|x| darkest[x].min(row[x] ^ flip));
+        }
+        let sums = |first: usize| {
+            let mut columns = [0_u16; L];
+            for row in image.lanes::<L>(self.begin, self.first.1 + first).take(corner) {
+                columns = core::array::from_fn(|x| columns[x] + u16::from(row[x] ^ flip));
+            }
+            columns
+        };
+        let (top, bottom) = (sums(0), sums(far));
+        let sum = |columns: &[u16; L], left: usize| -> i32 {
+            columns[lane + left..][..corner].iter().map(|&sum| i32::from(sum)).sum()
+        };
+        let ([a, b], [c, d]) =
+            ([0, far].map(|left| sum(&top, left)), [0, far].map(|left| sum(&bottom, left)));
+        let area = (corner * corner) as i32;
+        let per_px =
+            |difference: i32| ((difference << 8) / (2 * area * far as i32)).clamp(-MOST_SLOPE, MOST_SLOPE);
+        let level = ((a + b + c + d) << BITS) / (4 * area);
+        let uneven = ((a.max(b).max(c).max(d) - a.min(b).min(c).min(d)) << BITS) / area;
+        let darkest = darkest[lane..lane + self.side].iter().fold(u8::MAX, |low, &level| low.min(level));
+        let depth = (level - (i32::from(darkest) << BITS)).max(0);
+        Gel { level, along: per_px(b + d - a - c), down: per_px(c + d - a - b), uneven, depth }
+    }
+
+    /// Weights of the window's pixels: how much darker than the gel, less `low`, at most `band`.
+    fn weigh(&self, image: &GrayView<'_>, gel: &Gel, (low, band): (i32, u8), flip: u8) -> Weights<L> {
+        let (lane, side) = (self.lane() as i32, self.side as i32);
+        let twice = |at: i32| 2 * at - (side - 1);
+        let inside = self.inside();
+        // Of the brightest row; the others are less by a whole number of levels.
+        let brightest = gel.level - low + ((side * gel.down.abs()) >> (9 - BITS));
+        let limit: [u8; L] = core::array::from_fn(|x| {
+            let along = (twice(x as i32 - lane) * gel.along) >> (9 - BITS);
+            ((brightest + along) >> BITS).clamp(0, 255) as u8 & inside[x]
+        });
+        let [mut columns, mut rows] = [[0_u16; L]; 2];
+        for ((y, row), total) in (0..).zip(self.rows(image)).zip(&mut rows) {
+            let less = ((side * gel.down.abs() - twice(y) * gel.down) >> 9) as u8;
+            let weight: [u8; L] = core::array::from_fn(|x| {
+                limit[x].saturating_sub((row[x] ^ flip).saturating_add(less)).min(band)
+            });
+            columns = core::array::from_fn(|x| columns[x] + u16::from(weight[x]));
+            *total = weight.iter().map(|&w| u32::from(w)).sum::<u32>() as u16;
+        }
+        Weights { columns, rows }
+    }
+}
+
+/// Sums of a window's weights by lane and by row: at most 32 of at most 255.
+struct Weights<const L: usize> {
+    columns: [u16; L],
+    rows: [u16; L],
+}
+
+/// Sum, mean place and variance of weights along a line.
+fn moments<const L: usize>(line: &[u16; L]) -> (u32, f64, f64) {
+    let [mut sum, mut first, mut second] = [0_u32; 3];
+    for (at, &weight) in (0_u32..).zip(line) {
+        let weight = u32::from(weight);
+        sum += weight;
+        first += at * weight;
+        second += at * at * weight;
+    }
+    let per = 1.0 / f64::from(sum.max(1));
+    let mean = f64::from(first) * per;
+    (sum, mean, f64::from(second) * per - mean * mean)
+}
+
+/// What the weights of a window add up to.
+struct Outline {
+    centre_px: DVec2,
+    area_px2: f64,
+    /// Sum of the variances along both axes, px².
+    spread_px2: f64,
+    /// Something reaches the window's outermost pixels.
+    touches: bool,
+}
+
+impl<const L: usize> Weights<L> {
+    fn outline(&self, place: &Place<L>, band: u8) -> Outline {
+        let (sum, x, variance_x) = moments(&self.columns);
+        let (_, y, variance_y) = moments(&self.rows);
+        let (lane, last) = (place.lane(), place.side - 1);
+        let rim = [self.columns[lane], self.columns[lane + last], self.rows[0], self.rows[last]];
+        Outline {
+            centre_px: DVec2::new(place.begin as f64 + x, place.first.1 as f64 + y),
+            area_px2: f64::from(sum) / f64::from(band),
+            spread_px2: variance_x + variance_y,
+            touches: rim.into_iter().any(|sum| sum > u16::from(band)),
+        }
+    }
+}
+
+/// Where a window came to rest.
+enum Settled {
+    /// Around what it shows.
+    At(Gel, Outline),
+    /// On gel.
+    Nothing,
+    /// Nowhere.
+    Lost,
+}
+
+/// Looks at single windows.
+#[derive(Clone, Copy, Debug)]
+pub struct Eye<const L: usize> {
+    kind: Kind,
+    /// 255 where markers are bright.
+    flip: u8,
+}
+
+impl<const L: usize> Eye<L> {
+    /// For markers of one kind.
+    #[must_use]
+    pub const fn new(kind: Kind, flip: u8) -> Self {
+        Self { kind, flip }
+    }
+
+    fn gel(&self, image: &GrayView<'_>, at_px: DVec2) -> Option<(Place<L>, Gel)> {
+        let place = Place::around(at_px, self.kind.side_px, (image.width(), image.height()))?;
+        Some((place, place.gel(image, self.kind.corner_px(), self.flip)))
+    }
+
+    /// The kind of marker.
+    #[must_use]
+    pub const fn kind(&self) -> &Kind {
+        &self.kind
+    }
+
+    /// The usual contrast around positions, grey levels: their mean, each weighted by its square, so that
+    /// empty places carry none.
+    pub fn usual_contrast<'p>(
+        &self,
+        image: GrayView<'_>,
+        positions_px: impl Iterator<Item = &'p DVec2>,
+    ) -> f64 {
+        let (mut squares, mut cubes) = (0_u64, 0_u64);
+        for (_, gel) in positions_px.filter_map(|&at| self.gel(&image, at)) {
+            let depth = gel.depth as u64;
+            squares += depth * depth;
+            cubes += depth * depth * depth;
+        }
+        cubes as f64 / (squares.max(1) << BITS) as f64
+    }
+
+    /// What is seen around a position in an image of this usual contrast.
+    #[must_use]
+    pub fn look(&self, image: GrayView<'_>, at_px: DVec2, usual_contrast: f64) -> Glance {
+        let share_of_usual = |share: f64| (share * f64::from(1 << BITS) * usual_contrast) as i32;
+        let least = share_of_usual(SHARES_OF_USUAL.0);
+        match self.settle(&image, at_px, least) {
+            Settled::Nothing => Glance::Nothing,
+            Settled::Lost => Glance::Unclear,
+            Settled::At(gel, outline) => {
+                let faint = gel.depth < share_of_usual(SHARES_OF_USUAL.1);
+                let uneven = gel.uneven > share_of_usual(MOST_UNEVEN);
+                if faint || uneven { Glance::Unclear } else { self.decide(&outline) }
+            }
+        }
+    }
+
+    /// Centre of the marker about a position, if it lies whole in a window around it.
+    #[must_use]
+    pub fn centre(&self, image: GrayView<'_>, at_px: DVec2) -> Option<DVec2> {
+        match self.settle(&image, at_px, 1) {
+            Settled::At(gel, outline)
+                if !outline.touches && f64::from(gel.uneven) < MOST_UNEVEN * f64::from(gel.depth) =>
+            {
+                Some(outline.centre_px)
+            }
+            _ => None,
+        }
+    }
+
+    /// Moves the window until what it shows lies in its middle.
+    fn settle(&self, image: &GrayView<'_>, at_px: DVec2, least_depth: i32) -> Settled {
+        let mut middle_px = at_px;
+        for _ in 0..TRIES {
+            let Some((place, gel)) = self.gel(image, middle_px) else { return Settled::Lost };
+            if gel.depth < least_depth {
+                return Settled::Nothing;
+            }
+            let share = |share: f64| (share * f64::from(gel.depth)) as i32;
+            let band = (share(BAND.1 - BAND.0) >> BITS).clamp(1, 255) as u8;
+            let outline = place.weigh(image, &gel, (share(BAND.0), band), self.flip).outline(&place, band);
+            if (outline.centre_px - place.middle_px()).abs().max_element() <= OFF_PX {
+                return Settled::At(gel, outline);
+            }
+            middle_px = outline.centre_px;
+        }
+        Settled::Lost
+    }
+
+    fn decide(&self, outline: &Outline) -> Glance {
+        let disc_px2 = outline.area_px2 * (0.5 * core::f64::consts::FRAC_1_PI);
+        let area_px2 = crate::math::round(outline.area_px2) as u32;
+        let (least_px2, most_px2) = self.kind.area_px2;
+        if outline.touches || area_px2 > most_px2 || outline.spread_px2 > MOST_SPREAD * disc_px2 + BLUR_PX2 {
+            Glance::Unclear
+        } else if area_px2 < least_px2 {
+            Glance::Nothing
+        } else {
+            Glance::Marker(Spot { centre_px: outline.centre_px, area_px2 })
+        }
+    }
+}
