@@ -161,7 +161,8 @@ impl Detector {
         self.check(image)?;
         self.find_components(image)?;
         let flip = self.flip();
-        let Self { params, difference, components, grey_centre, disc_fit, matched, meter, areas_px2, .. } = self;
+        let Self { params, difference, components, grey_centre, disc_fit, matched, meter, areas_px2, .. } =
+            self;
         let most = most_markers(params, (image.width(), image.height()));
         // Along the border every second pixel at most begins a marker.
         out.reserve(most, most.min(image.width() + image.height()));

@@ -75,7 +75,7 @@ impl Detector {
     ) {
         self.glances.reserve(positions, kind, size_px);
         self.grey_centre.reserve(size_px);
-        out.markers.reserve(positions);
+        out.markers.reserve(positions, 0);
         out.sights.reserve(positions);
     }
 

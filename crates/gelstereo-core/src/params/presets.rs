@@ -3,8 +3,7 @@
 use super::{
     Background, Centre, ContactParams, DetectParams, DiscBias, LabelMethod, LabelParams, LatticeParams,
     Motion, Params, RegisterMethod, RegisterParams, Saliency, Search, Threshold, TrackParams,
-    TriangulateMethod,
-    TriangulateParams,
+    TriangulateMethod, TriangulateParams,
 };
 
 impl Params {

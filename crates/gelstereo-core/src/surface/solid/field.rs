@@ -178,7 +178,7 @@ impl Field {
         let here = node[0] + NODES * (node[1] + NODES * node[2]);
         for axis in 0..3 {
             // On the lower face, of which the block below has the nodes on its upper one.
-            let is_inside = place / stride % self.sides[axis] > 0;
+            let is_inside = !(place / stride).is_multiple_of(self.sides[axis]);
             if node[axis] == 0 && is_inside && self.block_at[place - stride] != NONE {
                 return Some(
                     self.values[self.block_at[place - stride] as usize * BLOCK + here + CELLS * step],
