@@ -32,6 +32,7 @@ fn surfaces() -> [Surface; 3] {
 struct Score {
     nees: f64,
     along_um: f64,
+    along_sigma_um: f64,
     rms_um: f64,
 }
 
@@ -39,7 +40,8 @@ fn score(surface: &Surface, disc_bias: DiscBias, dot_radius_mm: Option<f64>) -> 
     let mut params = Params::preset("exact").unwrap();
     params.triangulate.disc_bias = disc_bias;
     params.lattice.dot_radius_mm = dot_radius_mm;
-    let (mut count, mut nees, mut along, mut slopes, mut square) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    let (mut count, mut nees, mut square) = (0.0, 0.0, 0.0);
+    let (mut along, mut spread, mut slopes) = (0.0, 0.0, 0.0);
     for seed in 1..=3 {
         let effects = Effects {
             defocus: Some(Defocus::default()),
@@ -65,19 +67,26 @@ fn score(surface: &Surface, disc_bias: DiscBias, dot_radius_mm: Option<f64>) -> 
             let covariance = DMat3::from_cols_array_2d(c);
             nees += error.dot(covariance.inverse() * error) / 3.0;
             let slope = truth.normals[i].truncate();
-            along += error.truncate().dot(slope);
+            let up = error.truncate().dot(slope);
+            along += up;
+            spread += up * up;
             slopes += slope.length_squared();
             square += error.length_squared();
             count += 1.0;
         }
     }
-    Score { nees: nees / count, along_um: 1e3 * along / slopes, rms_um: 1e3 * (square / count).sqrt() }
+    Score {
+        nees: nees / count,
+        along_um: 1e3 * along / slopes,
+        along_sigma_um: 1e3 * f64::sqrt(spread) / slopes,
+        rms_um: 1e3 * (square / count).sqrt(),
+    }
 }
 
-/// Without the correction both views see each dot r² / Z = 1.7 um up the slope for each unit of it, times the cosines. A known radius leaves a
-/// twentieth of that, to which the noise of 1875 markers and the lattice's differences come; one told from areas is off by
-/// its threshold, 5 %, and so the correction by 10 %. On the dome, where slopes go up to 1, it is most of what the
-/// covariance does not know of.
+/// Without the correction both views see each dot r² / Z = 1.7 um up the slope for each unit of it, times the cosines; on
+/// the dome, where slopes go up to 1, half as much again. A known radius leaves a twentieth of that to the lattice's
+/// differences; one told from areas is off by its threshold, 5 %, and so the correction by 10 % more. All within three
+/// standard errors of the noise of 1875 markers.
 #[test]
 fn the_correction_takes_the_bias_away() {
     for surface in surfaces() {
@@ -87,9 +96,11 @@ fn the_correction_takes_the_bias_away() {
         println!("{}: ignored {ignored:?}, told {told:?}, known {known:?}", surface.name);
         assert!(told.nees < ignored.nees + 0.005 && told.rms_um < ignored.rms_um + 0.005, "{}", surface.name);
         if surface.name != "flat" {
-            assert!(ignored.along_um < -1.5, "{}", surface.name);
-            assert!(told.along_um.abs() < 0.2 * -ignored.along_um, "{}", surface.name);
-            assert!(known.along_um.abs() < 0.1 * -ignored.along_um, "{}", surface.name);
+            let noise = 3.0 * known.along_sigma_um;
+            assert!(ignored.along_um < -1.5 + noise, "{}", surface.name);
+            assert!(told.along_um.abs() < 0.15 * 2.5 + noise, "{}", surface.name);
+            assert!(known.along_um.abs() < 0.05 * 2.5 + noise, "{}", surface.name);
+            assert!(told.along_um - ignored.along_um > 0.8 * 1.7, "{}", surface.name);
         }
         if surface.name == "domed" {
             assert!(told.nees < ignored.nees - 0.4 && known.nees < 1.15, "{known:?}");

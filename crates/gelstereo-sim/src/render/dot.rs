@@ -219,7 +219,8 @@ mod tests {
             let off = (found.centre_px - centroid).length();
             prop_assert!(off < tolerance_px, "{off} px from {centroid}");
             let share = found.radius_px() * found.radius_px() * core::f64::consts::PI / area;
-            prop_assert!((share - 1.0).abs() < 2e-3, "{share} of the area");
+            // How a lens scales changes by (r / Z)² of itself across a dot, times the slope's square and a few.
+            prop_assert!((share - 1.0).abs() < 6e-3, "{share} of the area");
         }
         Ok(())
     }
