@@ -5,10 +5,12 @@ mod field;
 mod normals;
 mod report;
 mod tree;
+mod turn;
 mod weld;
 
 pub use field::Field;
 pub use report::{SolidError, SolidReport};
+pub use turn::Turned;
 
 use super::TriangleMesh;
 use crate::digest::Digest;
