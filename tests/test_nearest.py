@@ -73,6 +73,13 @@ def test_signs_are_those_of_the_ray_and_features_those_of_the_place() -> None:
     assert np.all(np.isin(at_vertex, mesh.vertices).all(axis=1))
     assert template.surface is not None and template.surface.is_closed
     np.testing.assert_allclose(template.surface.volume_mm3, mesh.volume, rtol=1e-12)
+    # A first guess changes nothing, be it good, bad or none.
+    for near in (found.triangles, found.triangles[::-1], np.full(len(points), -1)):
+        again = template.closest(points, near=near)
+        assert np.array_equal(again.points_mm, found.points_mm)
+        assert np.array_equal(again.triangles, found.triangles)
+    with pytest.raises(ShapeError, match="1 triangles for 3000 points"):
+        template.closest(points, near=[1])
 
 
 @pytest.mark.skipif(not MESHES, reason=f"the real meshes are not at {DATA} (set GELSTEREO_DATA)")

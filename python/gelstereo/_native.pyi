@@ -404,7 +404,12 @@ class Template:
     @property
     def surface(self) -> Surface | None: ...
     def closest(
-        self, points_mm: npt.ArrayLike, *, facing: npt.ArrayLike | None = None, reach_mm: float | None = None
+        self,
+        points_mm: npt.ArrayLike,
+        *,
+        facing: npt.ArrayLike | None = None,
+        reach_mm: float | None = None,
+        near: npt.ArrayLike | None = None,
     ) -> Closest: ...
     def with_grid(self, *, cell_mm: float = 0.25, reach_mm: float = 2.0) -> Template: ...
     def grid_distance(self, points_mm: npt.ArrayLike) -> tuple[_Floats, _Floats]: ...

@@ -25,15 +25,17 @@ pub struct Closest {
     features: Array1<u8>,
 }
 
-/// Every point's answer; the last one's triangle is the first guess for the next.
+/// Every point's answer. The first guess is `near`, or the triangle of the point before.
 pub fn search(
     solid: &Solid,
     points_mm: &[DVec3],
-    facing: Option<&[DVec3]>,
+    (facing, near): (Option<&[DVec3]>, Option<&[f64]>),
     reach_mm: f64,
 ) -> Vec<Option<surface::Closest>> {
     let mut last = None;
     let one = |(k, &p): (usize, &DVec3)| {
+        // A cast that saturates: what is no triangle is a guess as good as none.
+        last = near.map(|near| near[k] as u32).or(last);
         let found = match facing {
             Some(directions) => {
                 // A positive product, whatever the length.

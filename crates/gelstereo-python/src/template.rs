@@ -157,6 +157,9 @@ impl Template {
     ///     side that is touched.
     /// reach_mm : float, optional
     ///     Farther than this nothing is found.
+    /// near : (N,) array_like, optional
+    ///     Triangles of an earlier answer to points close by: the same answer, sooner. The triangle of the point before
+    ///     if left out.
     ///
     /// Returns
     /// -------
@@ -165,20 +168,32 @@ impl Template {
     /// Raises
     /// ------
     /// TemplateError
-    ///     If the template was made of points and has no exact surface.
-    #[pyo3(signature = (points_mm, *, facing=None, reach_mm=None))]
+    ///     If the template was made of points and has no exact surface, or a number is not finite.
+    #[pyo3(signature = (points_mm, *, facing=None, reach_mm=None, near=None))]
     fn closest(
         &self,
         py: Python<'_>,
         points_mm: &Bound<'_, PyAny>,
         facing: Option<&Bound<'_, PyAny>>,
         reach_mm: Option<f64>,
+        near: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Closest> {
         let (solid, reach_mm) = (self.solid()?, reach_mm.unwrap_or(f64::INFINITY));
+        if !(reach_mm >= 0.0) {
+            return Err(TemplateError::new_err(format!("reach_mm is {reach_mm}; valid is 0 or more")));
+        }
         let points = Numbers::new(points_mm, "points_mm")?;
-        let points = points.rows::<DVec3, 3>()?;
+        let points = finite(points.rows::<DVec3, 3>()?, "point")?;
         let facing = facing.map(|facing| directions(facing, points.len())).transpose()?;
-        let found = py.detach(|| closest::search(solid, points, facing.as_deref(), reach_mm));
+        let near = near.map(|near| Numbers::new(near, "near")).transpose()?;
+        let near = near.as_ref().map(Numbers::list).transpose()?;
+        if let Some(near) = near.filter(|near| near.len() != points.len()) {
+            let (found, points) = (near.len(), points.len());
+            return Err(ShapeError::new_err(format!(
+                "there are {found} triangles for {points} points; valid is one for each"
+            )));
+        }
+        let found = py.detach(|| closest::search(solid, points, (facing.as_deref(), near), reach_mm));
         Closest::new(py, found)
     }
 
@@ -230,7 +245,7 @@ impl Template {
             || TemplateError::new_err("the template has no grid; make one with template.with_grid()");
         let field = self.inner.field().ok_or_else(no_grid)?;
         let points = Numbers::new(points_mm, "points_mm")?;
-        let points = points.rows::<DVec3, 3>()?;
+        let points = finite(points.rows::<DVec3, 3>()?, "point")?;
         let unknown = (f64::NAN, DVec3::NAN);
         let (distances, gradients): (Vec<f64>, Vec<DVec3>) =
             py.detach(|| points.iter().map(|&p| field.distance(p).unwrap_or(unknown)).unzip());
@@ -260,6 +275,9 @@ impl Template {
         symmetries: Option<Vec<PyRef<'_, Symmetry>>>,
         tolerance_mm: f64,
     ) -> PyResult<Self> {
+        if !(tolerance_mm > 0.0 && tolerance_mm.is_finite()) {
+            return Err(TemplateError::new_err(format!("tolerance_mm is {tolerance_mm}; valid is above 0")));
+        }
         let declared = symmetries.map(|all| all.iter().map(|s| s.inner()).collect::<Vec<_>>());
         if declared.is_none() {
             self.solid()?;
@@ -310,13 +328,24 @@ impl Template {
     }
 }
 
+/// The rows, of which none may be NaN or infinite.
+fn finite<'a>(rows: &'a [DVec3], what: &str) -> PyResult<&'a [DVec3]> {
+    match rows.iter().position(|row| !row.is_finite()) {
+        Some(index) => {
+            let found = rows[index];
+            Err(TemplateError::new_err(format!("{what} {index} is {found}; valid is three finite numbers")))
+        }
+        None => Ok(rows),
+    }
+}
+
 /// One direction for all points, or one each.
 fn directions(facing: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<DVec3>> {
     let facing = Numbers::new(facing, "facing")?;
     match facing.vector::<3>() {
-        Ok(one) => Ok(vec![DVec3::from_array(one); count]),
+        Ok(one) => Ok(vec![finite(&[DVec3::from_array(one)], "direction")?[0]; count]),
         Err(_) => {
-            let rows = facing.rows::<DVec3, 3>()?;
+            let rows = finite(facing.rows::<DVec3, 3>()?, "direction")?;
             if rows.len() == count {
                 return Ok(rows.to_vec());
             }
