@@ -92,8 +92,8 @@ fn around_a_ball_the_error_is_what_its_radius_says() {
         let Some((distance, _)) = field.distance(p) else { continue };
         largest = largest.max((distance - solid.closest(p).distance_mm).abs());
     }
-    // h² / 8 for each of two curvatures; level sets inside have a radius of 4 at least. A facet with the circumradius ρ, at
-    // most half the diagonal of a square of a 40th of the cube's side, lies up to ρ² / 2R within the ball.
+    // h² / 8 for each of two curvatures; level sets inside have a radius of 4 at least. A facet with the circumradius
+    // ρ, at most half the diagonal of a square of a 40th of the cube's side, lies up to ρ² / 2R within the ball.
     let bound = field.cell_mm().powi(2) / 8.0 * 2.0 / (radius - 1.0);
     let flat = (radius / 20.0).powi(2) / 2.0 / (2.0 * radius);
     assert!(largest < bound + flat + step(&field) && largest > 0.5 * bound, "{largest} {bound} {flat}");
@@ -162,8 +162,8 @@ fn between_sheets_that_face_one_way_the_sign_jumps_and_the_error_is_bounded() {
         let sheets = solid((vertices, vec![[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]));
         assert!(!sheets.is_closed());
         let field = Field::new(&sheets, 0.5, 1.0).unwrap();
-        // Of two nodes beside each other with different signs one is within half a cell of the surface, and a point within
-        // the diagonal from there.
+        // Of two nodes beside each other with different signs one is within half a cell of the surface, and a point
+        // within the diagonal from there.
         let bound = (0.5 + 3.0_f64.sqrt()) * 0.5 + 2.0 * step(&field);
         let mut largest = 0.0_f64;
         for p in points(2, 4.0, 4000) {

@@ -225,6 +225,43 @@ fn slivers_keep_all_digits() {
     }
 }
 
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    /// Down to heights at which the normal is rounding: found by fuzzing, as a first guess changed the answer.
+    #[test]
+    fn of_slivers_of_any_height_the_answer_does_not_depend_on_the_guess(seed in any::<u64>(), digits in 3_i32..17) {
+        let mut random = Stream::new(seed, "slivers");
+        let mut vertices = Vec::new();
+        for _ in 0..12 {
+            let (a, b) = (uniform(&mut random, -3.0, 3.0), uniform(&mut random, -3.0, 3.0));
+            let off = uniform(&mut random, -1.0, 1.0) * 10.0_f64.powi(-digits);
+            vertices.extend([a, b, a + (b - a) * random.uniform() + off]);
+        }
+        vertices.extend([DVec3::ZERO, DVec3::X, DVec3::Y]);
+        let triangles: Vec<[u32; 3]> = (0..13).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
+        let mesh = TriangleMesh::new(vertices, triangles).unwrap();
+        let solid = Solid::new(&mesh).unwrap();
+        for _ in 0..50 {
+            let p = uniform(&mut random, -5.0, 5.0);
+            let found = solid.closest(p);
+            check_consistent(&solid, &mesh, p, &found, 3.0);
+            for guess in 0..13 {
+                prop_assert_eq!(solid.closest_from(p, guess), found);
+            }
+            // Slivers with a face are as far as their longest edge, but for their height.
+            let kept = mesh.corners().enumerate().filter(|&(t, _)| solid.face_normal(t as u32) != DVec3::ZERO);
+            let segment = |a: DVec3, b: DVec3| {
+                let share = ((p - a).dot(b - a) / (b - a).length_squared()).clamp(0.0, 1.0);
+                (a + (b - a) * share).distance(p)
+            };
+            let square = squared_distance(p, [DVec3::ZERO, DVec3::X, DVec3::Y]).sqrt();
+            let least = kept.filter(|&(t, _)| t < 12).map(|(_, [a, b, _])| segment(a, b)).fold(square, f64::min);
+            prop_assert!((found.distance_mm.abs() - least).abs() < 2.0 * 10.0_f64.powi(-digits) + 1e-14);
+        }
+    }
+}
+
 #[test]
 fn triangles_without_an_area_pass_the_normals_on() {
     // The edge of a wedge of 20 degrees, mended along a vertex in its middle by a triangle without an area.

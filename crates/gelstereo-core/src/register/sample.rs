@@ -7,8 +7,8 @@ use crate::math::{DVec3, floor, sqrt};
 use crate::surface::{TriangleMesh, area_vector};
 use alloc::vec::Vec;
 
-/// Darts per point wanted. Random discs of diameter r jam at a cover of 0.547 (Feder 1980), which is 0.70 A / r² points on
-/// an area A; this many darts come to 0.66.
+/// Darts per point wanted. Random discs of diameter r jam at a cover of 0.547 (Feder 1980), which is 0.70 A / r²
+/// points on an area A; this many darts come to 0.66.
 const DARTS_PER_POINT: f64 = 30.0;
 /// Least distance in spacings: with it there is one point for every spacing², as 0.66 / 0.81² = 1.
 const LEAST_DISTANCE: f64 = 0.81;
@@ -70,8 +70,8 @@ const NONE: u32 = u32::MAX;
 /// Points accepted so far, in cells as wide as their least distance.
 struct Darts {
     least_mm: f64,
-    /// The last point of every list of cells; cells that share a list cost time and change nothing, as their points are too
-    /// far from each other's.
+    /// The last point of every list of cells; cells that share a list cost time and change nothing, as their points
+    /// are too far from each other's.
     last: Vec<u32>,
     /// The point before each in its list.
     before: Vec<u32>,

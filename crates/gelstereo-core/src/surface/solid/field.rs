@@ -23,13 +23,13 @@ const MOST_NODES: usize = 2_000_000;
 /// How much wider cells are made when there are too many.
 const WIDER: f64 = 1.125;
 
-/// Signed distances at the nodes of a grid within reach of a surface, and between them by trilinear interpolation: 36 ns
-/// a query where [`Solid::closest_from`] takes 290 (example `nearest`).
+/// Signed distances at the nodes of a grid within reach of a surface, and between them by trilinear interpolation: 36
+/// ns a query where [`Solid::closest_from`] takes 290 (example `nearest`).
 ///
-/// A distance changes by no more than the way gone, so that an interpolated one is never wrong by more than
-/// √3/2 = 0.87 of [`Self::cell_mm`]. That happens at sharp edges alone: over a face it is exact but for the rounding to
-/// 16 bits, and around a surface of radius R it is wrong by h² / 4R. Where signs jump, as they do between sheets that are not
-/// closed, it can be nearer to zero by up to 2.24 cells.
+/// A distance changes by no more than the way gone, so that an interpolated one is never wrong by more than √3/2 =
+/// 0.87 of [`Self::cell_mm`]. That happens at sharp edges alone: over a face it is exact but for the rounding to 16
+/// bits, and around a surface of radius R it is wrong by h² / 4R. Where signs jump, as they do between sheets that
+/// are not closed, it can be nearer to zero by up to 2.24 cells.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Field {
     low_mm: DVec3,
@@ -52,7 +52,8 @@ impl Field {
 
     /// Of a surface, with cells of `cell_mm`, or as wide as it takes for at most two million nodes.
     ///
-    /// `None` for a reach or width that is not positive, or a reach that is not some cells wide or exceeds 1000 of them.
+    /// `None` for a reach or width that is not positive, or a reach that is not some cells wide or exceeds 1000 of
+    /// them.
     #[must_use]
     pub fn new(solid: &Solid, cell_mm: f64, reach_mm: f64) -> Option<Self> {
         let sound = cell_mm > 0.0 && reach_mm >= 2.0 * cell_mm && reach_mm <= 1000.0 * cell_mm;

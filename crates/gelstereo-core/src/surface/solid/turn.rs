@@ -15,8 +15,8 @@ pub struct Turned {
 }
 
 impl TriangleMesh {
-    /// The same triangles, those turned that face the other way than the larger area of what they hang together with, and then
-    /// all of them if they bound a negative volume.
+    /// The same triangles, those turned that face the other way than the larger area of what they hang together with,
+    /// and then all of them if they bound a negative volume.
     ///
     /// Triangles hang together over edges of two. A surface with holes has no inside, and is turned by its majority
     /// alone.
