@@ -233,10 +233,13 @@ proptest! {
     fn of_slivers_of_any_height_the_answer_does_not_depend_on_the_guess(seed in any::<u64>(), digits in 3_i32..17) {
         let mut random = Stream::new(seed, "slivers");
         let mut vertices = Vec::new();
-        for _ in 0..12 {
+        for _ in 0..6 {
             let (a, b) = (uniform(&mut random, -3.0, 3.0), uniform(&mut random, -3.0, 3.0));
-            let off = uniform(&mut random, -1.0, 1.0) * 10.0_f64.powi(-digits);
-            vertices.extend([a, b, a + (b - a) * random.uniform() + off]);
+            // Two along one line: equally far but for rounding, so that one wrongly passed over shows.
+            for _ in 0..2 {
+                let off = uniform(&mut random, -1.0, 1.0) * 10.0_f64.powi(-digits);
+                vertices.extend([a, b, a + (b - a) * random.uniform() + off]);
+            }
         }
         vertices.extend([DVec3::ZERO, DVec3::X, DVec3::Y]);
         let triangles: Vec<[u32; 3]> = (0..13).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();

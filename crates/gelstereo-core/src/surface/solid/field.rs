@@ -64,7 +64,7 @@ impl Field {
         loop {
             if let Some((mut field, count)) = Self::laid_out(solid, cell_mm, reach_mm) {
                 field.fill(solid, count);
-                field.forget_jumps(solid);
+                field.forget_jumps();
                 return Some(field);
             }
             cell_mm *= WIDER;
@@ -198,12 +198,9 @@ impl Field {
         self.reach_mm + DVec3::splat(self.cell_mm).length()
     }
 
-    /// Without a closed surface signs change where the nearest point jumps from one rim to another. A distance does
-    /// not change by more than the way gone, and there it seems to.
-    fn forget_jumps(&mut self, solid: &Solid) {
-        if solid.is_closed() {
-            return;
-        }
+    /// Unless a surface is closed and nowhere crosses itself, signs change where the nearest point jumps from one sheet
+    /// to another. A distance does not change by more than the way gone, and there it seems to.
+    fn forget_jumps(&mut self) {
         let most = (self.cell_mm / self.step_mm) as i32 + 2;
         for block in self.values.chunks_exact_mut(BLOCK) {
             for k in 0..BLOCK {
