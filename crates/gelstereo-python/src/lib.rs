@@ -4,6 +4,7 @@
 #![allow(clippy::needless_pass_by_value)]
 
 mod arrays;
+mod closest;
 mod contact;
 mod detect;
 mod errors;
@@ -17,6 +18,7 @@ mod rest_record;
 mod rig;
 mod sim;
 mod surface;
+mod template;
 mod tree;
 mod triangulate;
 
@@ -25,6 +27,8 @@ use pyo3::prelude::*;
 /// The compiled part of gelstereo; import its names from `gelstereo` instead.
 #[pymodule]
 mod _native {
+    #[pymodule_export]
+    use crate::closest::{Closest, Surface, Symmetry, turned_outward};
     #[pymodule_export]
     use crate::contact::{RestSurface, pressure_saliency};
     #[pymodule_export]
@@ -48,7 +52,7 @@ mod _native {
     #[pymodule_export]
     use crate::pipeline::{Frame, Pipeline, ViewEvidence, marker_states};
     #[pymodule_export]
-    use crate::register::{FreeDirection, Localization, Template, localize};
+    use crate::register::{FreeDirection, Localization, localize};
     #[pymodule_export]
     use crate::rest_record::RestRecord;
     #[pymodule_export]
@@ -57,6 +61,8 @@ mod _native {
     use crate::sim::{Scene, SimulatedDots, SimulatedFrame, Simulator, shape_mesh, sights};
     #[pymodule_export]
     use crate::surface::DenseSurface;
+    #[pymodule_export]
+    use crate::template::Template;
     #[pymodule_export]
     use crate::tree::parse_toml;
     #[pymodule_export]

@@ -36,6 +36,7 @@ SECTIONS = (
     "saliency",
     "boards",
     "refraction",
+    "nearest",
     "register",
 )
 

@@ -47,12 +47,13 @@ impl Symmetry {
         Pose { rotation: turn.rotation, translation_mm: self.centre_mm - turn.rotation * self.centre_mm }
     }
 
-    /// The axes of a template's exact surface: after a turn, every point of the template lies within `tolerance_mm` of it.
+    /// The axes of a template's exact surface: after a turn, every point of the template lies within `tolerance_mm`
+    /// of it.
     ///
     /// An axis goes through the area's centre along an eigenvector of its second moment; where that leaves a choice,
     /// normals of the largest faces and sums of two and three of them are tried. Of the axes across a continuous one,
-    /// which are all alike, one is given; of a ball, three. Facets count: a round part is continuous if they are finer than
-    /// the tolerance. None without an exact surface.
+    /// which are all alike, one is given; of a ball, three. Facets count: a round part is continuous if they are
+    /// finer than the tolerance. None without an exact surface.
     #[must_use]
     pub fn of(template: &Template, tolerance_mm: f64) -> Vec<Self> {
         let Some(solid) = template.solid() else { return Vec::new() };

@@ -19,8 +19,8 @@ pub(crate) const REACH_MM: f64 = 1e12;
 /// Least spacing as a share of the extent: no template that can be held is finer, and squares do not underflow.
 pub(crate) const LEAST_SPACING: f64 = 1e-6;
 
-/// A part's surface: points with outward unit normals in the object frame, sampled evenly, and their tree; and if a mesh is
-/// known, the exact surface.
+/// A part's surface: points with outward unit normals in the object frame, sampled evenly, and their tree; and if a
+/// mesh is known, the exact surface.
 ///
 /// It never changes after construction.
 #[derive(Clone, Debug)]
@@ -88,8 +88,8 @@ impl Template {
         self.solid.as_ref()
     }
 
-    /// With distances on a grid around the exact surface ([`Field::new`]), for screening many poses; unchanged without a
-    /// surface, or if the numbers make no grid.
+    /// With distances on a grid around the exact surface ([`Field::new`]), for screening many poses; unchanged
+    /// without a surface, or if the numbers make no grid.
     #[must_use]
     pub fn with_field(mut self, cell_mm: f64, reach_mm: f64) -> Self {
         self.field =
@@ -135,14 +135,15 @@ impl Template {
     }
 
     /// How fast the normal turns around each point: the largest difference of normals per distance among its
-    /// neighbours, rad/mm. 1/R on a sphere or cylinder of radius R; an edge has about twice its angle over the spacing.
+    /// neighbours, rad/mm. 1/R on a sphere or cylinder of radius R; an edge has about twice its angle over the
+    /// spacing.
     #[must_use]
     pub fn curvatures_per_mm(&self) -> &[f64] {
         &self.curvatures_per_mm
     }
 
-    /// τ² of the normal of point `k`, read `offset_mm` away from a point that is known to `sigma_mm`: it turns by κ per
-    /// millimetre, so κ² (σ² + t²/2) per axis, t the distance along the surface.
+    /// τ² of the normal of point `k`, read `offset_mm` away from a point that is known to `sigma_mm`: it turns by κ
+    /// per millimetre, so κ² (σ² + t²/2) per axis, t the distance along the surface.
     ///
     /// Where the surface bends within a spacing, κ s > 1, that line through a step means nothing, and the variance is
     /// given as 0: a patch that overhangs an edge has to be able to slide back.

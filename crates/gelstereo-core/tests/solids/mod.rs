@@ -35,8 +35,8 @@ pub fn block(low: DVec3, high: DVec3, n: usize) -> (Vec<DVec3>, Vec<[u32; 3]>) {
     (vertices, triangles)
 }
 
-/// A body around the origin whose surface has a different distance from it in every direction: `radius(direction, k)` of
-/// the k-th vertex of a finely divided cube. It never crosses itself.
+/// A body around the origin whose surface has a different distance from it in every direction: `radius(direction, k)`
+/// of the k-th vertex of a finely divided cube. It never crosses itself.
 pub fn star(n: usize, mut radius: impl FnMut(DVec3, usize) -> f64) -> (Vec<DVec3>, Vec<[u32; 3]>) {
     let (mut vertices, triangles) = block(DVec3::splat(-1.0), DVec3::splat(1.0), n);
     // The same place in two faces of the cube has to get the same radius.

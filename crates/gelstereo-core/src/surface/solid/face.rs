@@ -62,8 +62,8 @@ impl Edge {
     }
 }
 
-/// A triangle in its own frame: x along its longest edge from `origin_mm`, y across it towards the third corner, z along the
-/// normal. On the longest edge even a sliver's frame and regions are known to rounding, where barycentric
+/// A triangle in its own frame: x along its longest edge from `origin_mm`, y across it towards the third corner, z
+/// along the normal. On the longest edge even a sliver's frame and regions are known to rounding, where barycentric
 /// coordinates lose all digits.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Face {

@@ -23,11 +23,13 @@ const MOST_NODES: usize = 2_000_000;
 /// How much wider cells are made when there are too many.
 const WIDER: f64 = 1.125;
 
-/// Signed distances at the nodes of a grid within reach of a surface, and between them by trilinear interpolation.
+/// Signed distances at the nodes of a grid within reach of a surface, and between them by trilinear interpolation: 36
+/// ns a query where [`Solid::closest_from`] takes 290 (example `nearest`).
 ///
-/// A distance changes by no more than the way gone, so that an interpolated one is never wrong by more than
-/// √3/2 = 0.87 of [`Self::cell_mm`]. That happens at sharp edges alone: over a face it is exact but for the rounding to
-/// 16 bits, and around a surface of radius R it is wrong by h² / 4R.
+/// A distance changes by no more than the way gone, so that an interpolated one is never wrong by more than √3/2 =
+/// 0.87 of [`Self::cell_mm`]. That happens at sharp edges alone: over a face it is exact but for the rounding to 16
+/// bits, and around a surface of radius R it is wrong by h² / 4R. Where signs jump, as they do between sheets that
+/// are not closed, it can be nearer to zero by up to 2.24 cells.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Field {
     low_mm: DVec3,
@@ -50,7 +52,8 @@ impl Field {
 
     /// Of a surface, with cells of `cell_mm`, or as wide as it takes for at most two million nodes.
     ///
-    /// `None` for a reach or width that is not positive, or a reach that is not some cells wide or exceeds 1000 of them.
+    /// `None` for a reach or width that is not positive, or a reach that is not some cells wide or exceeds 1000 of
+    /// them.
     #[must_use]
     pub fn new(solid: &Solid, cell_mm: f64, reach_mm: f64) -> Option<Self> {
         let sound = cell_mm > 0.0 && reach_mm >= 2.0 * cell_mm && reach_mm <= 1000.0 * cell_mm;
@@ -61,7 +64,7 @@ impl Field {
         loop {
             if let Some((mut field, count)) = Self::laid_out(solid, cell_mm, reach_mm) {
                 field.fill(solid, count);
-                field.forget_jumps(solid);
+                field.forget_jumps();
                 return Some(field);
             }
             cell_mm *= WIDER;
@@ -178,8 +181,8 @@ impl Field {
         let here = node[0] + NODES * (node[1] + NODES * node[2]);
         for axis in 0..3 {
             // On the lower face, of which the block below has the nodes on its upper one.
-            let is_inside = !(place / stride).is_multiple_of(self.sides[axis]);
-            if node[axis] == 0 && is_inside && self.block_at[place - stride] != NONE {
+            let is_first = (place / stride).is_multiple_of(self.sides[axis]);
+            if node[axis] == 0 && !is_first && self.block_at[place - stride] != NONE {
                 return Some(
                     self.values[self.block_at[place - stride] as usize * BLOCK + here + CELLS * step],
                 );
@@ -195,12 +198,9 @@ impl Field {
         self.reach_mm + DVec3::splat(self.cell_mm).length()
     }
 
-    /// Without a closed surface signs change where the nearest point jumps from one rim to another. A distance does
-    /// not change by more than the way gone, and there it seems to.
-    fn forget_jumps(&mut self, solid: &Solid) {
-        if solid.is_closed() {
-            return;
-        }
+    /// Unless a surface is closed and nowhere crosses itself, signs change where the nearest point jumps from one sheet
+    /// to another. A distance does not change by more than the way gone, and there it seems to.
+    fn forget_jumps(&mut self) {
         let most = (self.cell_mm / self.step_mm) as i32 + 2;
         for block in self.values.chunks_exact_mut(BLOCK) {
             for k in 0..BLOCK {

@@ -5,10 +5,12 @@ mod field;
 mod normals;
 mod report;
 mod tree;
+mod turn;
 mod weld;
 
 pub use field::Field;
 pub use report::{SolidError, SolidReport};
+pub use turn::Turned;
 
 use super::TriangleMesh;
 use crate::digest::Digest;
@@ -65,8 +67,9 @@ pub struct Facing {
 /// vertex that is nearest (Baerentzen and Aanaes 2005), which is exact for a closed surface; [`Self::report`] says
 /// whether it is one. With holes the distance is as exact, and its sign is that of the nearest side alone.
 ///
-/// Queries allocate nothing. A tree of boxes, four to a node, leads to few triangles: on a part of 5000 triangles
-/// about 12 of them, fewer from a good first guess.
+/// Queries allocate nothing. A tree of boxes, four to a node, leads to few triangles: on a part of 5184 about a
+/// millimetre wide, with a first guess, 0.29 us for points 0.03 mm off the surface and 0.65 us for points 1.5 mm off;
+/// 0.48 and 0.83 us without (example `nearest`).
 #[derive(Clone, Debug)]
 pub struct Solid {
     vertices_mm: Vec<DVec3>,
@@ -143,14 +146,10 @@ impl Solid {
         self.report.is_closed()
     }
 
-    /// Outward unit normal of a triangle, zero for one without an area.
-    ///
-    /// # Panics
-    /// If there is no such triangle.
+    /// Outward unit normal of a triangle, zero for one without an area, that repeats another, or that there is not.
     #[must_use]
     pub fn face_normal(&self, triangle: u32) -> DVec3 {
-        let place = self.place_of[triangle as usize];
-        if place == weld::NONE { DVec3::ZERO } else { self.faces[place as usize].normal }
+        self.face(triangle).map_or(DVec3::ZERO, |(_, face)| face.normal)
     }
 
     /// The places of the mesh's vertices, each once, in ascending order.
@@ -202,8 +201,8 @@ impl Solid {
         Some(self.resolve(p_mm, Some(found))).filter(|c| c.distance_mm.abs() <= reach_mm)
     }
 
-    /// The nearest point of faces that look a given way, within `reach_mm`: on a thin plate the side that is touched, however deep
-    /// the point lies under it. `triangle` as in [`Self::closest_from`].
+    /// The nearest point of faces that look a given way, within `reach_mm`: on a thin plate the side that is touched,
+    /// however deep the point lies under it. `triangle` as in [`Self::closest_from`].
     ///
     /// The sign of the distance is the side of the nearest face, edge or vertex.
     #[must_use]
@@ -217,6 +216,13 @@ impl Solid {
         let looks = |face: &Face| face.normal.dot(facing.direction) >= facing.least_cosine;
         let found = self.search(p_mm, triangle, reach_mm * reach_mm, looks)?;
         Some(self.resolve(p_mm, Some(found))).filter(|c| c.distance_mm.abs() <= reach_mm)
+    }
+
+    /// A triangle's place in the order of the tree, and what is there.
+    #[inline]
+    fn face(&self, triangle: u32) -> Option<(u32, &Face)> {
+        let place = *self.place_of.get(triangle as usize)?;
+        Some((place, self.faces.get(place as usize)?))
     }
 
     /// The first face in (squared distance, triangle) of those asked for whose squared distance is up to `most_mm2`.
@@ -247,8 +253,7 @@ impl Solid {
             best = Some(found);
             self.limit(found.squared_mm2).min(limit_mm2)
         };
-        let place = start.and_then(|t| self.place_of.get(t as usize)).filter(|&&place| place != weld::NONE);
-        if let Some(&place) = place {
+        if let Some((place, _)) = start.and_then(|triangle| self.face(triangle)) {
             limit_mm2 = consider(place, limit_mm2);
         }
         self.boxes.near(p_mm, limit_mm2, consider);

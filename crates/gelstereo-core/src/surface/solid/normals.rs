@@ -20,7 +20,7 @@ pub(super) struct Normals {
 pub(super) fn normals(welded: &Welded) -> Normals {
     let faces: Vec<DVec3> = (0..welded.corners.len())
         .map(|t| match welded.kinds[t] {
-            Kind::Face => unit(area_vector(&welded.places(t))),
+            Kind::Face => face_normal(welded, t),
             Kind::Cap | Kind::Left => DVec3::ZERO,
         })
         .collect();
@@ -38,6 +38,14 @@ pub(super) fn unit(v: DVec3) -> DVec3 {
     } else {
         DVec3::ZERO
     }
+}
+
+/// Square to the longest edge: of a sliver the product of the edges is not, by rounding over its height.
+fn face_normal(welded: &Welded, triangle: usize) -> DVec3 {
+    let (places, first) = (welded.places(triangle), longest(welded, triangle));
+    let along = unit(places[(first + 1) % 3] - places[first]);
+    let normal = unit(area_vector(&places));
+    unit(normal - along * normal.dot(along))
 }
 
 /// Every face at an edge has the angle π there.

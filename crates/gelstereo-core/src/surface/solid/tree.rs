@@ -24,8 +24,8 @@ struct Node {
     count: [u32; WAYS],
 }
 
-/// Places of triangles, in boxes; ranges are split at their median in the total order (centre, index), so that coplanar and
-/// equal triangles split as evenly as any others.
+/// Places of triangles, in boxes; ranges are split at their median in the total order (centre, index), so that
+/// coplanar and equal triangles split as evenly as any others.
 #[derive(Clone, Debug)]
 pub(super) struct Boxes {
     nodes: Vec<Node>,
@@ -47,8 +47,8 @@ impl Boxes {
         Self { nodes }
     }
 
-    /// Calls `visit` for places, nearest boxes first, whose box is within the squared distance `limit_mm2`, which is finite and
-    /// which `visit` may lower and returns.
+    /// Calls `visit` for places, nearest boxes first, whose box is within the squared distance `limit_mm2`, which is
+    /// finite and which `visit` may lower and returns.
     #[inline]
     pub fn near(&self, p_mm: DVec3, mut limit_mm2: f64, mut visit: impl FnMut(u32, f64) -> f64) {
         let mut open = [(0.0_f64, 0_u32, 0_u32); MOST_OPEN];

@@ -26,7 +26,7 @@ pub(super) struct Use {
     /// The edge from this corner to the next one.
     pub corner: u8,
     /// Whether it runs from the edge's first end to its second.
-    forward: bool,
+    pub forward: bool,
 }
 
 /// Vertices, triangles and edges of a mesh with equal places welded.
@@ -144,9 +144,10 @@ fn kinds(vertices_mm: &[DVec3], corners: &[[u32; 3]]) -> Vec<Kind> {
             return Kind::Left;
         }
         let places = [a, b, c].map(|i| vertices_mm[i as usize]);
-        // Coordinates are known to half a unit in the last place, and a height below a few of those has no direction.
+        // Coordinates are known to half a unit in the last place; a height of 64 of those knows its direction to some
+        // hundredths.
         let largest = places.iter().fold(0.0_f64, |most, p| most.max(p.abs().max_element()));
-        let rounding_mm = 4.0 * f64::EPSILON * largest;
+        let rounding_mm = 64.0 * f64::EPSILON * largest;
         let longest_squared = lengths_squared(&places).into_iter().fold(0.0, f64::max);
         let height_squared = 4.0 * area_vector(&places).length_squared() / longest_squared;
         if height_squared > rounding_mm * rounding_mm { Kind::Face } else { Kind::Cap }
