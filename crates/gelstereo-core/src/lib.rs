@@ -14,6 +14,7 @@
 #![forbid(unsafe_code)]
 
 extern crate alloc;
+extern crate std;
 
 pub mod camera;
 pub mod contact;

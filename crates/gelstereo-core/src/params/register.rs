@@ -18,6 +18,8 @@ pub enum RegisterMethod {
     RansacIcp,
     /// Point-to-plane ICP alone, from the guess, with the same model of the shoulder: 100 / 100 / 25 %, 0.6 ms.
     IcpPlane,
+    /// Surface search.
+    SurfaceSearch,
 }
 
 /// Registration of a contact patch to a template.
@@ -54,6 +56,14 @@ pub struct RegisterParams {
     pub search_radius_mm: f64,
     /// Seed of RANSAC's random stream. Default: `1`.
     pub seed: u64,
+    /// Starts.
+    pub starts: u32,
+    /// Start sigma.
+    pub start_sigma_deg: f64,
+    /// Start sigma.
+    pub start_sigma_mm: f64,
+    /// Surface sigma.
+    pub surface_sigma_mm: f64,
 }
 
 impl Default for RegisterParams {
@@ -70,6 +80,10 @@ impl Default for RegisterParams {
             ransac_hypotheses: 2000,
             search_radius_mm: 3.0,
             seed: 1,
+            starts: 128,
+            start_sigma_deg: 12.0,
+            start_sigma_mm: 2.0,
+            surface_sigma_mm: 0.003,
         }
     }
 }

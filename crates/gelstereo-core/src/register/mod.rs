@@ -16,6 +16,7 @@ mod ransac;
 mod rigid;
 mod sample;
 mod soft;
+mod surface;
 mod template;
 mod tree;
 
@@ -23,6 +24,7 @@ pub use error::{RegisterError, TemplateError};
 pub use free::{FreeDirection, FreeDirections, Motion};
 pub use observe::Observability;
 pub use rigid::{RigidFit, RigidFitError, rigid_fit};
+pub use surface::Contact;
 pub use soft::{SoftMatch, soft_match};
 pub use template::Template;
 pub use tree::Tree;
@@ -156,13 +158,14 @@ fn compose(t_sensor_object: &Pose, motion: &Pose) -> Pose {
 pub struct Registrar {
     params: RegisterParams,
     scratch: Scratch,
+    surface: surface::SurfaceScratch,
 }
 
 impl Registrar {
     /// With these settings.
     #[must_use]
     pub fn new(params: &RegisterParams) -> Self {
-        Self { params: params.clone(), scratch: Scratch::default() }
+        Self { params: params.clone(), scratch: Scratch::default(), surface: surface::SurfaceScratch::default() }
     }
 
     /// Registers a patch of salient points (sensor frame) to the template, from a guess.
@@ -177,7 +180,21 @@ impl Registrar {
         template: &Template,
         guess: &Pose,
     ) -> Result<Registration, RegisterError> {
+        self.register(&Contact::new(points_mm), template, guess)
+    }
+
+    /// As [`Self::run`], with all that was sensed of the contact.
+    ///
+    /// # Errors
+    /// [`RegisterError`].
+    pub fn register(
+        &mut self,
+        contact: &Contact<'_>,
+        template: &Template,
+        guess: &Pose,
+    ) -> Result<Registration, RegisterError> {
         self.params.validate()?;
+        let points_mm = contact.points_mm;
         let guess = check(points_mm, guess)?;
         let problem = Problem { params: &self.params, points_mm, template };
         let scratch = &mut self.scratch;
@@ -193,6 +210,7 @@ impl Registrar {
                 icp::point_to_point(&problem, scratch, &start)
             }
             RegisterMethod::IcpPlane => icp::point_to_plane(&problem, scratch, &guess),
+            RegisterMethod::SurfaceSearch => surface::run(&self.params, contact, template, &guess, &mut self.surface),
         }?;
         assess::registration(&problem, scratch, &outcome)
     }

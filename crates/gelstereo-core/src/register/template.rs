@@ -31,6 +31,7 @@ pub struct Template {
     tree: Tree,
     blocks: Vec<Block>,
     solid: Option<Solid>,
+    pub(super) surface: Option<(super::surface::relief::Relief, super::surface::interim::DistanceField)>,
 }
 
 impl Template {
@@ -45,7 +46,7 @@ impl Template {
         let curvatures_per_mm = curvatures(points_mm, &normals, &tree, spacing_mm);
         let blocks = blocks::blocks(points_mm, &normals, &tree);
         let points_mm = points_mm.to_vec();
-        Ok(Self { points_mm, normals, curvatures_per_mm, spacing_mm, tree, blocks, solid: None })
+        Ok(Self { points_mm, normals, curvatures_per_mm, spacing_mm, tree, blocks, solid: None, surface: None })
     }
 
     /// Spacing for a part that a hand holds: a quarter of the lattice's pitch, rounded. Default of all who sample one.
@@ -59,8 +60,10 @@ impl Template {
     /// [`TemplateError::Spacing`] when it is not positive, [`TemplateError::Solid`] when the triangles are no surface.
     pub fn from_mesh(mesh: &TriangleMesh, spacing_mm: f64, seed: u64) -> Result<Self, TemplateError> {
         let (points_mm, normals) = sample::evenly(mesh, spacing_mm, seed)?;
-        let solid = Some(Solid::new(mesh).map_err(TemplateError::Solid)?);
-        Ok(Self { solid, ..Self::new(&points_mm, &normals, spacing_mm)? })
+        let solid = Solid::new(mesh).map_err(TemplateError::Solid)?;
+        let field = super::surface::interim::DistanceField::new(mesh, &solid, 0.4, 4.0);
+        let surface = Some((super::surface::relief::Relief::new(&solid), field));
+        Ok(Self { solid: Some(solid), surface, ..Self::new(&points_mm, &normals, spacing_mm)? })
     }
 
     /// The exact surface, for a template that was made from a mesh.

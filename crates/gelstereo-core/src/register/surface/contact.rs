@@ -1,0 +1,166 @@
+//! What was sensed, as the surface rungs see it: points about the patch's centroid, and which of them a coarse look needs.
+
+use crate::math::linalg::Symmetric;
+use crate::math::{DVec3, sqrt};
+use alloc::vec::Vec;
+
+/// A contact as it was sensed, in the sensor's frame.
+#[derive(Clone, Copy, Debug)]
+pub struct Contact<'a> {
+    /// Salient points: those that the part presses on, and the gel's shoulder beside it.
+    pub points_mm: &'a [DVec3],
+    /// Covariance of each of them; without it each has `register.point_sigma_mm` along every axis.
+    pub covariance_mm2: Option<&'a [Symmetric<3>]>,
+    /// Markers that nothing presses on. The part is nowhere between them and the camera; may be empty.
+    pub unpressed_mm: &'a [DVec3],
+    /// The way from the part into the gel, a unit vector: only faces that look this way can be touched.
+    pub press_direction: DVec3,
+}
+
+impl<'a> Contact<'a> {
+    /// Salient points alone, pressed toward the camera.
+    #[must_use]
+    pub const fn new(points_mm: &'a [DVec3]) -> Self {
+        Self { points_mm, covariance_mm2: None, unpressed_mm: &[], press_direction: DVec3::NEG_Z }
+    }
+}
+
+/// A point about the patch's centroid, with its covariance.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sample {
+    pub p_mm: DVec3,
+    /// xx, yy, zz, xy, xz, yz.
+    covariance: [f64; 6],
+}
+
+impl Sample {
+    /// Variance along a unit vector.
+    #[inline]
+    pub fn variance(&self, n: DVec3) -> f64 {
+        let [xx, yy, zz, xy, xz, yz] = self.covariance;
+        let along = xx * n.x * n.x + yy * n.y * n.y + zz * n.z * n.z;
+        along + 2.0 * (xy * n.x * n.y + xz * n.x * n.z + yz * n.y * n.z)
+    }
+}
+
+/// Unpressed markers this far from the patch tell of the part; those beyond are not looked at.
+const AROUND_MM: f64 = 6.0;
+/// A coarse look needs those this near, every so many of them.
+const BESIDE_MM: f64 = 3.5;
+/// Salient points of the coarsest look.
+pub(super) const COARSE: usize = 24;
+/// Salient points of the second look.
+pub(super) const MEDIUM: usize = 64;
+
+/// The points of one contact. The first [`COARSE`] and [`MEDIUM`] of `pressed` are spread over the patch.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Samples {
+    pub centre_mm: DVec3,
+    /// Rms radius of the patch.
+    pub radius_mm: f64,
+    pub pressed: Vec<Sample>,
+    /// Nearest to the patch first within what a coarse look takes.
+    pub unpressed: Vec<Sample>,
+    /// How many of `unpressed` a coarse and a medium look take.
+    pub coarse_unpressed: usize,
+    pub medium_unpressed: usize,
+    /// Of every salient point the nearest salient ones; its own index where there are fewer.
+    pub neighbours: Vec<[u16; NEIGHBOURS]>,
+    /// How far toward the camera markers come before they are salient.
+    pub salient_from_mm: f64,
+    nearest_squared: Vec<f64>,
+}
+
+/// Salient points around one that tell whether the gel touches there.
+pub(super) const NEIGHBOURS: usize = 6;
+
+impl Samples {
+    pub fn fill(&mut self, contact: &Contact<'_>, sigma_mm: f64) {
+        let square = sigma_mm * sigma_mm;
+        let isotropic = [square, square, square, 0.0, 0.0, 0.0];
+        self.centre_mm = crate::math::centroid(contact.points_mm);
+        self.pressed.clear();
+        for (k, &point) in contact.points_mm.iter().enumerate() {
+            let covariance = contact.covariance_mm2.map_or(isotropic, |all| {
+                let c = &all[k];
+                [c[0][0], c[1][1], c[2][2], c[0][1], c[0][2], c[1][2]]
+            });
+            self.pressed.push(Sample { p_mm: point - self.centre_mm, covariance });
+        }
+        let sum: f64 = self.pressed.iter().map(|s| s.p_mm.length_squared()).sum();
+        self.radius_mm = sqrt(sum / self.pressed.len().max(1) as f64).max(10.0 * sigma_mm);
+        self.spread();
+        self.take_unpressed(contact.unpressed_mm, isotropic);
+        self.find_neighbours();
+        let along = |s: &Sample| s.p_mm.dot(contact.press_direction);
+        self.salient_from_mm = self.pressed.iter().map(along).fold(f64::INFINITY, f64::min);
+    }
+
+    fn find_neighbours(&mut self) {
+        self.neighbours.clear();
+        for (k, s) in self.pressed.iter().enumerate() {
+            let mut best = [(f64::INFINITY, k as u16); NEIGHBOURS];
+            for (j, other) in self.pressed.iter().enumerate() {
+                let squared = s.p_mm.distance_squared(other.p_mm);
+                if squared < best[NEIGHBOURS - 1].0 && j != k {
+                    let mut at = NEIGHBOURS - 1;
+                    while at > 0 && best[at - 1].0 > squared {
+                        best[at] = best[at - 1];
+                        at -= 1;
+                    }
+                    best[at] = (squared, j as u16);
+                }
+            }
+            // Those behind a gap are no neighbours.
+            let limit = 4.0 * best[0].0;
+            self.neighbours.push(best.map(|(squared, j)| if squared <= limit { j } else { k as u16 }));
+        }
+    }
+
+    /// Brings points that are far from each other to the front (Gonzalez 1985), beginning with the one nearest to the
+    /// centroid.
+    fn spread(&mut self) {
+        let count = MEDIUM.min(self.pressed.len());
+        self.nearest_squared.clear();
+        self.nearest_squared.extend(self.pressed.iter().map(|s| 1.0 / (1e-30 + s.p_mm.length_squared())));
+        for k in 0..count {
+            let rest = &self.nearest_squared[k..];
+            let best = (1..rest.len()).fold(0, |best, i| if rest[i] > rest[best] { i } else { best }) + k;
+            self.pressed.swap(k, best);
+            self.nearest_squared.swap(k, best);
+            if k == 0 {
+                self.nearest_squared.fill(f64::INFINITY);
+            }
+            let from = self.pressed[k].p_mm;
+            for (near, s) in self.nearest_squared.iter_mut().zip(&self.pressed).skip(k + 1) {
+                *near = near.min(s.p_mm.distance_squared(from));
+            }
+        }
+    }
+
+    /// Those around the patch: every fourth beside it first, then the others beside it, then the rest.
+    fn take_unpressed(&mut self, unpressed_mm: &[DVec3], covariance: [f64; 6]) {
+        self.unpressed.clear();
+        let spread = &self.pressed[..COARSE.min(self.pressed.len())];
+        let mut beside = 0;
+        for &point in unpressed_mm {
+            let p_mm = point - self.centre_mm;
+            let near = spread.iter().map(|s| s.p_mm.distance_squared(p_mm)).fold(f64::INFINITY, f64::min);
+            if near > AROUND_MM * AROUND_MM {
+                continue;
+            }
+            self.unpressed.push(Sample { p_mm, covariance });
+            if near <= BESIDE_MM * BESIDE_MM {
+                let last = self.unpressed.len() - 1;
+                self.unpressed.swap(beside, last);
+                beside += 1;
+            }
+        }
+        let quarter = beside.div_ceil(4);
+        for k in 1..quarter {
+            self.unpressed.swap(k, 4 * k);
+        }
+        self.coarse_unpressed = quarter;
+        self.medium_unpressed = beside.div_ceil(2).max(quarter);
+    }
+}
