@@ -3,10 +3,11 @@
 use super::blocks::{self, Block};
 use super::error::TemplateError;
 use super::sample;
+use super::surface::Relief;
 use super::tree::Tree;
 use crate::digest::Digest;
 use crate::math::{DVec3, sqrt};
-use crate::surface::{Solid, TriangleMesh};
+use crate::surface::{Field, Solid, TriangleMesh};
 use alloc::vec::Vec;
 
 /// Fewest points that can carry a pose.
@@ -31,7 +32,8 @@ pub struct Template {
     tree: Tree,
     blocks: Vec<Block>,
     solid: Option<Solid>,
-    pub(super) surface: Option<(super::surface::relief::Relief, super::surface::interim::DistanceField)>,
+    field: Option<Field>,
+    relief: Option<Relief>,
 }
 
 impl Template {
@@ -46,11 +48,26 @@ impl Template {
         let curvatures_per_mm = curvatures(points_mm, &normals, &tree, spacing_mm);
         let blocks = blocks::blocks(points_mm, &normals, &tree);
         let points_mm = points_mm.to_vec();
-        Ok(Self { points_mm, normals, curvatures_per_mm, spacing_mm, tree, blocks, solid: None, surface: None })
+        Ok(Self {
+            points_mm,
+            normals,
+            curvatures_per_mm,
+            spacing_mm,
+            tree,
+            blocks,
+            solid: None,
+            field: None,
+            relief: None,
+        })
     }
 
     /// Spacing for a part that a hand holds: a quarter of the lattice's pitch, rounded. Default of all who sample one.
     pub const DEFAULT_SPACING_MM: f64 = 0.25;
+
+    /// Cells of the field of distances of a mesh, and how far it reaches: farther than a gel is thick.
+    pub const DEFAULT_CELL_MM: f64 = 0.4;
+    /// See [`Self::DEFAULT_CELL_MM`].
+    pub const DEFAULT_REACH_MM: f64 = 4.0;
 
     /// Samples a mesh evenly: on average one point for every `spacing_mm`² of its area, no two points of faces that
     /// look the same way (within 60 degrees) closer than 0.81 of the spacing. The same seed gives the same points.
@@ -61,15 +78,35 @@ impl Template {
     pub fn from_mesh(mesh: &TriangleMesh, spacing_mm: f64, seed: u64) -> Result<Self, TemplateError> {
         let (points_mm, normals) = sample::evenly(mesh, spacing_mm, seed)?;
         let solid = Solid::new(mesh).map_err(TemplateError::Solid)?;
-        let field = super::surface::interim::DistanceField::new(mesh, &solid, 0.4, 4.0);
-        let surface = Some((super::surface::relief::Relief::new(&solid), field));
-        Ok(Self { solid: Some(solid), surface, ..Self::new(&points_mm, &normals, spacing_mm)? })
+        let relief = Some(Relief::new(&solid));
+        let out = Self { solid: Some(solid), relief, ..Self::new(&points_mm, &normals, spacing_mm)? };
+        Ok(out.with_field(Self::DEFAULT_CELL_MM, Self::DEFAULT_REACH_MM))
     }
 
     /// The exact surface, for a template that was made from a mesh.
     #[must_use]
     pub const fn solid(&self) -> Option<&Solid> {
         self.solid.as_ref()
+    }
+
+    /// With distances on a grid around the exact surface ([`Field::new`]), for screening many poses; unchanged without a
+    /// surface, or if the numbers make no grid.
+    #[must_use]
+    pub fn with_field(mut self, cell_mm: f64, reach_mm: f64) -> Self {
+        self.field =
+            self.solid.as_ref().and_then(|solid| Field::new(solid, cell_mm, reach_mm)).or(self.field);
+        self
+    }
+
+    /// Distances on a grid, if [`Self::with_field`] has made them.
+    #[must_use]
+    pub const fn field(&self) -> Option<&Field> {
+        self.field.as_ref()
+    }
+
+    /// Normals of the smooth surface that the triangles stand for.
+    pub(super) const fn relief(&self) -> Option<&Relief> {
+        self.relief.as_ref()
     }
 
     /// Points, object frame.
@@ -122,7 +159,7 @@ impl Template {
         &self.blocks
     }
 
-    /// Digest of the points, normals and spacing, and of the exact surface if there is one.
+    /// Digest of the points, normals and spacing, and of the exact surface and the grid if there are any.
     #[must_use]
     pub fn digest(&self) -> u64 {
         let numbers = |v: &DVec3| v.to_array();
@@ -130,7 +167,8 @@ impl Template {
             .f64s(self.points_mm.iter().flat_map(numbers))
             .f64s(self.normals.iter().flat_map(numbers))
             .f64s([self.spacing_mm]);
-        self.solid.as_ref().map_or(points, |solid| points.u64(solid.digest())).value()
+        let solid = self.solid.as_ref().map_or(points, |solid| points.u64(solid.digest()));
+        self.field.as_ref().map_or(solid, |field| solid.u64(field.digest())).value()
     }
 }
 

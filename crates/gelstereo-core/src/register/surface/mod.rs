@@ -2,16 +2,16 @@
 
 mod contact;
 mod fit;
-pub(super) mod interim;
 mod noise;
 mod part;
 mod polish;
-pub(super) mod relief;
+mod relief;
 mod search;
 mod starts;
 mod step;
 
 pub use contact::Contact;
+pub(super) use relief::Relief;
 
 use super::{Outcome, RegisterError, Template};
 use crate::math::Pose;
@@ -44,8 +44,7 @@ pub(super) fn run(
         sigma_rad: params.start_sigma_deg.to_radians(),
         sigma_mm: params.start_sigma_mm,
     };
-    let (relief, field) = template.surface.as_ref().unwrap();
-    let solid = template.solid().unwrap();
+    let (solid, field, relief) = (template.solid().unwrap(), template.field().unwrap(), template.relief().unwrap());
     let mut search = Search {
         params,
         samples: &scratch.samples,

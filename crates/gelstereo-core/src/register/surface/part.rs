@@ -1,10 +1,9 @@
 //! How far points are from the part: on the exact triangles, and on the field that is a sum away.
 
 use super::step::Placement;
-use crate::math::{DVec3, abs};
-use super::interim::DistanceField;
+use crate::math::{DVec3, abs, sqrt};
 use super::relief::Relief;
-use crate::surface::{Facing, Solid};
+use crate::surface::{Facing, Field, Solid};
 
 /// A face that looks away from the gel by more than this cosine cannot be touched. Noise and a guess's tilt get it.
 const LEAST_COSINE: f64 = -0.1;
@@ -29,22 +28,25 @@ pub(super) trait Distances {
 }
 
 /// The distance field, trilinear between its nodes.
-pub(super) struct Coarse<'a>(pub &'a DistanceField);
+pub(super) struct Coarse<'a>(pub &'a Field);
 
 impl Distances for Coarse<'_> {
     const WORK: u64 = 1;
 
     #[inline]
     fn at(&self, x_mm: DVec3, press: DVec3, _: &mut u32) -> Near {
-        let near = self.lookup(x_mm);
+        let near = self.lookup(x_mm, press);
         if near.normal.dot(press) >= LEAST_COSINE { near } else { self.through(x_mm, press, near) }
     }
 }
 
 impl Coarse<'_> {
+    /// Out of the field's reach there is no part.
     #[inline]
-    fn lookup(&self, x_mm: DVec3) -> Near {
-        let (distance_mm, normal) = self.0.distance_and_normal(x_mm);
+    fn lookup(&self, x_mm: DVec3, press: DVec3) -> Near {
+        let (distance_mm, gradient) = self.0.distance(x_mm).unwrap_or((self.0.reach_mm(), press));
+        let length_squared = gradient.length_squared();
+        let normal = if length_squared > 1e-6 { gradient / sqrt(length_squared) } else { press };
         Near { distance_mm, normal, curvature_per_mm: 0.0 }
     }
 
@@ -52,11 +54,11 @@ impl Coarse<'_> {
     /// and takes the distance to its plane; a way that leads out of the part says that nothing is there.
     #[cold]
     fn through(&self, x_mm: DVec3, press: DVec3, first: Near) -> Near {
-        let least_mm = self.0.spacing_mm();
+        let least_mm = self.0.cell_mm();
         let (mut way_mm, mut near) = (0.0, first);
         for _ in 0..MOST_LOOKUPS {
             way_mm += abs(near.distance_mm).max(least_mm);
-            let next = self.lookup(x_mm + press * way_mm);
+            let next = self.lookup(x_mm + press * way_mm, press);
             if next.normal.dot(press) >= LEAST_COSINE {
                 let distance_mm = next.distance_mm - way_mm * next.normal.dot(press);
                 // Out of the part and away from it: nothing stands in the way.

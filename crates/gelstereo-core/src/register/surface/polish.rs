@@ -97,6 +97,14 @@ impl<D: Distances> Polish<'_, D> {
         end
     }
 
+    /// The negative logarithm of the likelihood under shares that are the same for all candidates.
+    pub fn compare(&self, candidate: &Candidate, three: &mut [Readings; 3]) -> f64 {
+        let [here, there, beliefs] = three;
+        self.start([there, beliefs, here]);
+        self.read(&candidate.placement, here);
+        self.system(&beliefs.prior, here, &candidate.placement).cost
+    }
+
     fn start(&self, three: [&mut Readings; 3]) {
         let nothing = Reading {
             distance_mm: 0.0,

@@ -9,8 +9,7 @@ use super::starts::start;
 use super::step::{Placement, Prior};
 use crate::math::{DVec3, sqrt};
 use crate::params::RegisterParams;
-use super::interim::DistanceField;
-use crate::surface::Solid;
+use crate::surface::{Field, Solid};
 use alloc::vec::Vec;
 
 /// A pose in the running.
@@ -25,7 +24,7 @@ pub(super) struct Search<'a> {
     pub params: &'a RegisterParams,
     pub samples: &'a Samples,
     pub press_direction: DVec3,
-    pub field: &'a DistanceField,
+    pub field: &'a Field,
     pub solid: &'a Solid,
     pub relief: &'a Relief,
     pub prior: Prior,
@@ -103,6 +102,7 @@ impl Search<'_> {
         let on_field = Polish { params, view, samples: self.samples, part: Coarse(self.field), prior };
         for c in candidates.iter_mut() {
             self.work += on_field.run(c, tune("NC", &[4.0])[0] as u32, two).work;
+            c.cost = on_field.compare(c, two);
         }
         keep(candidates, tune("KC", &[3.0])[0] as usize, self.samples.radius_mm, 0.1);
         let on_faces = Polish { params, view, samples: self.samples, part: Exact { solid: self.solid, relief: self.relief }, prior };
@@ -110,6 +110,7 @@ impl Search<'_> {
         for (k, c) in candidates.iter_mut().enumerate() {
             let end = on_faces.run(c, tune("ND", &[12.0])[0] as u32, two);
             self.work += end.work;
+            c.cost = on_faces.compare(c, two);
             if k == 0 { out = (end.converged, end.iterations); }
         }
         if std::env::var("COST").is_ok() { for c in candidates.iter() { let (w, v) = c.placement.since(&self.prior.guess); std::println!("   cost {:.2} moved {:.3} {:.3} {out:?} work {}", c.cost, w.length().to_degrees(), v.length(), self.work); } }

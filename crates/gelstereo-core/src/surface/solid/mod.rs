@@ -1,11 +1,13 @@
 //! The exact surface of a part: nearest points, normals and signed distances.
 
 mod face;
+mod field;
 mod normals;
 mod report;
 mod tree;
 mod weld;
 
+pub use field::Field;
 pub use report::{SolidError, SolidReport};
 
 use super::TriangleMesh;
@@ -78,6 +80,7 @@ pub struct Solid {
     /// Where each triangle stands in that order.
     place_of: Vec<u32>,
     boxes: Boxes,
+    bounds_mm: (DVec3, DVec3),
     /// What squared distances may be wrong by, over and above their share; see [`Self::limit`].
     slack_mm2: f64,
     report: SolidReport,
@@ -123,6 +126,7 @@ impl Solid {
             faces,
             place_of,
             boxes,
+            bounds_mm: (low, high),
             slack_mm2: 1e-19 * (high - low).length_squared(),
         })
     }
@@ -159,6 +163,12 @@ impl Solid {
     #[must_use]
     pub fn triangles(&self) -> &[[u32; 3]] {
         &self.corners
+    }
+
+    /// Smallest and largest coordinates.
+    #[must_use]
+    pub const fn bounds_mm(&self) -> (DVec3, DVec3) {
+        self.bounds_mm
     }
 
     /// Digest of places and triangles.
@@ -220,7 +230,7 @@ impl Solid {
     ) -> Option<Found> {
         let tables = (&self.edges[..], &self.vertices_mm[..]);
         let mut best: Option<Found> = None;
-        let mut limit_mm2 = self.limit(most_mm2);
+        let mut limit_mm2 = self.limit(most_mm2).min(f64::MAX);
         let mut consider = |place: u32, limit_mm2: f64| -> f64 {
             let face = &self.faces[place as usize];
             if !wanted(face) {

@@ -12,8 +12,6 @@ const LEAF: usize = 2;
 const MOST_LEVELS: usize = 16;
 /// Open children at any time, at most.
 const MOST_OPEN: usize = (WAYS - 1) * MOST_LEVELS + 1;
-/// No child.
-const NOTHING: u32 = u32::MAX;
 
 #[derive(Clone, Debug)]
 struct Node {
@@ -49,8 +47,8 @@ impl Boxes {
         Self { nodes }
     }
 
-    /// Calls `visit` for places, nearest boxes first, whose box is within the squared distance `limit_mm2`, which
-    /// `visit` may lower and returns.
+    /// Calls `visit` for places, nearest boxes first, whose box is within the squared distance `limit_mm2`, which is finite and
+    /// which `visit` may lower and returns.
     #[inline]
     pub fn near(&self, p_mm: DVec3, mut limit_mm2: f64, mut visit: impl FnMut(u32, f64) -> f64) {
         let mut open = [(0.0_f64, 0_u32, 0_u32); MOST_OPEN];
@@ -71,7 +69,8 @@ impl Boxes {
             let squared = node.squared(p_mm);
             let begin = count;
             for k in 0..WAYS {
-                if node.child[k] == NOTHING || squared[k] > limit_mm2 {
+                // What is not a number is not within.
+                if !(squared[k] <= limit_mm2) {
                     continue;
                 }
                 // The nearest on top.
@@ -94,7 +93,7 @@ impl Node {
         let mut sum = [0.0; WAYS];
         for (axis, p) in p_mm.to_array().into_iter().enumerate() {
             for k in 0..WAYS {
-                let outside = (self.low[axis][k] - p).max(p - self.high[axis][k]).max(0.0);
+                let outside = larger(0.0, larger(self.low[axis][k] - p, p - self.high[axis][k]));
                 sum[k] += outside * outside;
             }
         }
@@ -102,13 +101,20 @@ impl Node {
     }
 }
 
+/// The larger one, or `b` if one is not a number; a single instruction, unlike `f64::max`.
+#[inline]
+fn larger(a: f64, b: f64) -> f64 {
+    if a > b { a } else { b }
+}
+
 /// Adds the node over these items, which stand from `first` on; its name.
 fn grow(nodes: &mut Vec<Node>, items: &mut [Item], first: usize) -> u32 {
     let name = nodes.len();
     nodes.push(Node {
-        low: [[0.0; WAYS]; 3],
-        high: [[0.0; WAYS]; 3],
-        child: [NOTHING; WAYS],
+        // A box that is not there is infinitely far from everywhere.
+        low: [[f64::INFINITY; WAYS]; 3],
+        high: [[f64::NEG_INFINITY; WAYS]; 3],
+        child: [0; WAYS],
         count: [0; WAYS],
     });
     for (k, range) in quarters(items).into_iter().enumerate() {

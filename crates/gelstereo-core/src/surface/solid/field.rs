@@ -1,0 +1,245 @@
+//! Signed distances on a grid around the surface, for screening many poses.
+
+use super::Solid;
+use crate::digest::Digest;
+use crate::math::{DVec3, ceil, round};
+use alloc::vec::Vec;
+
+/// Cells along a block's side.
+const CELLS: usize = 8;
+/// Nodes along a block's side: those between two blocks are in both, so that a query reads one block.
+const NODES: usize = CELLS + 1;
+const BLOCK: usize = NODES * NODES * NODES;
+/// From the first to the last of a cell's eight nodes.
+const SPAN: usize = NODES * NODES + NODES + 2;
+/// No block here: the surface is out of reach.
+const NONE: u32 = u32::MAX;
+/// A node out of reach, or one beside a hole, where the sign changes without the surface being near.
+const UNKNOWN: i16 = i16::MIN;
+/// Most blocks in the box around the part.
+const MOST_PLACES: f64 = 131_072.0;
+/// Most nodes; with them it is built in about a second.
+const MOST_NODES: usize = 2_000_000;
+/// How much wider cells are made when there are too many.
+const WIDER: f64 = 1.125;
+
+/// Signed distances at the nodes of a grid within reach of a surface, and between them by trilinear interpolation.
+///
+/// A distance changes by no more than the way gone, so that an interpolated one is never wrong by more than
+/// √3/2 = 0.87 of [`Self::cell_mm`]. That happens at sharp edges alone: over a face it is exact but for the rounding to
+/// 16 bits, and around a surface of radius R it is wrong by h² / 4R.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Field {
+    low_mm: DVec3,
+    cell_mm: f64,
+    reach_mm: f64,
+    /// What one step of a value is.
+    step_mm: f64,
+    /// Blocks along x, y and z.
+    sides: [usize; 3],
+    /// Where a block's values begin, in blocks, or [`NONE`]; x runs fastest.
+    block_at: Vec<u32>,
+    values: Vec<i16>,
+}
+
+impl Field {
+    /// Width of a cell that suits a lattice of 0.9 mm.
+    pub const DEFAULT_CELL_MM: f64 = 0.25;
+    /// Reach that suits the patches of a gel.
+    pub const DEFAULT_REACH_MM: f64 = 2.0;
+
+    /// Of a surface, with cells of `cell_mm`, or as wide as it takes for at most two million nodes.
+    ///
+    /// `None` for a reach or width that is not positive, or a reach that is not some cells wide or exceeds 1000 of them.
+    #[must_use]
+    pub fn new(solid: &Solid, cell_mm: f64, reach_mm: f64) -> Option<Self> {
+        let sound = cell_mm > 0.0 && reach_mm >= 2.0 * cell_mm && reach_mm <= 1000.0 * cell_mm;
+        if !(sound && reach_mm.is_finite()) {
+            return None;
+        }
+        let mut cell_mm = cell_mm;
+        loop {
+            if let Some((mut field, count)) = Self::laid_out(solid, cell_mm, reach_mm) {
+                field.fill(solid, count);
+                field.forget_jumps(solid);
+                return Some(field);
+            }
+            cell_mm *= WIDER;
+        }
+    }
+
+    /// Width of a cell, at least what was asked for.
+    #[must_use]
+    pub const fn cell_mm(&self) -> f64 {
+        self.cell_mm
+    }
+
+    /// Largest distance that it knows.
+    #[must_use]
+    pub const fn reach_mm(&self) -> f64 {
+        self.reach_mm
+    }
+
+    /// Memory of the grid.
+    #[must_use]
+    pub const fn bytes(&self) -> usize {
+        self.values.len() * size_of::<i16>() + self.block_at.len() * size_of::<u32>()
+    }
+
+    /// Digest of the grid and its values.
+    #[must_use]
+    pub fn digest(&self) -> u64 {
+        let grid = Digest::new().f64s(self.low_mm.to_array()).f64s([self.cell_mm, self.reach_mm]);
+        self.values.iter().fold(grid, |digest, value| digest.bytes(&value.to_le_bytes())).value()
+    }
+
+    /// Distance, positive outside, and its gradient; `None` where the surface is out of reach, or beside a hole.
+    #[must_use]
+    #[inline]
+    pub fn distance(&self, p_mm: DVec3) -> Option<(f64, DVec3)> {
+        let at = ((p_mm - self.low_mm) / self.cell_mm).to_array();
+        let (mut place, mut first, mut stride, mut step) = (0, 0, 1, 1);
+        let mut share = [0.0; 3];
+        for axis in 0..3 {
+            // What is not a number is not within.
+            if !(at[axis] >= 0.0 && at[axis] < (self.sides[axis] * CELLS) as f64) {
+                return None;
+            }
+            let cell = at[axis] as usize;
+            share[axis] = at[axis] - cell as f64;
+            place += cell / CELLS * stride;
+            first += cell % CELLS * step;
+            stride *= self.sides[axis];
+            step *= NODES;
+        }
+        let block = self.block_at[place];
+        if block == NONE {
+            return None;
+        }
+        let first = block as usize * BLOCK + first;
+        let (distance, gradient) = interpolate(&self.values[first..first + SPAN], share)?;
+        let distance_mm = distance * self.step_mm;
+        let gradient = DVec3::from_array(gradient) * (self.step_mm / self.cell_mm);
+        (distance_mm.abs() <= self.reach_mm).then_some((distance_mm, gradient))
+    }
+
+    /// The grid without values, and the number of its blocks; `None` if it is too large.
+    fn laid_out(solid: &Solid, cell_mm: f64, reach_mm: f64) -> Option<(Self, usize)> {
+        let (low_mm, high_mm) = solid.bounds_mm();
+        let (low_mm, high_mm) = (low_mm - reach_mm, high_mm + reach_mm);
+        let side_mm = CELLS as f64 * cell_mm;
+        let sides = ((high_mm - low_mm) / side_mm).to_array().map(|n| ceil(n).max(1.0));
+        if sides.iter().product::<f64>() > MOST_PLACES {
+            return None;
+        }
+        let sides = sides.map(|n| n as usize);
+        let half_diagonal_mm = 0.5 * DVec3::splat(side_mm).length();
+        let mut block_at = alloc::vec![NONE; sides.iter().product()];
+        let (mut count, mut near) = (0, None);
+        for (place, block) in block_at.iter_mut().enumerate() {
+            let middle = corner(place, sides) * side_mm + low_mm + 0.5 * side_mm;
+            // Whatever in the block is within reach of the surface brings its middle within this.
+            if let Some(found) = solid.closest_within(middle, reach_mm + half_diagonal_mm, near) {
+                near = Some(found.triangle);
+                *block = count as u32;
+                count += 1;
+                if count * BLOCK > MOST_NODES {
+                    return None;
+                }
+            }
+        }
+        let mut field = Self { low_mm, cell_mm, reach_mm, step_mm: 0.0, sides, block_at, values: Vec::new() };
+        field.step_mm = field.largest_mm() / f64::from(i16::MAX);
+        Some((field, count))
+    }
+
+    fn fill(&mut self, solid: &Solid, count: usize) {
+        self.values = Vec::with_capacity(count * BLOCK);
+        let mut near = None;
+        for (place, _) in self.block_at.iter().enumerate().filter(|&(_, &block)| block != NONE) {
+            let corner = corner(place, self.sides) * CELLS as f64;
+            for k in 0..BLOCK {
+                let node = [k % NODES, k / NODES % NODES, k / (NODES * NODES)];
+                let value = self.known(place, node).unwrap_or_else(|| {
+                    let p_mm =
+                        (corner + DVec3::from_array(node.map(|n| n as f64))) * self.cell_mm + self.low_mm;
+                    let found = solid.closest_within(p_mm, self.largest_mm(), near);
+                    near = found.map(|found| found.triangle).or(near);
+                    found.map_or(UNKNOWN, |found| round(found.distance_mm / self.step_mm) as i16)
+                });
+                self.values.push(value);
+            }
+        }
+    }
+
+    /// The value of a node that a block before has too.
+    fn known(&self, place: usize, node: [usize; 3]) -> Option<i16> {
+        let (mut stride, mut step) = (1, 1);
+        let here = node[0] + NODES * (node[1] + NODES * node[2]);
+        for axis in 0..3 {
+            // On the lower face, of which the block below has the nodes on its upper one.
+            let is_inside = place / stride % self.sides[axis] > 0;
+            if node[axis] == 0 && is_inside && self.block_at[place - stride] != NONE {
+                return Some(
+                    self.values[self.block_at[place - stride] as usize * BLOCK + here + CELLS * step],
+                );
+            }
+            stride *= self.sides[axis];
+            step *= NODES;
+        }
+        None
+    }
+
+    /// Nodes farther from the surface are in no cell with a point within reach.
+    fn largest_mm(&self) -> f64 {
+        self.reach_mm + DVec3::splat(self.cell_mm).length()
+    }
+
+    /// Without a closed surface signs change where the nearest point jumps from one rim to another. A distance does
+    /// not change by more than the way gone, and there it seems to.
+    fn forget_jumps(&mut self, solid: &Solid) {
+        if solid.is_closed() {
+            return;
+        }
+        let most = (self.cell_mm / self.step_mm) as i32 + 2;
+        for block in self.values.chunks_exact_mut(BLOCK) {
+            for k in 0..BLOCK {
+                let node = [k % NODES, k / NODES % NODES, k / (NODES * NODES)];
+                for (n, stride) in node.into_iter().zip([1, NODES, NODES * NODES]) {
+                    let known = n < CELLS && block[k].min(block[k + stride]) != UNKNOWN;
+                    if known && (i32::from(block[k]) - i32::from(block[k + stride])).abs() > most {
+                        block[k] = UNKNOWN;
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Block coordinates of a place.
+fn corner(place: usize, sides: [usize; 3]) -> DVec3 {
+    let [x, y, z] = [place % sides[0], place / sides[0] % sides[1], place / sides[0] / sides[1]];
+    DVec3::new(x as f64, y as f64, z as f64)
+}
+
+/// Value and gradient in steps between the eight nodes of a cell.
+#[inline]
+fn interpolate(nodes: &[i16], [x, y, z]: [f64; 3]) -> Option<(f64, [f64; 3])> {
+    const ROW: usize = NODES;
+    const LAYER: usize = NODES * NODES;
+    let nodes: &[i16; SPAN] = nodes.try_into().ok()?;
+    let names = [0, 1, ROW, ROW + 1, LAYER, LAYER + 1, LAYER + ROW, LAYER + ROW + 1];
+    let values = names.map(|k| nodes[k]);
+    if values.iter().fold(0, |least, &v| v.min(least)) == UNKNOWN {
+        return None;
+    }
+    let v = values.map(f64::from);
+    // Along x first, then y, then z.
+    let dx = [v[1] - v[0], v[3] - v[2], v[5] - v[4], v[7] - v[6]];
+    let at_x = [v[0] + dx[0] * x, v[2] + dx[1] * x, v[4] + dx[2] * x, v[6] + dx[3] * x];
+    let dy = [at_x[1] - at_x[0], at_x[3] - at_x[2]];
+    let at_y = [at_x[0] + dy[0] * y, at_x[2] + dy[1] * y];
+    let dz = at_y[1] - at_y[0];
+    let (near, far) = (dx[0] + (dx[1] - dx[0]) * y, dx[2] + (dx[3] - dx[2]) * y);
+    Some((at_y[0] + dz * z, [near + (far - near) * z, dy[0] + (dy[1] - dy[0]) * z, dz]))
+}
