@@ -14,7 +14,6 @@
 #![forbid(unsafe_code)]
 
 extern crate alloc;
-extern crate std;
 
 pub mod camera;
 pub mod contact;

@@ -5,10 +5,10 @@
 pub mod gel;
 pub mod parts;
 
+use gel::Gel;
 use gelstereo_core::math::linalg::{Symmetric, eigen};
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DMat3, DVec3, Pose, centroid};
-use gel::Gel;
 use parts::Part;
 
 /// Distance of the untouched gel from the camera.
@@ -82,7 +82,8 @@ impl Problem {
             radius_mm: 1.0,
         };
         let squares = (sigma * sigma).to_array();
-        let covariance = std::array::from_fn(|i| std::array::from_fn(|j| if i == j { squares[i] } else { 0.0 }));
+        let covariance =
+            std::array::from_fn(|i| std::array::from_fn(|j| if i == j { squares[i] } else { 0.0 }));
         for (mut p, touches, normal) in gel.markers() {
             p += sigma * DVec3::new(random.normal(), random.normal(), random.normal());
             let is_salient = REST_MM - p.z > SALIENCY_MM;

@@ -54,7 +54,12 @@ const PITCH_MM: f64 = 1.5;
 pub fn parts() -> Vec<Part> {
     vec![
         Part::new("cylinder peg", false, prism(&circle(4.0, 96), 30.0), round),
-        Part::new("square peg", false, prism(&[[-4.0, -4.0], [4.0, -4.0], [4.0, 4.0], [-4.0, 4.0]], 30.0), flat),
+        Part::new(
+            "square peg",
+            false,
+            prism(&[[-4.0, -4.0], [4.0, -4.0], [4.0, 4.0], [-4.0, 4.0]], 30.0),
+            flat,
+        ),
         Part::new("bolt M10", false, bolt(10.0, PITCH_MM, 25.5), helical),
         Part::new("key", true, key(), flat),
         Part::new("USB-A plug", true, plug(), flat),

@@ -1,7 +1,9 @@
 //! What was sensed, as the surface rungs see it: points about the patch's centroid, and which of them a coarse look needs.
 
-use crate::math::linalg::Symmetric;
+use crate::math::linalg::{Symmetric, eigen};
 use crate::math::{DVec3, sqrt};
+use crate::register::RegisterError;
+use crate::register::template::REACH_MM;
 use alloc::vec::Vec;
 
 /// A contact as it was sensed, in the sensor's frame.
@@ -23,6 +25,30 @@ impl<'a> Contact<'a> {
     pub const fn new(points_mm: &'a [DVec3]) -> Self {
         Self { points_mm, covariance_mm2: None, unpressed_mm: &[], press_direction: DVec3::NEG_Z }
     }
+
+    /// Refuses covariances and markers without meaning; the salient points have been checked.
+    pub(super) fn check(&self) -> Result<(), RegisterError> {
+        let bad = |p: &DVec3| !p.is_finite() || p.abs().max_element() > REACH_MM;
+        if let Some(index) = self.unpressed_mm.iter().position(bad) {
+            return Err(RegisterError::MarkerNotFinite { index });
+        }
+        if !((self.press_direction.length_squared() - 1.0).abs() < 1e-6) {
+            return Err(RegisterError::PressDirection);
+        }
+        let Some(all) = self.covariance_mm2 else { return Ok(()) };
+        if all.len() != self.points_mm.len() {
+            return Err(RegisterError::Covariances { points: self.points_mm.len(), covariances: all.len() });
+        }
+        // Not more negative than rounding makes a singular one.
+        let good = |c: &Symmetric<3>| {
+            let values = eigen(c).values;
+            c.iter().flatten().all(|x| x.is_finite()) && values[2] > 0.0 && values[0] >= -1e-9 * values[2]
+        };
+        match all.iter().position(|c| !good(c)) {
+            Some(index) => Err(RegisterError::BadCovariance { index }),
+            None => Ok(()),
+        }
+    }
 }
 
 /// A point about the patch's centroid, with its covariance.
@@ -33,12 +59,16 @@ pub(super) struct Sample {
     covariance: [f64; 6],
 }
 
+/// Share of the trace that a singular covariance is given along its null direction.
+const FLOOR: f64 = 1e-6;
+
 impl Sample {
     /// Variance along a unit vector.
     #[inline]
     pub fn variance(&self, n: DVec3) -> f64 {
         let [xx, yy, zz, xy, xz, yz] = self.covariance;
-        let along = xx * n.x * n.x + yy * n.y * n.y + zz * n.z * n.z;
+        let floor = FLOOR * (xx + yy + zz);
+        let along = floor + xx * n.x * n.x + yy * n.y * n.y + zz * n.z * n.z;
         along + 2.0 * (xy * n.x * n.y + xz * n.x * n.z + yz * n.y * n.z)
     }
 }
@@ -65,11 +95,14 @@ pub(super) struct Samples {
     pub coarse_unpressed: usize,
     pub medium_unpressed: usize,
     /// Of every salient point the nearest salient ones; its own index where there are fewer.
-    pub neighbours: Vec<[u16; NEIGHBOURS]>,
+    pub neighbours: Vec<[u32; NEIGHBOURS]>,
     /// How far toward the camera markers come before they are salient.
     pub salient_from_mm: f64,
     nearest_squared: Vec<f64>,
 }
+
+/// More salient points than this are not asked for their neighbours, which takes the square of their number.
+const MOST_ASKED: usize = 2000;
 
 /// Salient points around one that tell whether the gel touches there.
 pub(super) const NEIGHBOURS: usize = 6;
@@ -98,8 +131,11 @@ impl Samples {
 
     fn find_neighbours(&mut self) {
         self.neighbours.clear();
+        if self.pressed.len() > MOST_ASKED {
+            return self.neighbours.resize_with(self.pressed.len(), || [0; NEIGHBOURS]);
+        }
         for (k, s) in self.pressed.iter().enumerate() {
-            let mut best = [(f64::INFINITY, k as u16); NEIGHBOURS];
+            let mut best = [(f64::INFINITY, k as u32); NEIGHBOURS];
             for (j, other) in self.pressed.iter().enumerate() {
                 let squared = s.p_mm.distance_squared(other.p_mm);
                 if squared < best[NEIGHBOURS - 1].0 && j != k {
@@ -108,12 +144,12 @@ impl Samples {
                         best[at] = best[at - 1];
                         at -= 1;
                     }
-                    best[at] = (squared, j as u16);
+                    best[at] = (squared, j as u32);
                 }
             }
             // Those behind a gap are no neighbours.
             let limit = 4.0 * best[0].0;
-            self.neighbours.push(best.map(|(squared, j)| if squared <= limit { j } else { k as u16 }));
+            self.neighbours.push(best.map(|(squared, j)| if squared <= limit { j } else { k as u32 }));
         }
     }
 

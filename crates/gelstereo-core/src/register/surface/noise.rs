@@ -21,17 +21,22 @@ pub(super) fn coarse_pressed(r: f64) -> (f64, f64) {
     }
 }
 
-/// The same for a marker that nothing presses.
+/// The same for a marker that nothing presses. Deep in the part it says no more: outliers are there, too.
 #[inline]
 pub(super) fn coarse_unpressed(r: f64) -> (f64, f64) {
     if r > 0.0 {
         (0.0, 0.0)
     } else if r > -1.0 {
         (1.0, r * r)
-    } else {
+    } else if r > -DEEP {
         (-1.0 / r, -2.0 * r - 1.0)
+    } else {
+        (0.0, 2.0 * DEEP - 1.0)
     }
 }
+
+/// Widths within the part from which a coarse look takes a point for an outlier.
+const DEEP: f64 = 3.0;
 
 /// Shares of the mixture that a marker is drawn from.
 #[derive(Clone, Copy, Debug)]
@@ -57,8 +62,7 @@ impl Mixture {
         }
     }
 
-    /// Probability that the marker touches and the likelihood's negative logarithm over that of a perfect contact,
-    /// or of free gel, whichever is greater.
+    /// Probability that the marker touches, and the negative logarithm of the mixture's density (per mm).
     #[inline]
     pub fn at(&self, d_mm: f64, sigma_mm: f64) -> (f64, f64) {
         let r = d_mm / sigma_mm;
@@ -71,15 +75,18 @@ impl Mixture {
             0.5 * self.free * tail(-r, near)
         };
         let all = touch + free + self.stray;
-        (touch / all, ln(peak.max(self.free) / all))
+        (touch / all, -ln(all))
     }
 
-    /// For a marker that is in the part and should not be.
-    pub fn inside(outliers: f64, d_mm: f64, sigma_mm: f64) -> (f64, f64) {
+    /// Weight and cost of a marker that cannot touch; with the weight it is pushed out of the part, if it is within.
+    #[inline]
+    pub fn free(&self, d_mm: f64, sigma_mm: f64) -> (f64, f64) {
+        if d_mm >= 0.0 {
+            return (0.0, -ln(self.free + self.stray));
+        }
         let r = d_mm / sigma_mm;
-        let good = (1.0 - outliers) * exp(-0.5 * r * r);
-        let all = good + outliers.max(1e-4) * sigma_mm / STRAY_MM;
-        (good / all, -ln(all))
+        let good = self.free * exp(-0.5 * r * r);
+        (good / (good + self.stray), -ln(good + self.stray))
     }
 }
 

@@ -1,8 +1,8 @@
 //! How far points are from the part: on the exact triangles, and on the field that is a sum away.
 
+use super::relief::Relief;
 use super::step::Placement;
 use crate::math::{DVec3, abs, sqrt};
-use super::relief::Relief;
 use crate::surface::{Facing, Field, Solid};
 
 /// A face that looks away from the gel by more than this cosine cannot be touched. Noise and a guess's tilt get it.
@@ -28,6 +28,7 @@ pub(super) trait Distances {
 }
 
 /// The distance field, trilinear between its nodes.
+#[derive(Clone, Copy)]
 pub(super) struct Coarse<'a>(pub &'a Field);
 
 impl Distances for Coarse<'_> {
@@ -74,6 +75,7 @@ impl Coarse<'_> {
 }
 
 /// The triangles themselves.
+#[derive(Clone, Copy)]
 pub(super) struct Exact<'a> {
     pub solid: &'a Solid,
     pub relief: &'a Relief,
@@ -92,7 +94,11 @@ impl Distances for Exact<'_> {
             Some(found) => {
                 *hint = found.triangle;
                 let slope = self.relief.slope(self.solid, &found, x_mm - found.point_mm);
-                Near { distance_mm: found.distance_mm, normal: slope.normal, curvature_per_mm: slope.curvature_per_mm }
+                Near {
+                    distance_mm: found.distance_mm,
+                    normal: slope.normal,
+                    curvature_per_mm: slope.curvature_per_mm,
+                }
             }
             None => Near { distance_mm: REACH_MM, normal: press, curvature_per_mm: 0.0 },
         }

@@ -60,7 +60,8 @@ impl Relief {
         let k = found.triangle as usize;
         let curvature_per_mm = self.curvatures_per_mm[k];
         let corners = solid.triangles()[k].map(|v| solid.vertices_mm()[v as usize]);
-        let smooth = interpolate(&self.corners[k], &corners, found.point_mm, solid.face_normal(found.triangle));
+        let smooth =
+            interpolate(&self.corners[k], &corners, found.point_mm, solid.face_normal(found.triangle));
         // Beyond an edge the distance grows away from it; nearer than a micrometre that is no direction.
         if found.normal.dot(smooth) < 0.99 && abs(found.distance_mm) > 1e-3 {
             return Slope { normal: offset_mm / found.distance_mm, curvature_per_mm };
@@ -74,8 +75,8 @@ fn interpolate(normals: &[DVec3; 3], [a, b, c]: &[DVec3; 3], at: DVec3, face: DV
     if normals[0] == normals[1] && normals[1] == normals[2] {
         return normals[0];
     }
-    let [u, v, w] =
-        [(*b - at).cross(*c - at), (*c - at).cross(*a - at), (*a - at).cross(*b - at)].map(|x| x.dot(face).max(0.0));
+    let [u, v, w] = [(*b - at).cross(*c - at), (*c - at).cross(*a - at), (*a - at).cross(*b - at)]
+        .map(|x| x.dot(face).max(0.0));
     let sum = normals[0] * u + normals[1] * v + normals[2] * w;
     let length = sqrt(sum.length_squared());
     if length > 0.0 { sum / length } else { face }

@@ -1,5 +1,6 @@
 //! Where to begin: points of a low-discrepancy sequence, mapped to the uncertainty of the guess.
 
+use super::REACH;
 use super::step::{Placement, Prior};
 use crate::math::{DVec3, cbrt, cos, floor, sin, sqrt};
 
@@ -12,8 +13,6 @@ const STEPS: [f64; 6] = [
     0.586_086_697_482_084_2,
     0.526_688_987_040_246_5,
 ];
-/// Starts lie within this many standard deviations.
-const REACH: f64 = 2.4;
 
 /// The `k`-th start; the first is the guess itself.
 pub(super) fn start(prior: &Prior, k: u32) -> Placement {
@@ -26,7 +25,7 @@ pub(super) fn start(prior: &Prior, k: u32) -> Placement {
     });
     let omega = in_ball([u[0], u[1], u[2]]) * (REACH * prior.sigma_rad);
     let v = in_ball([u[3], u[4], u[5]]) * (REACH * prior.sigma_mm);
-    prior.guess.turned_in_place(omega, v)
+    prior.guess.moved(omega, v)
 }
 
 /// A point of the unit ball, evenly by volume.

@@ -43,11 +43,6 @@ impl Placement {
         Self::new(moved.normalized().unwrap_or(self.pose))
     }
 
-    /// Turned by ω about the centroid and shifted by v; as [`Self::moved`].
-    pub fn turned_in_place(&self, omega: DVec3, v_mm: DVec3) -> Self {
-        self.moved(omega, v_mm)
-    }
-
     /// The turn ω and shift v about the centroid from another placement to this one.
     pub fn since(&self, other: &Self) -> (DVec3, DVec3) {
         let turn = (self.pose.rotation * other.pose.rotation.conjugate()).normalize();
