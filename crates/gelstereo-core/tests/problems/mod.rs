@@ -6,6 +6,8 @@ pub mod gel;
 pub mod parts;
 
 use gel::Gel;
+use gelstereo_core::params::RegisterParams;
+use gelstereo_core::register::Contact;
 use gelstereo_core::math::linalg::{Symmetric, eigen};
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DMat3, DVec3, Pose, centroid};
@@ -208,4 +210,106 @@ fn samples(part: &Part) -> impl Iterator<Item = DVec3> + '_ {
             (0..=n - i).map(move |j| a + (b - a) * (i as f64 / n as f64) + (c - a) * (j as f64 / n as f64))
         })
     })
+}
+
+/// How far off guesses are, and how well is sensed.
+#[derive(Clone, Copy, Debug)]
+pub struct Class {
+    pub name: &'static str,
+    pub angle_deg: f64,
+    pub shift_mm: f64,
+    pub sensing: Sensing,
+}
+
+pub const CLASSES: [Class; 4] = [
+    Class { name: "5/1", angle_deg: 5.0, shift_mm: 1.0, sensing: Sensing::GOOD },
+    Class { name: "10/2", angle_deg: 10.0, shift_mm: 2.0, sensing: Sensing::GOOD },
+    Class { name: "noisy", angle_deg: 10.0, shift_mm: 2.0, sensing: Sensing::NOISY },
+    Class { name: "30/5", angle_deg: 30.0, shift_mm: 5.0, sensing: Sensing::GOOD },
+];
+
+impl Class {
+    /// The settings of someone who knows how many outliers there are, and nothing else.
+    pub fn params(&self, params: &RegisterParams) -> RegisterParams {
+        RegisterParams { outlier_share: self.sensing.outliers.max(0.02), ..params.clone() }
+    }
+}
+
+impl Problem {
+    pub fn contact(&self) -> Contact<'_> {
+        Contact {
+            covariance_mm2: Some(&self.covariance_mm2),
+            unpressed_mm: &self.unpressed_mm,
+            ..Contact::new(&self.points_mm)
+        }
+    }
+
+    /// Off by an angle and a shift that are uniform up to those of the class.
+    pub fn guess_within(&self, class: &Class, random: &mut Stream) -> Pose {
+        let angle = class.angle_deg.to_radians() * random.uniform();
+        let shift_mm = class.shift_mm * random.uniform();
+        self.guess(angle, shift_mm, random)
+    }
+}
+
+/// What came of some runs.
+#[derive(Clone, Debug, Default)]
+pub struct Tally {
+    pub runs: usize,
+    pub found: usize,
+    squared: f64,
+    directions: usize,
+    ratios: Vec<f64>,
+    times_ms: Vec<f64>,
+}
+
+impl Tally {
+    pub fn count(&mut self, score: Option<Score>, time_ms: f64) {
+        self.runs += 1;
+        self.times_ms.push(time_ms);
+        if let Some(score) = score.filter(Score::is_success) {
+            self.found += 1;
+            self.squared += score.squared;
+            self.directions += score.observable;
+            self.ratios.push((score.squared / score.observable as f64).sqrt());
+        }
+    }
+
+    pub fn add(&mut self, other: &Self) {
+        self.runs += other.runs;
+        self.found += other.found;
+        self.squared += other.squared;
+        self.directions += other.directions;
+        self.ratios.extend(&other.ratios);
+        self.times_ms.extend(&other.times_ms);
+    }
+
+    pub fn share(&self) -> f64 {
+        self.found as f64 / self.runs as f64
+    }
+
+    /// Median error over the bound.
+    pub fn median(&self) -> f64 {
+        quantile(&self.ratios, 0.5)
+    }
+}
+
+impl std::fmt::Display for Tally {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let rms = (self.squared / self.directions.max(1) as f64).sqrt();
+        write!(
+            f,
+            "{:5.1} % x{rms:.2} ({:.2}) {:.2} ms ({:.2})",
+            100.0 * self.share(),
+            self.median(),
+            quantile(&self.times_ms, 0.5),
+            quantile(&self.times_ms, 0.99)
+        )
+    }
+}
+
+fn quantile(values: &[f64], share: f64) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted.get((share * sorted.len() as f64) as usize).copied().unwrap_or(f64::NAN)
 }
