@@ -121,6 +121,8 @@ fn what_is_claimed_of_the_error_holds() {
                 // A direction known no better than the guess says is the guess's.
                 if value.recip() < 0.05 * 0.05 {
                     let along: f64 = u.iter().zip(error).map(|(a, b)| a * b).sum();
+                    if value * along * along > 100.0 { let truth = register(RegisterMethod::SurfaceClose, &problem, template, &problem.t_sensor_object); println!("{:?} truth {:?} points {} inliers {} rmse {:.4} {:?}", found.log_likelihood, truth.log_likelihood, found.points, found.inliers, found.rmse_mm, problem.score(&truth.t_sensor_object)); let mut ns: Vec<String> = problem.normals.iter().zip(&problem.points_mm).map(|(n, p)| { let x = found.t_sensor_object.inverse().transform_point(*p); let y = problem.t_sensor_object.inverse().transform_point(*p); let near = template.solid().unwrap(); format!("{:.2}/{:.3}/{:.3}", n.map_or(-1.0, |n| -n.z), near.closest(x).distance_mm, near.closest(y).distance_mm) }).collect(); ns.sort(); println!("{}", ns.join(" ")); }
+                    if value * along * along > 9.0 { println!("{} sigma {:.4} error {:.4} free {:?}", part.name, value.sqrt().recip(), along, found.free.len()); }
                     squared += value * along * along;
                     directions += 1;
                 }

@@ -57,6 +57,8 @@ pub(super) struct Sample {
     pub p_mm: DVec3,
     /// xx, yy, zz, xy, xz, yz.
     covariance: [f64; 6],
+    /// Whether the gel around it is curved as free gel is, and not as gel on a part.
+    pub hangs: bool,
 }
 
 /// Share of the trace that a singular covariance is given along its null direction.
@@ -75,10 +77,13 @@ impl Sample {
 
 /// Unpressed markers this far from the patch tell of the part; those beyond are not looked at.
 const AROUND_MM: f64 = 6.0;
-/// A coarse look needs those this near, every so many of them.
+/// A coarse look needs some of those this near.
 const BESIDE_MM: f64 = 3.5;
 /// Salient points of the coarsest look.
 pub(super) const COARSE: usize = 24;
+/// And other markers, of those beside the patch.
+const COARSE_UNPRESSED: usize = 24;
+const MEDIUM_UNPRESSED: usize = 64;
 /// Salient points of the second look.
 pub(super) const MEDIUM: usize = 64;
 
@@ -89,7 +94,11 @@ pub(super) struct Samples {
     /// Rms radius of the patch.
     pub radius_mm: f64,
     pub pressed: Vec<Sample>,
-    /// Nearest to the patch first within what a coarse look takes.
+    /// How many of them are spread over the patch.
+    pub spread_count: usize,
+    /// How many of them do not hang; they come first.
+    may_touch: usize,
+    /// Those that a coarse look takes first.
     pub unpressed: Vec<Sample>,
     /// How many of `unpressed` a coarse and a medium look take.
     pub coarse_unpressed: usize,
@@ -103,6 +112,14 @@ pub(super) struct Samples {
 
 /// More salient points than this are not asked for their neighbours, which takes the square of their number.
 const MOST_ASKED: usize = 2000;
+
+/// With fewer points that do not hang, all are looked at first.
+const LEAST_TOUCHING: usize = 12;
+
+/// Markers around one: the eight of a lattice.
+const RING: usize = 8;
+/// Standard deviations by which the mean of the markers around is higher where the gel hangs.
+const HOLLOW: f64 = 3.0;
 
 /// Salient points around one that tell whether the gel touches there.
 pub(super) const NEIGHBOURS: usize = 6;
@@ -118,15 +135,60 @@ impl Samples {
                 let c = &all[k];
                 [c[0][0], c[1][1], c[2][2], c[0][1], c[0][2], c[1][2]]
             });
-            self.pressed.push(Sample { p_mm: point - self.centre_mm, covariance });
+            self.pressed.push(Sample { p_mm: point - self.centre_mm, covariance, hangs: false });
         }
         let sum: f64 = self.pressed.iter().map(|s| s.p_mm.length_squared()).sum();
         self.radius_mm = sqrt(sum / self.pressed.len().max(1) as f64).max(10.0 * sigma_mm);
+        self.may_touch = self.pressed.len();
+        self.find_hanging(contact);
         self.spread();
         self.take_unpressed(contact.unpressed_mm, isotropic);
         self.find_neighbours();
         let along = |s: &Sample| s.p_mm.dot(contact.press_direction);
         self.salient_from_mm = self.pressed.iter().map(along).fold(f64::INFINITY, f64::min);
+    }
+
+    /// Free gel of height h beside a contact obeys h - l² Δh = 0 (springs joined by a shear layer; Pasternak 1954): it
+    /// is hollow, Δh > 0, where gel on a flat or round part is not. Height over the mean of the markers around tells.
+    fn find_hanging(&mut self, contact: &Contact<'_>) {
+        let press = contact.press_direction;
+        let count = contact.points_mm.len();
+        if contact.unpressed_mm.is_empty() || count > MOST_ASKED {
+            return;
+        }
+        for k in 0..count {
+            let at = contact.points_mm[k];
+            let mut ring = [(f64::INFINITY, DVec3::ZERO); RING];
+            let all = contact.points_mm.iter().chain(contact.unpressed_mm).enumerate();
+            for (_, &other) in all.filter(|&(j, _)| j != k) {
+                let offset = other - at;
+                let squared = offset.reject_from_normalized(press).length_squared();
+                if squared < ring[RING - 1].0 {
+                    let mut place = RING - 1;
+                    while place > 0 && ring[place - 1].0 > squared {
+                        ring[place] = ring[place - 1];
+                        place -= 1;
+                    }
+                    ring[place] = (squared, offset);
+                }
+            }
+            let mean = ring.iter().map(|(_, offset)| *offset).sum::<DVec3>() / RING as f64;
+            let height_mm = mean.dot(press);
+            let aside_squared = mean.reject_from_normalized(press).length_squared();
+            // All around it, and near: where markers are missing or the gel ends nothing is known.
+            let is_around = aside_squared < 0.04 * ring[0].0 && ring[RING - 1].0 < 6.25 * ring[0].0;
+            let sigma_mm = sqrt(self.pressed[k].variance(press) * (1.0 + 1.0 / RING as f64));
+            self.pressed[k].hangs = is_around && height_mm > HOLLOW * sigma_mm;
+        }
+        // Those that may touch first.
+        let mut touching = 0;
+        for k in 0..count {
+            if !self.pressed[k].hangs {
+                self.pressed.swap(touching, k);
+                touching += 1;
+            }
+        }
+        self.may_touch = touching;
     }
 
     fn find_neighbours(&mut self) {
@@ -156,11 +218,13 @@ impl Samples {
     /// Brings points that are far from each other to the front (Gonzalez 1985), beginning with the one nearest to the
     /// centroid.
     fn spread(&mut self) {
-        let count = MEDIUM.min(self.pressed.len());
+        let among = if self.may_touch >= LEAST_TOUCHING { self.may_touch } else { self.pressed.len() };
+        let count = MEDIUM.min(among);
+        self.spread_count = count;
         self.nearest_squared.clear();
         self.nearest_squared.extend(self.pressed.iter().map(|s| 1.0 / (1e-30 + s.p_mm.length_squared())));
         for k in 0..count {
-            let rest = &self.nearest_squared[k..];
+            let rest = &self.nearest_squared[k..among];
             let best = (1..rest.len()).fold(0, |best, i| if rest[i] > rest[best] { i } else { best }) + k;
             self.pressed.swap(k, best);
             self.nearest_squared.swap(k, best);
@@ -174,7 +238,7 @@ impl Samples {
         }
     }
 
-    /// Those around the patch: every fourth beside it first, then the others beside it, then the rest.
+    /// Those around the patch: some beside it first, then the others beside it, then the rest.
     fn take_unpressed(&mut self, unpressed_mm: &[DVec3], covariance: [f64; 6]) {
         self.unpressed.clear();
         let spread = &self.pressed[..COARSE.min(self.pressed.len())];
@@ -185,18 +249,22 @@ impl Samples {
             if near > AROUND_MM * AROUND_MM {
                 continue;
             }
-            self.unpressed.push(Sample { p_mm, covariance });
+            self.unpressed.push(Sample { p_mm, covariance, hangs: false });
             if near <= BESIDE_MM * BESIDE_MM {
                 let last = self.unpressed.len() - 1;
                 self.unpressed.swap(beside, last);
                 beside += 1;
             }
         }
-        let quarter = beside.div_ceil(4);
-        for k in 1..quarter {
-            self.unpressed.swap(k, 4 * k);
+        // Spread over those beside: equal steps through them, which come in the order of the lattice.
+        self.coarse_unpressed = COARSE_UNPRESSED.min(beside);
+        self.medium_unpressed = MEDIUM_UNPRESSED.min(beside);
+        for k in 1..self.medium_unpressed {
+            self.unpressed.swap(k, k * beside / self.medium_unpressed);
         }
-        self.coarse_unpressed = quarter;
-        self.medium_unpressed = beside.div_ceil(2).max(quarter);
+        let second = self.medium_unpressed;
+        for k in 1..self.coarse_unpressed {
+            self.unpressed.swap(k, k * second / self.coarse_unpressed);
+        }
     }
 }

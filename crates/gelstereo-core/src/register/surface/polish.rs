@@ -32,6 +32,8 @@ const LONGEST_MM: f64 = 0.5;
 const STEEP_COSINE: f64 = 0.35;
 /// Standard deviations that a marker that cannot touch may lie in the part before it pushes.
 const SLACK: f64 = 2.0;
+/// Probability that a salient point touches around which the gel is hollow: in a fillet it would.
+const HANGING: f64 = 0.02;
 /// Probability of contact before anything is known: of salient points, and of others.
 const FIRST: [f64; 2] = [0.6, 0.05];
 
@@ -164,7 +166,7 @@ impl<D: Distances> Polish<'_, D> {
         }
         for beliefs in [&mut scratch.before, &mut scratch.touches] {
             beliefs.clear();
-            beliefs.resize(pressed, FIRST[0]);
+            beliefs.extend(self.view.pressed.iter().map(|s| if s.hangs { HANGING } else { FIRST[0] }));
             beliefs.resize(count, FIRST[1]);
         }
         self.view.unpressed.len() as u64 + self.read(placement, &mut scratch.here)
@@ -207,8 +209,10 @@ impl<D: Distances> Polish<'_, D> {
         // Laplace's rule keeps it off 0 and 1.
         let whole = (total + 1.0) / (pressed as f64 + 2.0);
         for (k, r) in here.all.iter().enumerate() {
+            let hangs = k < pressed && self.view.pressed[k].hangs;
             before[k] = match self.samples.neighbours.get(k) {
                 _ if !self.can_touch(k, r) => 0.0,
+                _ if hangs => HANGING,
                 Some(near) => {
                     let others = near.iter().map(|&j| j as usize).filter(|&j| j != k);
                     let (sum, count) =

@@ -78,7 +78,8 @@ impl Search<'_> {
         self.begin_at_guess(candidates);
         let polish = self.polish(self.field);
         let end = polish.run(&mut candidates[0], FIELD_STEPS, self.budget(), scratch);
-        let (cost, work) = polish.compare(&candidates[0].placement, scratch);
+        // The field knows no curvature, and without it facets would seem to hold a cylinder's spin.
+        let (cost, work) = self.polish(self.faces).compare(&candidates[0].placement, scratch);
         candidates[0].cost = cost;
         self.work = end.work + work;
         end
@@ -87,7 +88,7 @@ impl Search<'_> {
     /// From the guess alone: a few coarse steps, then the exact surface.
     pub fn close(&mut self, candidates: &mut Vec<Candidate>, scratch: &mut PolishScratch) -> End {
         self.begin_at_guess(candidates);
-        let view = View::of(self.samples, MEDIUM, self.samples.medium_unpressed, self.press_direction);
+        let view = View::of(self.samples, self.samples.spread_count, self.samples.medium_unpressed, self.press_direction);
         for &width_mm in CLOSE {
             self.step(&mut candidates[0], &view, width_mm);
         }
@@ -149,7 +150,7 @@ impl Search<'_> {
 
     /// Steps of all candidates, and the choice of those that go on.
     fn round(&mut self, candidates: &mut Vec<Candidate>, round: &Round, unpressed: usize) {
-        let view = View::of(self.samples, round.pressed, unpressed, self.press_direction);
+        let view = View::of(self.samples, round.pressed.min(self.samples.spread_count), unpressed, self.press_direction);
         for candidate in candidates.iter_mut() {
             candidate.cost = f64::INFINITY;
             if self.work >= self.budget() {
