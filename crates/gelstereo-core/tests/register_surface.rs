@@ -121,8 +121,6 @@ fn what_is_claimed_of_the_error_holds() {
                 // A direction known no better than the guess says is the guess's.
                 if value.recip() < 0.05 * 0.05 {
                     let along: f64 = u.iter().zip(error).map(|(a, b)| a * b).sum();
-                    if value * along * along > 100.0 { let truth = register(RegisterMethod::SurfaceClose, &problem, template, &problem.t_sensor_object); println!("{:?} truth {:?} points {} inliers {} rmse {:.4} {:?}", found.log_likelihood, truth.log_likelihood, found.points, found.inliers, found.rmse_mm, problem.score(&truth.t_sensor_object)); let mut ns: Vec<String> = problem.normals.iter().zip(&problem.points_mm).map(|(n, p)| { let x = found.t_sensor_object.inverse().transform_point(*p); let y = problem.t_sensor_object.inverse().transform_point(*p); let near = template.solid().unwrap(); format!("{:.2}/{:.3}/{:.3}", n.map_or(-1.0, |n| -n.z), near.closest(x).distance_mm, near.closest(y).distance_mm) }).collect(); ns.sort(); println!("{}", ns.join(" ")); }
-                    if value * along * along > 9.0 { println!("{} sigma {:.4} error {:.4} free {:?}", part.name, value.sqrt().recip(), along, found.free.len()); }
                     squared += value * along * along;
                     directions += 1;
                 }
@@ -145,7 +143,9 @@ fn a_spent_budget_leaves_a_valid_answer() {
     for budget in [1, 1000, 10_000, 30_000, 100_000, 1_000_000] {
         let settings = RegisterParams { budget, ..params(RegisterMethod::SurfaceSearch) };
         let found = Registrar::new(&settings).register(&problem.contact(), template, &guess).unwrap();
-        assert!(found.t_sensor_object.rotation.is_finite() && found.t_sensor_object.translation_mm.is_finite());
+        assert!(
+            found.t_sensor_object.rotation.is_finite() && found.t_sensor_object.translation_mm.is_finite()
+        );
         assert!(found.covariance().iter().flatten().all(|x| x.is_finite()));
         last = found.log_likelihood.unwrap();
     }
@@ -293,9 +293,14 @@ fn row_10_surface_rungs_name_the_free_directions_of_facets_as_those_of_the_cylin
         let said: Vec<String> = found.free.iter().map(ToString::to_string).collect();
         assert_eq!(said.len(), 2, "{method:?} {said:?}");
         assert!(said[0].starts_with("slide along z") && said[1].starts_with("spin about z"), "{said:?}");
-        // And they stay where they were guessed.
+        // And they stay where they were guessed; within half a facet distances change with the spin, too.
         let (omega, v) = (found.t_sensor_object.inverse() * t_sensor_object).log();
-        assert!(omega.z.abs() < 0.02 && v.z.abs() < 0.05, "{method:?}: {} rad, {} mm", omega.z, v.z);
+        assert!(
+            omega.z.abs() < std::f64::consts::PI / 96.0 && v.z.abs() < 0.05,
+            "{method:?}: {} rad, {} mm",
+            omega.z,
+            v.z
+        );
     }
 }
 
@@ -305,10 +310,8 @@ fn row_10_surface_rungs_name_the_free_directions_of_facets_as_those_of_the_cylin
 fn row_34_surface_rungs_give_the_same_bits_whatever_ran_between() {
     let (part, template) = some("key");
     let mut random = Stream::new(21, "bits");
-    let (a, b) = (
-        Problem::press(part, Sensing::GOOD, &mut random),
-        Problem::press(part, Sensing::NOISY, &mut random),
-    );
+    let (a, b) =
+        (Problem::press(part, Sensing::GOOD, &mut random), Problem::press(part, Sensing::NOISY, &mut random));
     for method in RUNGS {
         let mut registrar = Registrar::new(&params(method));
         let mut digest =

@@ -6,11 +6,11 @@ pub mod gel;
 pub mod parts;
 
 use gel::Gel;
-use gelstereo_core::params::RegisterParams;
-use gelstereo_core::register::Contact;
 use gelstereo_core::math::linalg::{Symmetric, eigen};
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DMat3, DVec3, Pose, centroid};
+use gelstereo_core::params::RegisterParams;
+use gelstereo_core::register::Contact;
 use parts::Part;
 
 /// Distance of the untouched gel from the camera.

@@ -116,6 +116,9 @@ const MOST_ASKED: usize = 2000;
 /// With fewer points that do not hang, all are looked at first.
 const LEAST_TOUCHING: usize = 12;
 
+/// Standard deviations within which all points are as high.
+const LEVEL: f64 = 8.0;
+
 /// Markers around one: the eight of a lattice.
 const RING: usize = 8;
 /// Standard deviations by which the mean of the markers around is higher where the gel hangs.
@@ -144,8 +147,17 @@ impl Samples {
         self.spread();
         self.take_unpressed(contact.unpressed_mm, isotropic);
         self.find_neighbours();
-        let along = |s: &Sample| s.p_mm.dot(contact.press_direction);
-        self.salient_from_mm = self.pressed.iter().map(along).fold(f64::INFINITY, f64::min);
+        self.find_saliency(contact.press_direction);
+    }
+
+    /// The lowest salient point shows where saliency begins; points that are all as high do not.
+    fn find_saliency(&mut self, press: DVec3) {
+        let along = |s: &Sample| s.p_mm.dot(press);
+        let heights = || self.pressed.iter().map(along);
+        let (low, high) =
+            heights().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(x), h.max(x)));
+        let sigma_mm = sqrt(self.pressed.iter().map(|s| s.variance(press)).fold(0.0, f64::max));
+        self.salient_from_mm = if high - low > LEVEL * sigma_mm { low } else { f64::NEG_INFINITY };
     }
 
     /// Free gel of height h beside a contact obeys h - l² Δh = 0 (springs joined by a shear layer; Pasternak 1954): it

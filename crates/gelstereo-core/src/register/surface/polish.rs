@@ -219,7 +219,8 @@ impl<D: Distances> Polish<'_, D> {
                         others.fold((2.0 * whole, 2.0), |(sum, n), j| (sum + touches[j], n + 1.0));
                     sum / count
                 }
-                None => 0.5 * whole,
+                // Nobody knows which of the others touch, and whom to believe would bias the pose: they only push.
+                None => 0.0,
             };
         }
     }

@@ -36,6 +36,11 @@ const CLOSE: &[f64] = &[0.5, 0.25, 0.15];
 /// Steps on the field before candidates are compared, and how many go on.
 const FIELD_STEPS: u32 = 4;
 const FINALISTS: usize = 3;
+/// Steps of all of them on the exact surface, and of those that are left.
+const FIRST_STEPS: u32 = 3;
+const MOST_STEPS: u32 = 15;
+/// Finalists whose likelihood is less than that of the best by this, in logarithms, are not polished on.
+const HOPELESS: f64 = 12.0;
 /// The guess counts little while weights are those of wide laws.
 const COARSE_PRIOR: f64 = 0.1;
 /// Longest step of a coarse look.
@@ -88,7 +93,12 @@ impl Search<'_> {
     /// From the guess alone: a few coarse steps, then the exact surface.
     pub fn close(&mut self, candidates: &mut Vec<Candidate>, scratch: &mut PolishScratch) -> End {
         self.begin_at_guess(candidates);
-        let view = View::of(self.samples, self.samples.spread_count, self.samples.medium_unpressed, self.press_direction);
+        let view = View::of(
+            self.samples,
+            self.samples.spread_count,
+            self.samples.medium_unpressed,
+            self.press_direction,
+        );
         for &width_mm in CLOSE {
             self.step(&mut candidates[0], &view, width_mm);
         }
@@ -126,6 +136,22 @@ impl Search<'_> {
 
     /// The finalists on the exact surface, best first. How the best one ended; its readings are in the scratch.
     fn finish(&mut self, candidates: &mut Vec<Candidate>, scratch: &mut PolishScratch) -> End {
+        if candidates.len() > 1 {
+            self.polish_all(candidates, FIRST_STEPS, scratch);
+            keep(candidates, FINALISTS, 0.0, 0.0);
+            let hopeless = candidates[0].cost + HOPELESS;
+            let near = candidates.iter().take_while(|c| c.cost < hopeless).count();
+            candidates.truncate(near.max(1));
+        }
+        let end = self.polish_all(candidates, self.params.max_iterations.min(MOST_STEPS), scratch);
+        keep(candidates, FINALISTS, 0.0, 0.0);
+        let (_, work) = self.polish(self.faces).compare(&candidates[0].placement, scratch);
+        self.work += work;
+        end
+    }
+
+    /// How the best one ended.
+    fn polish_all(&mut self, candidates: &mut Vec<Candidate>, most: u32, scratch: &mut PolishScratch) -> End {
         let mut best = (f64::INFINITY, End { converged: false, iterations: 0, work: 0 });
         for k in 0..candidates.len() {
             let left = self.budget().saturating_sub(self.work);
@@ -134,7 +160,7 @@ impl Search<'_> {
                 break;
             }
             let polish = self.polish(self.faces);
-            let end = polish.run(&mut candidates[k], self.params.max_iterations, left, scratch);
+            let end = polish.run(&mut candidates[k], most, left, scratch);
             let (cost, work) = polish.compare(&candidates[k].placement, scratch);
             candidates[k].cost = cost;
             self.work += end.work + work;
@@ -142,15 +168,17 @@ impl Search<'_> {
                 best = (cost, end);
             }
         }
-        keep(candidates, FINALISTS, 0.0, 0.0);
-        let (_, work) = self.polish(self.faces).compare(&candidates[0].placement, scratch);
-        self.work += work;
         best.1
     }
 
     /// Steps of all candidates, and the choice of those that go on.
     fn round(&mut self, candidates: &mut Vec<Candidate>, round: &Round, unpressed: usize) {
-        let view = View::of(self.samples, round.pressed.min(self.samples.spread_count), unpressed, self.press_direction);
+        let view = View::of(
+            self.samples,
+            round.pressed.min(self.samples.spread_count),
+            unpressed,
+            self.press_direction,
+        );
         for candidate in candidates.iter_mut() {
             candidate.cost = f64::INFINITY;
             if self.work >= self.budget() {
