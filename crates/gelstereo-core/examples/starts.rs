@@ -27,6 +27,7 @@ fn main() {
     let mut totals = CLASSES.map(|_| Tally::default());
     for part in parts() {
         let template = Template::from_mesh(&part.mesh, Template::DEFAULT_SPACING_MM, 1).unwrap();
+        let template = template.with_field(Template::DEFAULT_CELL_MM, Template::DEFAULT_REACH_MM);
         print!("{:14}", part.name);
         for (class, total) in CLASSES.iter().zip(&mut totals) {
             let tally = run(&part, &template, class, &params, contacts);

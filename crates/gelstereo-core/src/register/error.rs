@@ -102,7 +102,7 @@ pub enum RegisterError {
     },
     /// The guess has a component that is NaN, infinite or beyond 1e12 mm, or its quaternion has no direction.
     BadGuess,
-    /// The rung needs the part's surface, and the template was made of points.
+    /// The rung needs the part's surface and a field of distances, and the template was made of points or without one.
     NoSurface,
     /// A marker that is not salient is NaN, infinite or beyond 1e12 mm.
     MarkerNotFinite {
@@ -155,8 +155,8 @@ impl core::fmt::Display for RegisterError {
             ),
             Self::NoSurface => write!(
                 f,
-                "the template has no surface, only points; make it from a mesh, or choose another register.method \
-                 (filterreg_plane, icp_plane)"
+                "the template has no surface with a field of distances; make it from a mesh (in Rust: \
+                 Template::with_field), or choose another register.method (filterreg_plane, icp_plane)"
             ),
             Self::MarkerNotFinite { index } => write!(
                 f,

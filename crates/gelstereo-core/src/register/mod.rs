@@ -25,7 +25,7 @@ pub use free::{FreeDirection, FreeDirections, Motion};
 pub use observe::Observability;
 pub use rigid::{RigidFit, RigidFitError, rigid_fit};
 pub use soft::{SoftMatch, soft_match};
-pub use surface::{Alternative, Alternatives, Contact};
+pub use surface::{Alternative, Alternatives, Contact, unpressed};
 pub use template::Template;
 pub use tree::Tree;
 

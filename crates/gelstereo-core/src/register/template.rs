@@ -64,9 +64,9 @@ impl Template {
     /// Spacing for a part that a hand holds: a quarter of the lattice's pitch, rounded. Default of all who sample one.
     pub const DEFAULT_SPACING_MM: f64 = 0.25;
 
-    /// Cells of the field of distances of a mesh, and how far it reaches: farther than a gel is thick.
+    /// Cells of a field for the surface rungs of registration ([`Self::with_field`]): under half a lattice's pitch.
     pub const DEFAULT_CELL_MM: f64 = 0.4;
-    /// See [`Self::DEFAULT_CELL_MM`].
+    /// How far such a field reaches: deeper than a gel is pressed, and a guess is off.
     pub const DEFAULT_REACH_MM: f64 = 4.0;
 
     /// Samples a mesh evenly: on average one point for every `spacing_mm`² of its area, no two points of faces that
@@ -79,8 +79,7 @@ impl Template {
         let (points_mm, normals) = sample::evenly(mesh, spacing_mm, seed)?;
         let solid = Solid::new(mesh).map_err(TemplateError::Solid)?;
         let relief = Some(Relief::new(&solid));
-        let out = Self { solid: Some(solid), relief, ..Self::new(&points_mm, &normals, spacing_mm)? };
-        Ok(out.with_field(Self::DEFAULT_CELL_MM, Self::DEFAULT_REACH_MM))
+        Ok(Self { solid: Some(solid), relief, ..Self::new(&points_mm, &normals, spacing_mm)? })
     }
 
     /// The exact surface, for a template that was made from a mesh.

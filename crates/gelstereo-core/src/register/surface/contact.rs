@@ -51,6 +51,16 @@ impl<'a> Contact<'a> {
     }
 }
 
+/// The markers that are not among the salient ones, for [`Contact::unpressed_mm`]: those at other places, bit for bit.
+#[must_use]
+pub fn unpressed(all_mm: &[DVec3], salient_mm: &[DVec3]) -> Vec<DVec3> {
+    let order =
+        |a: &DVec3, b: &DVec3| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)).then(a.z.total_cmp(&b.z));
+    let mut salient = salient_mm.to_vec();
+    salient.sort_unstable_by(order);
+    all_mm.iter().filter(|p| salient.binary_search_by(|s| order(s, p)).is_err()).copied().collect()
+}
+
 /// A point about the patch's centroid, with its covariance.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sample {

@@ -17,7 +17,7 @@ mod search;
 mod starts;
 mod step;
 
-pub use contact::Contact;
+pub use contact::{Contact, unpressed};
 pub use evidence::{Alternative, Alternatives};
 pub(super) use relief::Relief;
 
