@@ -71,7 +71,7 @@ pub(super) fn registration(
     let back = t_sensor_object.rotation.conjugate();
     let sigma_mm = params.point_sigma_mm;
     // About the salient points' centroid, in the object's axes.
-    let centre_mm = best.placement.to_object(crate::math::DVec3::ZERO);
+    let centre_mm = best.placement.object_point(crate::math::DVec3::ZERO);
     let frame = PatchFrame { centre_mm, radius_mm: samples.radius_mm };
     let mut system = System::new(frame.radius_mm, sigma_mm);
     let (mut sum_squared, mut total, mut inliers) = (0.0, 0.0, 0);

@@ -37,17 +37,17 @@ impl<'a> View<'a> {
         let (per_radius, per_width) = (1.0 / self.radius_mm, 1.0 / width_mm);
         let mut sum = Normal::ZERO;
         for sample in self.pressed {
-            let near = part.at(placement.to_object(sample.p_mm), press, &mut 0);
+            let near = part.at(placement.object_point(sample.p_mm), press, &mut 0);
             let (weight, cost) = coarse_pressed(near.distance_mm * per_width);
-            let n = placement.direction_to_sensor(near.normal);
+            let n = placement.sensor_direction(near.normal);
             sum.add(sample.p_mm, n, near.distance_mm, weight * per_width * per_width, per_radius);
             sum.cost += cost;
         }
         for sample in self.unpressed {
-            let near = part.at(placement.to_object(sample.p_mm), press, &mut 0);
+            let near = part.at(placement.object_point(sample.p_mm), press, &mut 0);
             if near.distance_mm < 0.0 {
                 let (weight, cost) = coarse_unpressed(near.distance_mm * per_width);
-                let n = placement.direction_to_sensor(near.normal);
+                let n = placement.sensor_direction(near.normal);
                 sum.add(sample.p_mm, n, near.distance_mm, weight * per_width * per_width, per_radius);
                 sum.cost += cost;
             }

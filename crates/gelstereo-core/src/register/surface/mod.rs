@@ -85,7 +85,7 @@ fn check_reach(
     params: &RegisterParams,
 ) -> Result<(), RegisterError> {
     let reach_mm = params.search_radius_mm + REACH * params.start_sigma_mm;
-    let placed = || search.samples.pressed.iter().map(|s| search.prior.guess.to_object(s.p_mm));
+    let placed = || search.samples.pressed.iter().map(|s| search.prior.guess.object_point(s.p_mm));
     let within = |x| solid.closest_within(x, reach_mm, None).is_some();
     if placed().filter(|&x| within(x)).take(LEAST_PATCH).count() == LEAST_PATCH {
         return Ok(());

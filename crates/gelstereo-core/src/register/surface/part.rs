@@ -107,5 +107,5 @@ impl Distances for Exact<'_> {
 
 /// The press in the object's frame.
 pub(super) fn press_in_object(placement: &Placement, press_direction: DVec3) -> DVec3 {
-    placement.direction_to_object(press_direction)
+    placement.object_direction(press_direction)
 }

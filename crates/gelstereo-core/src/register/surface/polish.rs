@@ -156,7 +156,7 @@ impl<D: Distances> Polish<'_, D> {
         }
         let press = press_in_object(placement, self.view.press_direction);
         for (k, sample) in self.view.unpressed.iter().enumerate() {
-            let near = self.field.at(placement.to_object(sample.p_mm), press, &mut 0);
+            let near = self.field.at(placement.object_point(sample.p_mm), press, &mut 0);
             if near.distance_mm > OUT_OF_REACH_MM {
                 for readings in [&mut scratch.here, &mut scratch.there] {
                     readings.all[pressed + k].distance_mm = near.distance_mm;
@@ -183,8 +183,8 @@ impl<D: Distances> Polish<'_, D> {
                 continue;
             }
             let Near { distance_mm, normal, curvature_per_mm } =
-                self.part.at(placement.to_object(sample.p_mm), press, hint);
-            let normal = placement.direction_to_sensor(normal);
+                self.part.at(placement.object_point(sample.p_mm), press, hint);
+            let normal = placement.sensor_direction(normal);
             let variance_mm2 = sample.variance(normal) + model;
             *reading = Reading { distance_mm, normal, variance_mm2, curvature_per_mm };
             lookups += 1;

@@ -18,19 +18,19 @@ impl Placement {
 
     /// A point about the centroid, in the object's frame.
     #[inline]
-    pub fn to_object(&self, p_mm: DVec3) -> DVec3 {
+    pub fn object_point(&self, p_mm: DVec3) -> DVec3 {
         self.back * (p_mm - self.pose.translation_mm)
     }
 
     /// A direction of the sensor's frame in the object's.
     #[inline]
-    pub fn direction_to_object(&self, v: DVec3) -> DVec3 {
+    pub fn object_direction(&self, v: DVec3) -> DVec3 {
         self.back * v
     }
 
     /// A direction of the object's frame in the sensor's.
     #[inline]
-    pub fn direction_to_sensor(&self, v: DVec3) -> DVec3 {
+    pub fn sensor_direction(&self, v: DVec3) -> DVec3 {
         self.back.transpose() * v
     }
 
