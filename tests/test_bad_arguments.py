@@ -13,6 +13,7 @@ from gelstereo import (
     Scene,
     SensorMount,
     Simulator,
+    Symmetry,
     Template,
     foresight_sort,
     geometry,
@@ -23,6 +24,9 @@ from gelstereo import (
 RIG = Scene().rig
 NAN, INF = float("nan"), float("inf")
 BALL = {"kind": "sphere", "radius_mm": 4.0}
+BOX = Template.from_triangles(
+    *geometry.shape_mesh({"kind": "box", "size_mm": [4.0, 5.0, 6.0]}), spacing_mm=0.5
+)
 POINTS = np.array([[0.0, 0, 28], [1, 0, 28], [0, 1, 28]])
 
 
@@ -46,6 +50,13 @@ def parallelogram(a_mm: float) -> FingerKinematics:
         (lambda: Template.from_triangles(np.eye(3), [[0, 1.5, 2]]), "MeshError", "names vertex 1.5"),
         (lambda: Template.from_triangles(np.eye(3), [[0, NAN, 2]]), "MeshError", "names vertex NaN"),
         (lambda: Template.from_triangles(np.eye(3), [[0, 1, 2]], seed=-1), "ShapeError", "-1"),
+        (lambda: BOX.closest([[0, 0, 0], [0, NAN, 0]]), "TemplateError", "point 1 is"),
+        (lambda: BOX.closest([[0, 0, 0]], facing=[0, INF, 0]), "TemplateError", "direction 0 is"),
+        (lambda: BOX.closest([[0, 0, 0]], reach_mm=NAN), "TemplateError", "reach_mm is NaN"),
+        (lambda: BOX.with_grid(cell_mm=NAN), "TemplateError", "2 to 1000 cells"),
+        (lambda: BOX.with_grid().grid_distance([[INF, 0, 0]]), "TemplateError", "point 0 is"),
+        (lambda: BOX.with_symmetries(tolerance_mm=NAN), "TemplateError", "tolerance_mm is NaN"),
+        (lambda: Symmetry([0, 0, 0], [0, 0, 0]), "TemplateError", "a finite direction"),
         (lambda: FingerKinematics.parallel(reach_mm=NAN, max_width_mm=85), "FrameError", "finite"),
         (lambda: FingerKinematics.parallel(reach_mm=100, max_width_mm=-85), "FrameError", "-85"),
         (lambda: parallelogram(INF), "FrameError", "finite"),

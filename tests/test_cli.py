@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
-from gelstereo import Scene, simulate
+from gelstereo import Scene, Template, simulate
 from gelstereo.cli import main
 from gelstereo.cli.main import COMMANDS
 from gelstereo.cli.progress import progress
@@ -256,3 +256,24 @@ def test_guesses_are_poses() -> None:
     pose = guess_of(parser.parse_args(["--guess-mm", "1", "2", "3", "--guess-deg", "0", "90", "0"]))
     assert np.array_equal(pose[:3, 3], [1, 2, 3])
     assert np.allclose(pose[:3, :3], se3_exp([0, np.pi / 2, 0, 0, 0, 0])[:3, :3])
+
+
+def test_template_tells_what_a_mesh_is_and_draws_and_saves_it(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    picture, saved = tmp_path / "box.png", tmp_path / "box.template"
+    words = ["template", folder / "box.stl", "--units", "m", "--output", picture, "--save", saved]
+    assert main([str(word) for word in words]) == 0
+    out = capsys.readouterr().out
+    assert "8 x 6 x 20 mm, 12 triangles" in out
+    assert "closed, volume 960 mm3" in out
+    assert "same to 0.02 mm after 2 turns about" in out
+    image = cv2.imread(str(picture))
+    assert image is not None and image.std() > 10.0
+    points = Template.load(saved).points_mm
+    np.save(tmp_path / "patch.npy", points[points[:, 2] > 5.0])
+    words = ["localize", "--points", tmp_path / "patch.npy", "--template", saved]
+    assert main([str(word) for word in words]) == 0
+    pose = np.array(json.loads(capsys.readouterr().out)["t_sensor_object"])
+    np.testing.assert_allclose(pose, np.eye(4), atol=0.01)
+    assert "units is None; valid is one of 'mm'" in error_of(capsys, "template", folder / "box.stl")

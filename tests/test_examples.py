@@ -58,7 +58,9 @@ def press(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("words", [w for name in ("localize", "view") for w in examples(name)], ids=" ".join)
+@pytest.mark.parametrize(
+    "words", [w for name in ("localize", "view", "template") for w in examples(name)], ids=" ".join
+)
 def test_examples_on_presses_run(words: list[str], press: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(press)
     if "run.mcap" in words:

@@ -13,6 +13,8 @@ import pytest
 from gelstereo.cli import main
 from gelstereo.frontier.baseline_fast import FastBaseline
 from gelstereo.frontier.covariance import Calibration
+from gelstereo.frontier.nearest import PARTS as NEAREST_PARTS
+from gelstereo.frontier.nearest import methods, points_around
 from gelstereo.frontier.page import SECTIONS, check_page, write_page
 from gelstereo.frontier.registering import Patch, observable_error_mm
 from gelstereo.frontier.rungs import RUNGS, rungs_of
@@ -345,3 +347,17 @@ def test_only_the_text_between_markers_changes(tmp_path: Path) -> None:
         replace_between(page, "b", "")
     with pytest.raises(ReportError, match="does not exist"):
         replace_between(tmp_path / "none.md", "a", "")
+
+
+def test_all_ways_to_a_distance_agree_on_what_they_measure() -> None:
+    for make in NEAREST_PARTS.values():
+        mesh = make()
+        points = points_around(mesh, 2, 40)
+        found = {name: np.abs(way(points)) for name, way in methods(mesh).items()}
+        exact = found["trimesh `closest_point`"]
+        assert exact.max() <= 1.0 + 1e-12
+        for name, distances in found.items():
+            # Samples are 0.25 mm apart and the grid's cells as wide; planes end at edges.
+            limit = 1e-12 if "closest" in name or "signed" in name else 0.3
+            if "plane" not in name:
+                assert np.abs(distances - exact).max() < limit, name

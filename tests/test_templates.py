@@ -13,8 +13,9 @@ import pytest
 import trimesh
 from gelstereo import MeshError, Params, RegisterError, ShapeError, Template, TemplateError, localize
 from gelstereo.geometry import nearest, se3_exp, se3_log, shape_mesh
-from gelstereo.templates import load_mesh
+from gelstereo.templates import MeshWarning, load_mesh
 from real_data import DATA
+from step_file import write_box
 
 MESHES = [*sorted(DATA.glob("factory_meshes/*.obj")), *sorted(DATA.glob("meshes_realsense/*.stl"))]
 PLANE = Params.preset("balanced")
@@ -25,6 +26,7 @@ def box() -> trimesh.Trimesh:
     return trimesh.creation.box((16.0, 16.0, 50.0))
 
 
+@pytest.mark.filterwarnings("ignore::gelstereo.templates.MeshWarning")
 @pytest.mark.skipif(not MESHES, reason=f"the real meshes are not at {DATA} (set GELSTEREO_DATA)")
 def test_real_meshes_are_in_metres() -> None:
     for path in MESHES:
@@ -200,3 +202,64 @@ def test_row_06_patches_that_cannot_be_registered(box: trimesh.Trimesh) -> None:
         localize(np.zeros((10, 3)), template)  # type: ignore[call-arg]
     with pytest.raises(ShapeError, match=r"t_sensor_object has the shape \(3, 3\); valid is \(4, 4\)"):
         localize(np.zeros((10, 3)), template, t_sensor_object=np.eye(3))
+
+
+def test_faces_that_are_inside_out_are_turned_and_said(box: trimesh.Trimesh, tmp_path: Path) -> None:
+    right = load_mesh(box, "mm")[1]
+    assert np.array_equal(right, box.faces)
+    path = tmp_path / "box.ply"
+    trimesh.Trimesh(box.vertices, box.faces[:, ::-1], process=False).export(path)
+    with pytest.warns(MeshWarning, match=r"box\.ply: its faces were inside out and have been turned"):
+        template = Template.from_mesh(path, units="mm", spacing_mm=1.0)
+    assert template.surface is not None and template.surface.volume_mm3 == pytest.approx(box.volume)
+    stray = box.faces.copy()
+    stray[3] = stray[3, ::-1]
+    with pytest.warns(MeshWarning, match="the mesh: 1 of 12 triangles faced the wrong way"):
+        _, triangles = load_mesh(trimesh.Trimesh(box.vertices, stray, process=False), "mm")
+    assert Template.from_triangles(box.vertices, triangles, spacing_mm=1.0).surface.is_closed  # type: ignore[union-attr]
+
+
+def test_a_scan_with_noise_and_a_hole_is_told_of_and_used() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=8.0)
+    noise = np.random.default_rng(1).normal(0.0, 0.02, size=ball.vertices.shape)
+    above = ball.triangles_center[:, 2] > -5.0
+    scan = trimesh.Trimesh(ball.vertices + noise, ball.faces[above], process=False)
+    with pytest.warns(MeshWarning, match=r"it has holes \(\d+ edges"):
+        template = Template.from_mesh(scan, units="mm", spacing_mm=0.5)
+    assert template.surface is not None and not template.surface.is_closed
+    points = ball.vertices[ball.vertices[:, 2] > 0.0]
+    # 0.02 mm of noise along three axes, five deviations.
+    assert np.abs(template.closest(points).distances_mm).max() < 0.1
+    guess = np.eye(4)
+    guess[:3, 3] = 0.2
+    found = localize(points[:200], template, t_sensor_object=guess, params=PLANE)
+    assert found.rmse_mm < 0.03
+
+
+@pytest.mark.parametrize("kind", ["stl", "ply", "obj", "glb"])
+def test_every_kind_of_file_is_read(kind: str, box: trimesh.Trimesh, tmp_path: Path) -> None:
+    path = tmp_path / f"box.{kind}"
+    box.export(path)
+    surface = Template.from_mesh(path, units="mm", spacing_mm=1.0).surface
+    assert surface is not None and surface.is_closed and surface.volume_mm3 == pytest.approx(12800.0)
+
+
+@pytest.mark.parametrize(
+    ("unit", "mm"), [("SI_UNIT(.MILLI.,.METRE.)", 1.0), ("SI_UNIT(.CENTI.,.METRE.)", 10.0)]
+)
+def test_a_step_file_says_its_unit(unit: str, mm: float, tmp_path: Path) -> None:
+    pytest.importorskip("cascadio")
+    path = tmp_path / "box.step"
+    write_box(path, (6.0, 4.0, 3.0), unit)
+    template = Template.from_mesh(path, units=None, spacing_mm=1.0)
+    np.testing.assert_allclose(
+        sorted(np.ptp(template.closest(template.points_mm * 3.0).points_mm, axis=0)),
+        np.multiply([3.0, 4.0, 6.0], mm),
+        rtol=1e-6,
+    )
+    assert template.surface is not None and template.surface.is_closed
+    with pytest.raises(MeshError, match="a STEP file, which says its unit itself"):
+        Template.from_mesh(path, units="mm")
+    (tmp_path / "no.step").write_text("nothing")
+    with pytest.raises(MeshError, match="cannot be read as a triangle mesh"):
+        Template.from_mesh(tmp_path / "no.step", units=None)

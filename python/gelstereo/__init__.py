@@ -15,6 +15,7 @@ Every array that gelstereo returns is read-only; ``.copy()`` gives one that can 
 
 from gelstereo import geometry, templates
 from gelstereo._native import (
+    Closest,
     ContactError,
     DenseSurface,
     DetectError,
@@ -46,6 +47,8 @@ from gelstereo._native import (
     SimulatedDots,
     SimulatedFrame,
     Simulator,
+    Surface,
+    Symmetry,
     Template,
     TemplateError,
     TriangulateError,
@@ -63,6 +66,7 @@ from gelstereo.simulation import simulate
 from gelstereo.states import MarkerState, Sight
 
 __all__ = [
+    "Closest",
     "ContactError",
     "DenseSurface",
     "DetectError",
@@ -96,6 +100,8 @@ __all__ = [
     "SimulatedDots",
     "SimulatedFrame",
     "Simulator",
+    "Surface",
+    "Symmetry",
     "Template",
     "TemplateError",
     "TriangulateError",

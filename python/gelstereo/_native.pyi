@@ -1,4 +1,4 @@
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any, ClassVar, Literal, TypeAlias, final
@@ -11,6 +11,7 @@ _Floats: TypeAlias = npt.NDArray[np.float64]
 _Path: TypeAlias = str | PathLike[str]
 
 __all__ = [
+    "Closest",
     "ContactError",
     "DenseSurface",
     "DetectError",
@@ -42,6 +43,8 @@ __all__ = [
     "SimulatedDots",
     "SimulatedFrame",
     "Simulator",
+    "Surface",
+    "Symmetry",
     "Template",
     "TemplateError",
     "TriangulateError",
@@ -67,6 +70,7 @@ __all__ = [
     "so3_log",
     "triangulate",
     "triangulate_covariance",
+    "turned_outward",
 ]
 
 __version__: str
@@ -374,7 +378,7 @@ class Template:
         cls,
         mesh: str | Path | trimesh.Trimesh,
         *,
-        units: Literal["mm", "cm", "m", "inch"],
+        units: Literal["mm", "cm", "m", "inch"] | None,
         spacing_mm: float = 0.25,
         seed: int = 1,
     ) -> Template: ...
@@ -397,7 +401,72 @@ class Template:
     def spacing_mm(self) -> float: ...
     @property
     def digest(self) -> int: ...
+    @property
+    def surface(self) -> Surface | None: ...
+    def closest(
+        self,
+        points_mm: npt.ArrayLike,
+        *,
+        facing: npt.ArrayLike | None = None,
+        reach_mm: float | None = None,
+        near: npt.ArrayLike | None = None,
+    ) -> Closest: ...
+    def with_grid(self, *, cell_mm: float = 0.25, reach_mm: float = 2.0) -> Template: ...
+    def grid_distance(self, points_mm: npt.ArrayLike) -> tuple[_Floats, _Floats]: ...
+    @property
+    def symmetries(self) -> tuple[Symmetry, ...]: ...
+    def with_symmetries(
+        self, symmetries: Sequence[Symmetry] | None = None, *, tolerance_mm: float = 0.02
+    ) -> Template: ...
+    @classmethod
+    def load(cls, path: _Path) -> Template: ...
+    def save(self, path: _Path) -> None: ...
     def __len__(self) -> int: ...
+
+@final
+class Closest:
+    @property
+    def points_mm(self) -> _Floats: ...
+    @property
+    def normals(self) -> _Floats: ...
+    @property
+    def distances_mm(self) -> _Floats: ...
+    @property
+    def triangles(self) -> npt.NDArray[np.int64]: ...
+    @property
+    def features(self) -> npt.NDArray[np.uint8]: ...
+
+@final
+class Surface:
+    @property
+    def triangles(self) -> int: ...
+    @property
+    def degenerate(self) -> int: ...
+    @property
+    def duplicates(self) -> int: ...
+    @property
+    def boundary_edges(self) -> int: ...
+    @property
+    def clashing_edges(self) -> int: ...
+    @property
+    def crowded_edges(self) -> int: ...
+    @property
+    def volume_mm3(self) -> float: ...
+    @property
+    def is_closed(self) -> bool: ...
+    @property
+    def is_inside_out(self) -> bool: ...
+
+@final
+class Symmetry:
+    def __new__(cls, axis: npt.ArrayLike, centre_mm: npt.ArrayLike, order: int | None = None) -> Symmetry: ...
+    @property
+    def axis(self) -> _Floats: ...
+    @property
+    def centre_mm(self) -> _Floats: ...
+    @property
+    def order(self) -> int | None: ...
+    def turned(self, angle_rad: float) -> _Floats: ...
 
 @final
 class FreeDirection:
@@ -542,3 +611,6 @@ def rigid_fit(
     source: npt.ArrayLike, target: npt.ArrayLike, weights: npt.ArrayLike | None = None
 ) -> _Floats: ...
 def nearest(points: npt.ArrayLike, queries: npt.ArrayLike) -> tuple[npt.NDArray[np.int64], _Floats]: ...
+def turned_outward(
+    vertices_mm: npt.ArrayLike, triangles: npt.ArrayLike
+) -> tuple[npt.NDArray[np.int64], int, bool, Surface]: ...

@@ -154,6 +154,28 @@ fn beside_a_hole_there_is_no_answer_rather_than_a_wrong_one() {
 }
 
 #[test]
+fn between_sheets_that_face_one_way_the_sign_jumps_and_the_error_is_bounded() {
+    let square = [(-5.0, -5.0), (5.0, -5.0), (5.0, 5.0), (-5.0, 5.0)];
+    for gap in [0.2, 0.45, 0.5, 0.7, 1.0, 1.4] {
+        let vertices =
+            [0.0, gap].into_iter().flat_map(|z| square.map(|(x, y)| DVec3::new(x, y, z))).collect();
+        let sheets = solid((vertices, vec![[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]));
+        assert!(!sheets.is_closed());
+        let field = Field::new(&sheets, 0.5, 1.0).unwrap();
+        // Of two nodes beside each other with different signs one is within half a cell of the surface, and a point within
+        // the diagonal from there.
+        let bound = (0.5 + 3.0_f64.sqrt()) * 0.5 + 2.0 * step(&field);
+        let mut largest = 0.0_f64;
+        for p in points(2, 4.0, 4000) {
+            let p = p * DVec3::new(1.0, 1.0, 0.3);
+            let Some((distance, _)) = field.distance(p) else { continue };
+            largest = largest.max((distance.abs() - sheets.closest(p).distance_mm.abs()).abs());
+        }
+        assert!(largest <= bound, "{gap} {largest}");
+    }
+}
+
+#[test]
 fn too_fine_a_grid_gets_wider_cells_and_senseless_ones_are_refused() {
     let solid = solid(block(DVec3::ZERO, DVec3::new(200.0, 200.0, 200.0), 1));
     let field = Field::new(&solid, 0.5, 1.0).unwrap();

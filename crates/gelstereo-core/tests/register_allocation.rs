@@ -1,4 +1,4 @@
-//! Registration allocates nothing once it has seen a patch as large.
+//! Registration allocates nothing once it has seen a patch as large, and questions to a surface never do.
 
 // A test may stop at what it did not expect.
 #![allow(clippy::unwrap_used)]
@@ -9,7 +9,8 @@ use contact_patch::{Contact, Shape};
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::params::{RegisterMethod, RegisterParams};
-use gelstereo_core::register::Registrar;
+use gelstereo_core::register::{Registrar, Template};
+use gelstereo_core::surface::Facing;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
@@ -61,4 +62,23 @@ fn a_second_run_allocates_nothing() {
         registrar.run(&contact.points_mm, &template, &guess).unwrap();
         assert_eq!(ALLOCATIONS.get() - before - first, 0, "{method:?}");
     }
+}
+
+#[test]
+fn questions_to_a_surface_allocate_nothing() {
+    let mesh = contact_patch::cuboid(DVec3::new(3.0, 4.0, 5.0));
+    let template = Template::from_mesh(&mesh, 0.5, 1).unwrap().with_field(0.5, 2.0);
+    let (solid, field) = (template.solid().unwrap(), template.field().unwrap());
+    let facing = Facing { direction: DVec3::Z, least_cosine: 0.5 };
+    let before = ALLOCATIONS.get();
+    let mut sum = 0.0;
+    for k in 0..1000 {
+        let p = DVec3::new(0.006, 0.008, 0.011) * f64::from(k);
+        let found = solid.closest_from(p, k as u32);
+        sum += found.distance_mm + solid.closest(p).distance_mm;
+        sum += solid.closest_facing(p, &facing, 3.0, Some(found.triangle)).map_or(0.0, |c| c.distance_mm);
+        sum += field.distance(p).map_or(0.0, |(distance, gradient)| distance + gradient.x);
+    }
+    assert!(sum.is_finite());
+    assert_eq!(ALLOCATIONS.get(), before);
 }

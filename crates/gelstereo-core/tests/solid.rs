@@ -6,7 +6,7 @@ mod solids;
 
 use gelstereo_core::math::DVec3;
 use gelstereo_core::math::random::Stream;
-use gelstereo_core::surface::{Closest, Facing, Feature, Solid, SolidError, TriangleMesh};
+use gelstereo_core::surface::{Closest, Facing, Feature, Solid, SolidError, TriangleMesh, Turned};
 use proptest::prelude::*;
 use solids::{block, distance, squared_distance, star, winding};
 
@@ -279,6 +279,37 @@ fn the_report_names_holes_and_faces_that_are_inside_out() {
     twice.push([triangles[0][1], triangles[0][1], triangles[0][0]]);
     let twice = of(twice);
     assert_eq!((twice.duplicates, twice.degenerate, twice.is_closed(), twice.triangles), (1, 1, true, 50));
+}
+
+#[test]
+fn faces_are_turned_to_their_majority_and_outward() {
+    let (vertices, triangles) = block(DVec3::ZERO, DVec3::splat(3.0), 4);
+    let right = TriangleMesh::new(vertices.clone(), triangles.clone()).unwrap();
+    let mut random = Stream::new(1, "turned");
+    for share in [0.0, 0.05, 0.3, 0.45, 0.7, 1.0] {
+        let some =
+            triangles.iter().map(|&[a, b, c]| if random.uniform() < share { [a, c, b] } else { [a, b, c] });
+        let wrong = TriangleMesh::new(vertices.clone(), some.collect()).unwrap();
+        let off = wrong.triangles().iter().zip(&triangles).filter(|(a, b)| a != b).count();
+        let (mesh, turned) = wrong.turned_outward();
+        assert_eq!(mesh, right, "{share}");
+        let inside_out = share > 0.5;
+        let stray = if inside_out { triangles.len() - off } else { off };
+        assert_eq!(turned, Turned { stray, inside_out });
+    }
+    // A cavity faces into itself, which is outward from the body.
+    let (inner, holes) = block(DVec3::ONE, DVec3::splat(2.0), 1);
+    let first = vertices.len() as u32;
+    let holes = holes.iter().map(|&[a, b, c]| [first + a, first + c, first + b]);
+    let hollow = TriangleMesh::new(
+        vertices.iter().copied().chain(inner).collect(),
+        triangles.iter().copied().chain(holes).collect(),
+    );
+    let hollow = hollow.unwrap();
+    assert_eq!(hollow.turned_outward(), (hollow.clone(), Turned::default()));
+    let solid = Solid::new(&hollow).unwrap();
+    assert!((solid.report().volume_mm3 - 26.0).abs() < 1e-12);
+    assert_eq!(solid.closest(DVec3::splat(1.5)).distance_mm, 0.5);
 }
 
 #[test]

@@ -4,6 +4,7 @@
 #![allow(clippy::needless_pass_by_value)]
 
 mod arrays;
+mod closest;
 mod contact;
 mod detect;
 mod errors;
@@ -16,6 +17,7 @@ mod register;
 mod rig;
 mod sim;
 mod surface;
+mod template;
 mod tree;
 mod triangulate;
 
@@ -24,6 +26,8 @@ use pyo3::prelude::*;
 /// The compiled part of gelstereo; import its names from `gelstereo` instead.
 #[pymodule]
 mod _native {
+    #[pymodule_export]
+    use crate::closest::{Closest, Surface, Symmetry, turned_outward};
     #[pymodule_export]
     use crate::contact::{RestSurface, pressure_saliency};
     #[pymodule_export]
@@ -47,13 +51,15 @@ mod _native {
     #[pymodule_export]
     use crate::pipeline::{Frame, Pipeline, ViewEvidence, marker_states};
     #[pymodule_export]
-    use crate::register::{FreeDirection, Localization, Template, localize};
+    use crate::register::{FreeDirection, Localization, localize};
     #[pymodule_export]
     use crate::rig::{Rectification, Rig};
     #[pymodule_export]
     use crate::sim::{Scene, SimulatedDots, SimulatedFrame, Simulator, shape_mesh, sights};
     #[pymodule_export]
     use crate::surface::DenseSurface;
+    #[pymodule_export]
+    use crate::template::Template;
     #[pymodule_export]
     use crate::tree::parse_toml;
     #[pymodule_export]

@@ -2,8 +2,8 @@
 
 use crate::arrays::{self, Array1, Count, Matrix};
 use crate::errors::{SceneError, raise};
-use crate::register::{load_mesh, triangle_mesh};
 use crate::rig::Rig;
+use crate::template::{load_mesh, triangle_mesh};
 use crate::tree;
 use gelstereo_core::math::DVec3;
 use gelstereo_sim as sim;

@@ -204,14 +204,19 @@ pub fn read(py: Python<'_>, path: std::path::PathBuf) -> PyResult<String> {
     py.detach(|| std::fs::read_to_string(&path)).map_err(|error| with_path(error, &path))
 }
 
+/// Bytes of a file.
+pub fn read_bytes(py: Python<'_>, path: std::path::PathBuf) -> PyResult<Vec<u8>> {
+    py.detach(|| std::fs::read(&path)).map_err(|error| with_path(error, &path))
+}
+
 /// An error about the content of a file, with the file's name.
 pub fn in_file(py: Python<'_>, error: &PyErr, path: &std::path::Path) -> PyErr {
     PyErr::from_type(error.get_type(py), format!("{}: {}", path.display(), error.value(py)))
 }
 
 /// Writes a file.
-pub fn write(py: Python<'_>, path: std::path::PathBuf, text: &str) -> PyResult<()> {
-    py.detach(|| std::fs::write(&path, text)).map_err(|error| with_path(error, &path))
+pub fn write(py: Python<'_>, path: std::path::PathBuf, content: impl AsRef<[u8]> + Sync) -> PyResult<()> {
+    py.detach(|| std::fs::write(&path, content.as_ref())).map_err(|error| with_path(error, &path))
 }
 
 /// As Python's own `open` raises it: OSError's subclass by number, with the file's name.

@@ -32,8 +32,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--images", type=Path, metavar="FOLDER", help="stereo images: left/NAME.png, right/NAME.png"
     )
     parser.add_argument("--rig", type=Path, help="rig file of the images; FOLDER/rig.toml if left out")
-    parser.add_argument("--template", type=Path, required=True, metavar="MESH", help="mesh of the part")
-    parser.add_argument("--units", required=True, choices=list(MM_PER_UNIT), help="unit of the mesh")
+    parser.add_argument(
+        "--template", type=Path, required=True, metavar="MESH", help="mesh of the part, or a saved .template"
+    )
+    parser.add_argument("--units", choices=list(MM_PER_UNIT), help="unit of the mesh; STEP files say it")
     parser.add_argument(
         "--spacing-mm", type=float, default=0.25, help="distance of template points (%(default)s)"
     )
@@ -45,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Localize and print the pose; the exit code."""
     params = params_of(arguments)
-    template = Template.from_mesh(arguments.template, units=arguments.units, spacing_mm=arguments.spacing_mm)
+    template = _template(arguments)
     if arguments.points is not None:
         points_mm = read_points(arguments.points)
     else:
@@ -57,6 +59,12 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         arguments.output.write_text(text + "\n")
     return 0
+
+
+def _template(arguments: argparse.Namespace) -> Template:
+    if arguments.template.suffix == ".template":
+        return Template.load(arguments.template)
+    return Template.from_mesh(arguments.template, units=arguments.units, spacing_mm=arguments.spacing_mm)
 
 
 def as_json(found: Localization) -> dict[str, Any]:

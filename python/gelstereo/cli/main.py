@@ -20,13 +20,20 @@ COMMANDS = {
         "images of the sensor's own markers to the pose and index of its gel",
     ),
     "localize": ("gelstereo.cli.localize", "a point cloud or stereo images, and a template, to a pose"),
+    "template": ("gelstereo.cli.template", "a part's mesh, checked, to a template and a picture of it"),
     "simulate": ("gelstereo.cli.simulate", "a scene to stereo images with their truth"),
     "view": ("gelstereo.cli.view", "a recording or a folder of stereo images to a picture"),
     "frontier": ("gelstereo.frontier.command", "measure every method and write docs/accuracy-vs-time.md"),
 }
 
 #: The extra of the package that brings a module.
-EXTRAS = {"scipy": "bench", "matplotlib": "bench", "mcap": "recording", "lz4": "recording"}
+EXTRAS = {
+    "cascadio": "step",
+    "scipy": "bench",
+    "matplotlib": "bench",
+    "mcap": "recording",
+    "lz4": "recording",
+}
 
 EXAMPLES = """examples:
   gelstereo demo                                  the whole pipeline on a simulated sensor, in a few seconds

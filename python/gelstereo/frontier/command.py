@@ -13,6 +13,7 @@ from gelstereo.frontier.boards import measure_boards
 from gelstereo.frontier.centres import CONDITIONS, measure_centres
 from gelstereo.frontier.covariance import measure_covariance
 from gelstereo.frontier.figures import draw_errors, draw_growth
+from gelstereo.frontier.nearest import measure_nearest
 from gelstereo.frontier.page import check_page, write_page
 from gelstereo.frontier.registering import measure_registration
 from gelstereo.frontier.saliency import measure_saliency
@@ -109,8 +110,10 @@ def _tables(
     targets += more
     boards, more = measure_boards(1 if quick else 5, report)
     targets += more
+    nearest, more = measure_nearest(max(rounds // 20, 2), report)
+    targets += more
     tables = [centres, covariance, tracking, speed_table(speeds), stage_table(speeds), growth_table(speeds)]
-    return [*tables, measure_threads(rounds // 2, report), saliency, *boards], targets, speeds
+    return [*tables, measure_threads(rounds // 2, report), saliency, *boards, nearest], targets, speeds
 
 
 def _report(what: str) -> None:

@@ -33,6 +33,7 @@ SECTIONS = (
     "saliency",
     "boards",
     "refraction",
+    "nearest",
     "register",
 )
 

@@ -49,12 +49,12 @@ def draw_solid(moment: Moment, colours: npt.NDArray[np.uint8], width: int, heigh
     _draw_gel(canvas, project, moment, colours)
     if moment.part is not None:
         layer = Canvas(width, height)
-        _draw_part(layer, project, moment.part)
+        draw_part(layer, project, moment.part)
         canvas.blend(layer, _PART_OPACITY, PAPER)
     points = moment.points_mm[moment.salient]
     for index in np.argsort(project.nearness(points), kind="stable"):
         canvas.circle(project(points[index]), 2.6, SALIENT)
-    _draw_axes(canvas, height)
+    draw_axes(canvas, height)
     return canvas
 
 
@@ -77,7 +77,8 @@ def _draw_gel(canvas: Canvas, project: Projection, moment: Moment, colours: npt.
             canvas.line(start, end, _colour(0.85 * shade[index]), 0.5)
 
 
-def _draw_part(canvas: Canvas, project: Projection, part: Part) -> None:
+def draw_part(canvas: Canvas, project: Projection, part: Part) -> None:
+    """Draw the faces that look this way, the farthest first, lit from above."""
     corners = part.vertices_mm[part.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1)
@@ -91,8 +92,8 @@ def _draw_part(canvas: Canvas, project: Projection, part: Part) -> None:
         canvas.polygon(flat[index], _colour(_PART_COLOUR * shade[index]))
 
 
-def _draw_axes(canvas: Canvas, height: int) -> None:
-    """The sensor's axes, in the lower left corner."""
+def draw_axes(canvas: Canvas, height: int) -> None:
+    """Draw the frame's axes in the lower left corner."""
     axes = Projection(np.eye(3), 1, 1).axes
     origin, length = np.array([34.0, height - 30.0]), 22.0
     for name, direction in zip("xyz", np.eye(3), strict=True):

@@ -155,8 +155,8 @@ impl core::fmt::Display for RegisterError {
             ),
             Self::NoSurface => write!(
                 f,
-                "the template has no surface with a field of distances; make it from a mesh (in Rust: \
-                 Template::with_field), or choose another register.method (filterreg_plane, icp_plane)"
+                "the template has no surface with a grid of distances; make it from a mesh and give it one \
+                 (Template::with_field, in Python Template.with_grid; 0.4 mm, 4 mm), or choose another register.method"
             ),
             Self::MarkerNotFinite { index } => write!(
                 f,

@@ -5,6 +5,7 @@
 
 mod assess;
 mod blocks;
+mod codec;
 mod error;
 mod facet;
 mod filterreg;
@@ -17,15 +18,18 @@ mod rigid;
 mod sample;
 mod soft;
 mod surface;
+mod symmetry;
 mod template;
 mod tree;
 
+pub use codec::TemplateBytesError;
 pub use error::{RegisterError, TemplateError};
 pub use free::{FreeDirection, FreeDirections, Motion};
 pub use observe::Observability;
 pub use rigid::{RigidFit, RigidFitError, rigid_fit};
 pub use soft::{SoftMatch, soft_match};
 pub use surface::{Alternative, Alternatives, Contact, unpressed};
+pub use symmetry::Symmetry;
 pub use template::Template;
 pub use tree::Tree;
 

@@ -5,7 +5,6 @@ use super::template::{LEAST_POINTS, MOST_POINTS};
 use crate::math::random::Stream;
 use crate::math::{DVec3, floor, sqrt};
 use crate::surface::{TriangleMesh, area_vector};
-use alloc::collections::BTreeMap;
 use alloc::vec::Vec;
 
 /// Darts per point wanted. Random discs of diameter r jam at a cover of 0.547 (Feder 1980), which is 0.70 A / r² points on
@@ -34,7 +33,7 @@ pub(super) fn evenly(
         return Err(TemplateError::TooFew { found: expected as usize, least: LEAST_POINTS });
     }
     let mut random = Stream::new(seed, "template");
-    let mut darts = Darts::new(LEAST_DISTANCE * spacing_mm);
+    let mut darts = Darts::new(LEAST_DISTANCE * spacing_mm, expected as usize);
     for _ in 0..(expected * DARTS_PER_POINT) as usize {
         // Every dart draws three numbers whether it lands or not.
         let (pick, u, v) = (random.uniform() * area_mm2, random.uniform(), random.uniform());
@@ -65,40 +64,64 @@ fn inside([a, b, c]: &[DVec3; 3], u: f64, v: f64) -> DVec3 {
     *a + (*b - *a) * u + (*c - *a) * v
 }
 
+/// No further point.
+const NONE: u32 = u32::MAX;
+
 /// Points accepted so far, in cells as wide as their least distance.
 struct Darts {
     least_mm: f64,
-    cells: BTreeMap<[i64; 3], Vec<u32>>,
+    /// The last point of every list of cells; cells that share a list cost time and change nothing, as their points are too
+    /// far from each other's.
+    last: Vec<u32>,
+    /// The point before each in its list.
+    before: Vec<u32>,
     points_mm: Vec<DVec3>,
     normals: Vec<DVec3>,
 }
 
 impl Darts {
-    const fn new(least_mm: f64) -> Self {
-        Self { least_mm, cells: BTreeMap::new(), points_mm: Vec::new(), normals: Vec::new() }
+    /// For about so many points.
+    fn new(least_mm: f64, expected: usize) -> Self {
+        let last = alloc::vec![NONE; (2 * expected).next_power_of_two()];
+        Self { least_mm, last, before: Vec::new(), points_mm: Vec::new(), normals: Vec::new() }
     }
 
     fn throw(&mut self, point: DVec3, normal: DVec3) {
         let cell = point.to_array().map(|x| floor(x / self.least_mm) as i64);
         if self.is_free(cell, point, normal) {
-            self.cells.entry(cell).or_default().push(self.points_mm.len() as u32);
+            let list = self.list(cell);
+            self.before.push(self.last[list]);
+            self.last[list] = self.points_mm.len() as u32;
             self.points_mm.push(point);
             self.normals.push(normal);
         }
     }
 
+    /// The list of a cell: a hash, by multipliers that are odd and without a pattern.
+    fn list(&self, [x, y, z]: [i64; 3]) -> usize {
+        let mixed = (x as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15)
+            ^ (y as u64).wrapping_mul(0xC2B2_AE3D_27D4_EB4F)
+            ^ (z as u64).wrapping_mul(0x1656_67B1_9E37_79F9);
+        (mixed >> 32) as usize & (self.last.len() - 1)
+    }
+
     /// Faces that look different ways keep their own points, so that edges stay sharp and thin plates two-sided.
     fn is_free(&self, [x, y, z]: [i64; 3], point: DVec3, normal: DVec3) -> bool {
         let least_squared = self.least_mm * self.least_mm;
-        let blocks = |&k: &u32| {
-            let k = k as usize;
+        let blocks = |k: usize| {
             self.points_mm[k].distance_squared(point) < least_squared && self.normals[k].dot(normal) > 0.5
         };
+        let in_list = |list: usize| {
+            let mut k = self.last[list];
+            while k != NONE {
+                if blocks(k as usize) {
+                    return true;
+                }
+                k = self.before[k as usize];
+            }
+            false
+        };
         let near = |x: i64| x.saturating_sub(1)..=x.saturating_add(1);
-        !near(x).any(|i| {
-            near(y).any(|j| {
-                near(z).any(|k| self.cells.get(&[i, j, k]).is_some_and(|cell| cell.iter().any(blocks)))
-            })
-        })
+        !near(x).any(|i| near(y).any(|j| near(z).any(|k| in_list(self.list([i, j, k])))))
     }
 }

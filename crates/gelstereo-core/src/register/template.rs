@@ -4,6 +4,7 @@ use super::blocks::{self, Block};
 use super::error::TemplateError;
 use super::sample;
 use super::surface::Relief;
+use super::symmetry::Symmetry;
 use super::tree::Tree;
 use crate::digest::Digest;
 use crate::math::{DVec3, sqrt};
@@ -31,9 +32,10 @@ pub struct Template {
     spacing_mm: f64,
     tree: Tree,
     blocks: Vec<Block>,
-    solid: Option<Solid>,
-    field: Option<Field>,
-    relief: Option<Relief>,
+    pub(super) solid: Option<Solid>,
+    pub(super) field: Option<Field>,
+    pub(super) symmetries: Vec<Symmetry>,
+    pub(super) relief: Option<Relief>,
 }
 
 impl Template {
@@ -43,12 +45,27 @@ impl Template {
     /// [`TemplateError`].
     pub fn new(points_mm: &[DVec3], normals: &[DVec3], spacing_mm: f64) -> Result<Self, TemplateError> {
         check(points_mm, normals, spacing_mm)?;
-        let normals = unit(normals)?;
-        let tree = Tree::new(points_mm);
-        let curvatures_per_mm = curvatures(points_mm, &normals, &tree, spacing_mm);
-        let blocks = blocks::blocks(points_mm, &normals, &tree);
-        let points_mm = points_mm.to_vec();
-        Ok(Self {
+        Ok(Self::build(points_mm.to_vec(), unit(normals)?, spacing_mm))
+    }
+
+    /// As [`Self::new`], of normals that were normalised before and keep their bits.
+    pub(super) fn with_unit_normals(
+        points_mm: Vec<DVec3>,
+        normals: Vec<DVec3>,
+        spacing_mm: f64,
+    ) -> Result<Self, TemplateError> {
+        check(&points_mm, &normals, spacing_mm)?;
+        match normals.iter().position(|n| (n.length_squared() - 1.0).abs() > 1e-9) {
+            Some(index) => Err(TemplateError::ZeroNormal { index }),
+            None => Ok(Self::build(points_mm, normals, spacing_mm)),
+        }
+    }
+
+    fn build(points_mm: Vec<DVec3>, normals: Vec<DVec3>, spacing_mm: f64) -> Self {
+        let tree = Tree::new(&points_mm);
+        let curvatures_per_mm = curvatures(&points_mm, &normals, &tree, spacing_mm);
+        let blocks = blocks::blocks(&points_mm, &normals, &tree);
+        Self {
             points_mm,
             normals,
             curvatures_per_mm,
@@ -56,9 +73,10 @@ impl Template {
             tree,
             blocks,
             solid: None,
-            field: None,
             relief: None,
-        })
+            field: None,
+            symmetries: Vec::new(),
+        }
     }
 
     /// Spacing for a part that a hand holds: a quarter of the lattice's pitch, rounded. Default of all who sample one.
@@ -97,6 +115,12 @@ impl Template {
         self
     }
 
+    /// Without the grid.
+    #[must_use]
+    pub fn without_field(self) -> Self {
+        Self { field: None, ..self }
+    }
+
     /// Distances on a grid, if [`Self::with_field`] has made them.
     #[must_use]
     pub const fn field(&self) -> Option<&Field> {
@@ -106,6 +130,19 @@ impl Template {
     /// Normals of the smooth surface that the triangles stand for.
     pub(super) const fn relief(&self) -> Option<&Relief> {
         self.relief.as_ref()
+    }
+
+    /// With these symmetries instead of those it has: declared ones, or [`Symmetry::of`] it.
+    #[must_use]
+    pub fn with_symmetries(mut self, symmetries: Vec<Symmetry>) -> Self {
+        self.symmetries = symmetries;
+        self
+    }
+
+    /// Turns after which the part looks the same, as far as [`Self::with_symmetries`] has said.
+    #[must_use]
+    pub fn symmetries(&self) -> &[Symmetry] {
+        &self.symmetries
     }
 
     /// Points, object frame.

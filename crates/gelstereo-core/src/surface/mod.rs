@@ -10,7 +10,7 @@ mod solid;
 pub use dense::{DenseFrame, DenseSurface, DenseSurfaceError};
 #[cfg(feature = "delaunay")]
 pub use markers::{MarkerMesh, MarkerMeshError};
-pub use solid::{Closest, Facing, Feature, Field, Solid, SolidError, SolidReport};
+pub use solid::{Closest, Facing, Feature, Field, Solid, SolidError, SolidReport, Turned};
 
 use crate::math::DVec3;
 use alloc::vec::Vec;

@@ -23,11 +23,13 @@ const MOST_NODES: usize = 2_000_000;
 /// How much wider cells are made when there are too many.
 const WIDER: f64 = 1.125;
 
-/// Signed distances at the nodes of a grid within reach of a surface, and between them by trilinear interpolation.
+/// Signed distances at the nodes of a grid within reach of a surface, and between them by trilinear interpolation: 36 ns
+/// a query where [`Solid::closest_from`] takes 290 (example `nearest`).
 ///
 /// A distance changes by no more than the way gone, so that an interpolated one is never wrong by more than
 /// √3/2 = 0.87 of [`Self::cell_mm`]. That happens at sharp edges alone: over a face it is exact but for the rounding to
-/// 16 bits, and around a surface of radius R it is wrong by h² / 4R.
+/// 16 bits, and around a surface of radius R it is wrong by h² / 4R. Where signs jump, as they do between sheets that are not
+/// closed, it can be nearer to zero by up to 2.24 cells.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Field {
     low_mm: DVec3,
@@ -178,8 +180,8 @@ impl Field {
         let here = node[0] + NODES * (node[1] + NODES * node[2]);
         for axis in 0..3 {
             // On the lower face, of which the block below has the nodes on its upper one.
-            let is_inside = place / stride % self.sides[axis] > 0;
-            if node[axis] == 0 && is_inside && self.block_at[place - stride] != NONE {
+            let is_first = (place / stride).is_multiple_of(self.sides[axis]);
+            if node[axis] == 0 && !is_first && self.block_at[place - stride] != NONE {
                 return Some(
                     self.values[self.block_at[place - stride] as usize * BLOCK + here + CELLS * step],
                 );

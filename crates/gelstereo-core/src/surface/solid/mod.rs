@@ -5,10 +5,12 @@ mod field;
 mod normals;
 mod report;
 mod tree;
+mod turn;
 mod weld;
 
 pub use field::Field;
 pub use report::{SolidError, SolidReport};
+pub use turn::Turned;
 
 use super::TriangleMesh;
 use crate::digest::Digest;
@@ -65,8 +67,9 @@ pub struct Facing {
 /// vertex that is nearest (Baerentzen and Aanaes 2005), which is exact for a closed surface; [`Self::report`] says
 /// whether it is one. With holes the distance is as exact, and its sign is that of the nearest side alone.
 ///
-/// Queries allocate nothing. A tree of boxes, four to a node, leads to few triangles: on a part of 5000 triangles
-/// about 12 of them, fewer from a good first guess.
+/// Queries allocate nothing. A tree of boxes, four to a node, leads to few triangles: on a part of 5184 about a
+/// millimetre wide, with a first guess, 0.29 us for points 0.03 mm off the surface and 0.65 us for points 1.5 mm off;
+/// 0.48 and 0.83 us without (example `nearest`).
 #[derive(Clone, Debug)]
 pub struct Solid {
     vertices_mm: Vec<DVec3>,

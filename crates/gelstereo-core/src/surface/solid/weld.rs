@@ -26,7 +26,7 @@ pub(super) struct Use {
     /// The edge from this corner to the next one.
     pub corner: u8,
     /// Whether it runs from the edge's first end to its second.
-    forward: bool,
+    pub forward: bool,
 }
 
 /// Vertices, triangles and edges of a mesh with equal places welded.

@@ -1,0 +1,206 @@
+//! A template as bytes, for files: little-endian, version 1.
+//!
+//! ```text
+//! magic 8 | version u32 | flags u32 (1 surface, 2 grid) | spacing f64
+//! points u64, then 3 f64 each | normals 3 f64 each
+//! surface: places u64, 3 f64 each | triangles u64, 3 u32 each
+//! grid: cell f64, reach f64 (it is made again)
+//! symmetries u64, each axis 3 f64, centre 3 f64, order u32 (0 any turn)
+//! digest u64 of all before
+//! ```
+
+use super::error::TemplateError;
+use super::surface::Relief;
+use super::symmetry::Symmetry;
+use super::template::Template;
+use crate::digest::Digest;
+use crate::math::DVec3;
+use crate::surface::{Field, MeshError, Solid, TriangleMesh};
+use alloc::vec::Vec;
+
+const MAGIC: &[u8; 8] = b"geltempl";
+const VERSION: u32 = 1;
+const SURFACE: u32 = 1;
+const GRID: u32 = 2;
+
+/// Why bytes are no template.
+#[derive(Clone, Debug, PartialEq)]
+pub enum TemplateBytesError {
+    /// They do not begin as a template does.
+    NotATemplate,
+    /// A version that is not known here.
+    Version {
+        /// The version found.
+        found: u32,
+    },
+    /// They end early, or were changed.
+    Damaged {
+        /// Where it showed.
+        byte: usize,
+    },
+    /// Whole, but the points are no template.
+    Template(TemplateError),
+    /// Whole, but the triangles are no surface.
+    Mesh(MeshError),
+}
+
+impl core::fmt::Display for TemplateBytesError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::NotATemplate => {
+                write!(f, "these are not the bytes of a template; make one from the part's mesh")
+            }
+            Self::Version { found } => {
+                write!(
+                    f,
+                    "the template is of version {found}; valid is {VERSION}: make it again from the part's mesh"
+                )
+            }
+            Self::Damaged { byte } => write!(
+                f,
+                "the template is damaged or cut off (seen at byte {byte}); make it again from the part's mesh"
+            ),
+            Self::Template(error) => error.fmt(f),
+            Self::Mesh(error) => error.fmt(f),
+        }
+    }
+}
+
+impl core::error::Error for TemplateBytesError {}
+
+impl Template {
+    /// All of the template as bytes.
+    #[must_use]
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let mut out = MAGIC.to_vec();
+        let (solid, field) = (self.solid(), self.field());
+        let flags = if solid.is_some() { SURFACE } else { 0 } | if field.is_some() { GRID } else { 0 };
+        out.extend(VERSION.to_le_bytes());
+        out.extend(flags.to_le_bytes());
+        out.extend(self.spacing_mm().to_le_bytes());
+        put_rows(&mut out, self.points_mm());
+        self.normals().iter().for_each(|&n| put(&mut out, n));
+        if let Some(solid) = solid {
+            put_rows(&mut out, solid.vertices_mm());
+            out.extend((solid.triangles().len() as u64).to_le_bytes());
+            solid.triangles().iter().flatten().for_each(|i| out.extend(i.to_le_bytes()));
+        }
+        if let Some(field) = field {
+            out.extend(field.cell_mm().to_le_bytes());
+            out.extend(field.reach_mm().to_le_bytes());
+        }
+        out.extend((self.symmetries().len() as u64).to_le_bytes());
+        for symmetry in self.symmetries() {
+            put(&mut out, symmetry.axis);
+            put(&mut out, symmetry.centre_mm);
+            out.extend(symmetry.order.unwrap_or(0).to_le_bytes());
+        }
+        let digest = Digest::new().bytes(&out).value();
+        out.extend(digest.to_le_bytes());
+        out
+    }
+
+    /// The template that [`Self::to_bytes`] wrote, with the same digest.
+    ///
+    /// # Errors
+    /// [`TemplateBytesError`].
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, TemplateBytesError> {
+        if !bytes.starts_with(MAGIC) {
+            return Err(TemplateBytesError::NotATemplate);
+        }
+        let mut read = Reader { bytes, at: MAGIC.len() };
+        let version = read.u32()?;
+        if version != VERSION {
+            return Err(TemplateBytesError::Version { found: version });
+        }
+        let end = bytes.len().saturating_sub(8);
+        let mut tail = Reader { bytes, at: end };
+        if tail.u64()? != Digest::new().bytes(&bytes[..end]).value() {
+            return Err(TemplateBytesError::Damaged { byte: end });
+        }
+        read.bytes = &bytes[..end];
+        let flags = read.u32()?;
+        let spacing_mm = read.f64()?;
+        let points_mm = read.rows()?;
+        let normals = (0..points_mm.len()).map(|_| read.vector()).collect::<Result<Vec<_>, _>>()?;
+        let template = Self::with_unit_normals(points_mm, normals, spacing_mm);
+        let mut template = template.map_err(TemplateBytesError::Template)?;
+        if flags & SURFACE != 0 {
+            let solid = read.solid()?;
+            template.relief = Some(Relief::new(&solid));
+            template.solid = Some(solid);
+        }
+        if flags & GRID != 0 {
+            let (cell_mm, reach_mm) = (read.f64()?, read.f64()?);
+            template.field = template.solid.as_ref().and_then(|solid| Field::new(solid, cell_mm, reach_mm));
+        }
+        for _ in 0..read.count(52)? {
+            let (axis, centre_mm) = (read.vector()?, read.vector()?);
+            let order = Some(read.u32()?).filter(|&n| n > 0);
+            template.symmetries.push(Symmetry { axis, centre_mm, order });
+        }
+        if read.at == end { Ok(template) } else { Err(read.damaged()) }
+    }
+}
+
+fn put(out: &mut Vec<u8>, v: DVec3) {
+    v.to_array().iter().for_each(|x| out.extend(x.to_le_bytes()));
+}
+
+fn put_rows(out: &mut Vec<u8>, rows: &[DVec3]) {
+    out.extend((rows.len() as u64).to_le_bytes());
+    rows.iter().for_each(|&v| put(out, v));
+}
+
+struct Reader<'a> {
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl Reader<'_> {
+    const fn damaged(&self) -> TemplateBytesError {
+        TemplateBytesError::Damaged { byte: self.at }
+    }
+
+    fn take<const N: usize>(&mut self) -> Result<[u8; N], TemplateBytesError> {
+        let found = self.bytes.get(self.at..).and_then(|rest| rest.first_chunk::<N>());
+        let found = found.ok_or_else(|| self.damaged())?;
+        self.at += N;
+        Ok(*found)
+    }
+
+    fn u32(&mut self) -> Result<u32, TemplateBytesError> {
+        self.take().map(u32::from_le_bytes)
+    }
+
+    fn u64(&mut self) -> Result<u64, TemplateBytesError> {
+        self.take().map(u64::from_le_bytes)
+    }
+
+    fn f64(&mut self) -> Result<f64, TemplateBytesError> {
+        self.take().map(f64::from_le_bytes)
+    }
+
+    fn vector(&mut self) -> Result<DVec3, TemplateBytesError> {
+        Ok(DVec3::new(self.f64()?, self.f64()?, self.f64()?))
+    }
+
+    /// A number of things of so many bytes each that can still come.
+    fn count(&mut self, each: usize) -> Result<usize, TemplateBytesError> {
+        let count = self.u64()?;
+        let most = (self.bytes.len() - self.at) / each;
+        if count <= most as u64 { Ok(count as usize) } else { Err(self.damaged()) }
+    }
+
+    fn rows(&mut self) -> Result<Vec<DVec3>, TemplateBytesError> {
+        (0..self.count(24)?).map(|_| self.vector()).collect()
+    }
+
+    fn solid(&mut self) -> Result<Solid, TemplateBytesError> {
+        let places = self.rows()?;
+        let triangle = |read: &mut Self| Ok([read.u32()?, read.u32()?, read.u32()?]);
+        let triangles = (0..self.count(12)?).map(|_| triangle(self)).collect::<Result<Vec<_>, _>>()?;
+        let mesh = TriangleMesh::new(places, triangles).map_err(TemplateBytesError::Mesh)?;
+        Solid::new(&mesh).map_err(|error| TemplateBytesError::Template(TemplateError::Solid(error)))
+    }
+}

@@ -1,0 +1,199 @@
+//! Rotations that a part looks the same after.
+
+use super::template::Template;
+use crate::math::linalg::eigen;
+use crate::math::{DVec3, Pose, sqrt};
+use crate::surface::{Solid, area_vector};
+use alloc::vec::Vec;
+use core::f64::consts::{PI, TAU};
+
+/// Most equal turns of an axis that are looked for.
+const MOST_TURNS: u32 = 64;
+/// Faces, by area, whose normals and their sums are looked at as axes.
+const MOST_NORMALS: usize = 24;
+/// Normals closer than this cosine are of one face.
+const SAME: f64 = 1.0 - 1e-8;
+/// Axes closer than this are one, found twice: those across an axis of order n are π / n apart.
+const NEAREST_RAD: f64 = 0.5 * PI / MOST_TURNS as f64;
+/// Turns by multiples of the golden section, which no order has.
+const GOLDEN: f64 = 0.618_033_988_749_894_9;
+/// Points that a turn is tried on before all are.
+const FIRST_POINTS: usize = 256;
+
+/// An axis about which a part can be turned and looks the same.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Symmetry {
+    /// Unit vector along the axis, object frame.
+    pub axis: DVec3,
+    /// A point of the axis, object frame.
+    pub centre_mm: DVec3,
+    /// After how many equal turns it is back; `None` if any turn will do.
+    pub order: Option<u32>,
+}
+
+impl Symmetry {
+    /// About an axis of any length; `None` if it has no direction, a number is not finite, or the order is below 2.
+    #[must_use]
+    pub fn new(axis: DVec3, centre_mm: DVec3, order: Option<u32>) -> Option<Self> {
+        let scaled = axis / axis.abs().max_element();
+        let sound = scaled.is_finite() && centre_mm.is_finite() && order.is_none_or(|n| n >= 2);
+        sound.then(|| Self { axis: scaled / sqrt(scaled.length_squared()), centre_mm, order })
+    }
+
+    /// The turn by an angle, object frame to object frame.
+    #[must_use]
+    pub fn turned(&self, angle_rad: f64) -> Pose {
+        let turn = Pose::exp(self.axis * angle_rad, DVec3::ZERO);
+        Pose { rotation: turn.rotation, translation_mm: self.centre_mm - turn.rotation * self.centre_mm }
+    }
+
+    /// The axes of a template's exact surface: after a turn, every point of the template lies within `tolerance_mm` of it.
+    ///
+    /// An axis goes through the area's centre along an eigenvector of its second moment; where that leaves a choice,
+    /// normals of the largest faces and sums of two and three of them are tried. Of the axes across a continuous one,
+    /// which are all alike, one is given; of a ball, three. Facets count: a round part is continuous if they are finer than
+    /// the tolerance. None without an exact surface.
+    #[must_use]
+    pub fn of(template: &Template, tolerance_mm: f64) -> Vec<Self> {
+        let Some(solid) = template.solid() else { return Vec::new() };
+        let (centre_mm, moment) = moments(solid);
+        let found = eigen(&moment);
+        let trace: f64 = found.values.iter().sum();
+        let is_eigenvector = |a: DVec3| {
+            let image = DVec3::from_array(moment.map(|row| DVec3::from_array(row).dot(a)));
+            sqrt((image - a * image.dot(a)).length_squared()) <= 1e-3 * trace
+        };
+        let all_alike = found.values[2] - found.values[0] <= 1e-3 * trace;
+        let mut candidates = Vec::new();
+        add_normals(&mut candidates, &largest_normals(solid), all_alike);
+        // Last, as they may come close to an axis by chance where the moments leave a choice.
+        candidates.extend(found.vectors.iter().map(|&v| upright(DVec3::from_array(v))));
+        let part = Part { solid, points_mm: template.points_mm(), tolerance_mm };
+        let mut axes: Vec<Self> = Vec::new();
+        for axis in candidates.into_iter().filter(|&a| is_eigenvector(a)) {
+            let is_known =
+                |known: &Self| known.axis.cross(axis).length_squared() <= NEAREST_RAD * NEAREST_RAD;
+            if axes.iter().any(is_known) {
+                continue;
+            }
+            if let Some(order) = part.order(Self { axis, centre_mm, order: None }) {
+                axes.push(Self { axis, centre_mm, order });
+            }
+        }
+        if axes.iter().filter(|a| a.order.is_none()).count() > 1 {
+            let every = [DVec3::X, DVec3::Y, DVec3::Z];
+            return every.map(|axis| Self { axis, centre_mm, order: None }).to_vec();
+        }
+        if let Some(round) = axes.iter().find(|a| a.order.is_none()).copied() {
+            let across = axes.iter().find(|a| a.order.is_some()).copied();
+            return [Some(round), across].into_iter().flatten().collect();
+        }
+        // By order; the sort keeps the candidates' order of equals.
+        axes.sort_by_key(|axis| core::cmp::Reverse(axis.order));
+        axes
+    }
+}
+
+struct Part<'a> {
+    solid: &'a Solid,
+    points_mm: &'a [DVec3],
+    tolerance_mm: f64,
+}
+
+impl Part<'_> {
+    /// How often the part looks the same around an axis, if more than once.
+    fn order(&self, axis: Symmetry) -> Option<Option<u32>> {
+        let golden = (1..=8).map(|k| f64::from(k) * GOLDEN * TAU);
+        if golden.into_iter().all(|angle| self.holds(&axis.turned(angle))) {
+            return Some(None);
+        }
+        let mut orders = (2..=MOST_TURNS).rev();
+        orders.find(|&n| self.holds(&axis.turned(TAU / f64::from(n)))).map(Some)
+    }
+
+    fn holds(&self, turn: &Pose) -> bool {
+        let near = |p: &DVec3| {
+            let turned = turn.transform_point(*p);
+            self.solid.closest_within(turned, self.tolerance_mm, None).is_some()
+        };
+        let stride = self.points_mm.len().div_ceil(FIRST_POINTS);
+        self.points_mm.iter().step_by(stride).all(near) && self.points_mm.iter().all(near)
+    }
+}
+
+/// Centre and second central moment of the area.
+fn moments(solid: &Solid) -> (DVec3, [[f64; 3]; 3]) {
+    let corners = |t: &[u32; 3]| t.map(|i| solid.vertices_mm()[i as usize]);
+    let area = |c: &[DVec3; 3]| sqrt(area_vector(c).length_squared());
+    let origin = solid.bounds_mm().0;
+    let (mut total, mut sum) = (0.0, DVec3::ZERO);
+    for [a, b, c] in solid.triangles().iter().map(corners) {
+        let weight = area(&[a, b, c]);
+        total += weight;
+        sum += ((a - origin) + (b - origin) + (c - origin)) * (weight / 3.0);
+    }
+    let centre = origin + sum / total;
+    let mut moment = [[0.0; 3]; 3];
+    for [a, b, c] in solid.triangles().iter().map(corners) {
+        let weight = area(&[a, b, c]) / (12.0 * total);
+        let [a, b, c] = [a - centre, b - centre, c - centre];
+        for v in [a, b, c, a + b + c] {
+            for i in 0..3 {
+                for j in 0..3 {
+                    moment[i][j] += weight * v[i] * v[j];
+                }
+            }
+        }
+    }
+    (centre, moment)
+}
+
+/// Different directions of the largest faces, whichever way they look.
+fn largest_normals(solid: &Solid) -> Vec<DVec3> {
+    let mut faces: Vec<(f64, DVec3)> = Vec::new();
+    for (triangle, corners) in solid.triangles().iter().enumerate() {
+        let normal = solid.face_normal(triangle as u32);
+        if normal == DVec3::ZERO {
+            continue;
+        }
+        let corners = corners.map(|i| solid.vertices_mm()[i as usize]);
+        let area = sqrt(area_vector(&corners).length_squared());
+        // Among the first ones only: a finely divided round part has no large faces.
+        match faces.iter_mut().take(8 * MOST_NORMALS).find(|(_, n)| n.dot(normal).abs() > SAME) {
+            Some(face) => face.0 += area,
+            None => faces.push((area, upright(normal))),
+        }
+    }
+    faces.sort_by(|a, b| b.0.total_cmp(&a.0));
+    faces.truncate(MOST_NORMALS);
+    faces.into_iter().map(|(_, normal)| normal).collect()
+}
+
+/// Normals, and sums of two and, if asked for, three of them.
+fn add_normals(candidates: &mut Vec<DVec3>, normals: &[DVec3], triples: bool) {
+    let mut add = |v: DVec3| {
+        let length = sqrt(v.length_squared());
+        if length > 1e-6 {
+            candidates.push(upright(v / length));
+        }
+    };
+    normals.iter().for_each(|&n| add(n));
+    for (i, &a) in normals.iter().enumerate() {
+        for (j, &b) in normals[..i].iter().enumerate() {
+            add(a + b);
+            add(a - b);
+            for &c in normals[..j].iter().filter(|_| triples && i < 8) {
+                for sum in [a + b + c, a + b - c, a - b + c, a - b - c] {
+                    add(sum);
+                }
+            }
+        }
+    }
+}
+
+/// The one of a direction and its opposite whose largest coordinate is positive.
+fn upright(v: DVec3) -> DVec3 {
+    let largest =
+        v.to_array().into_iter().fold(0.0, |most: f64, x| if x.abs() > most.abs() { x } else { most });
+    if largest < 0.0 { -v } else { v }
+}

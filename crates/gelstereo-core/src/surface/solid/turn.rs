@@ -1,0 +1,85 @@
+//! Turning triangles so that neighbours face the same way and the whole faces outward.
+
+use super::weld::{Kind, NONE, Use, Welded};
+use crate::math::sqrt;
+use crate::surface::{TriangleMesh, area_vector};
+use alloc::vec::Vec;
+
+/// What had to be turned.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Turned {
+    /// Triangles that faced the other way than most of those they hang together with.
+    pub stray: usize,
+    /// Whether the whole was inside out.
+    pub inside_out: bool,
+}
+
+impl TriangleMesh {
+    /// The same triangles, those turned that face the other way than the larger area of what they hang together with, and then
+    /// all of them if they bound a negative volume.
+    ///
+    /// Triangles hang together over edges of two. A surface with holes has no inside, and is turned by its majority
+    /// alone.
+    #[must_use]
+    pub fn turned_outward(&self) -> (Self, Turned) {
+        let welded = Welded::new(self);
+        let mut turned = strays(&welded);
+        let stray = turned.iter().filter(|&&t| t).count();
+        let mut mesh = self.turned(&turned);
+        let report = Welded::new(&mesh).report();
+        if report.is_inside_out() {
+            turned.iter_mut().for_each(|t| *t = !*t);
+            mesh = self.turned(&turned);
+        }
+        (mesh, Turned { stray, inside_out: report.is_inside_out() })
+    }
+
+    fn turned(&self, which: &[bool]) -> Self {
+        let turn = |(&[a, b, c], &turned): (&[u32; 3], &bool)| if turned { [a, c, b] } else { [a, b, c] };
+        let triangles = self.triangles.iter().zip(which).map(turn).collect();
+        Self { vertices_mm: self.vertices_mm.clone(), triangles }
+    }
+}
+
+/// Which triangles face the other way than most of their shell.
+fn strays(welded: &Welded) -> Vec<bool> {
+    let mut turned = alloc::vec![false; welded.corners.len()];
+    let mut seen = turned.clone();
+    let mut shell = Vec::new();
+    for first in 0..welded.corners.len() {
+        if seen[first] || welded.kinds[first] == Kind::Left {
+            continue;
+        }
+        seen[first] = true;
+        shell.clear();
+        shell.push(first);
+        let mut next = 0;
+        while let Some(&triangle) = shell.get(next) {
+            next += 1;
+            for &edge in welded.edges_of[triangle].iter().filter(|&&edge| edge != NONE) {
+                let Some((other, same_way)) = neighbour(welded.uses(edge as usize), triangle) else {
+                    continue;
+                };
+                if !seen[other] {
+                    seen[other] = true;
+                    turned[other] = turned[triangle] ^ same_way;
+                    shell.push(other);
+                }
+            }
+        }
+        let area = |&t: &usize| sqrt(area_vector(&welded.places(t)).length_squared());
+        let whole: f64 = shell.iter().map(area).sum();
+        let against: f64 = shell.iter().filter(|&&t| turned[t]).map(area).sum();
+        if against > 0.5 * whole {
+            shell.iter().for_each(|&t| turned[t] = !turned[t]);
+        }
+    }
+    turned
+}
+
+/// The other triangle of an edge of two, and whether it runs along it the same way, as it should not.
+fn neighbour(uses: &[Use], triangle: usize) -> Option<(usize, bool)> {
+    let [a, b] = uses else { return None };
+    let other = if a.triangle as usize == triangle { b } else { a };
+    Some((other.triangle as usize, a.forward == b.forward))
+}

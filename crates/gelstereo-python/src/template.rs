@@ -1,0 +1,385 @@
+//! Templates: a part's surface.
+
+use crate::arrays::{self, Array1, Count, Matrix, Numbers};
+use crate::closest::{self, Closest, Surface, Symmetry};
+use crate::errors::{MeshError, ShapeError, TemplateError, raise};
+use crate::tree;
+use gelstereo_core::math::DVec3;
+use gelstereo_core::register as core;
+use gelstereo_core::surface::{Field, Solid, TriangleMesh};
+use pyo3::prelude::*;
+use pyo3::types::{PyTuple, PyType};
+use std::path::PathBuf;
+
+/// A part's surface: points with outward unit normals in the object frame, sampled evenly.
+///
+/// Made by `from_mesh`, `from_triangles` or `from_points`; of a mesh it keeps the exact surface as well.
+#[pyclass(frozen, module = "gelstereo")]
+pub struct Template {
+    inner: core::Template,
+}
+
+impl Template {
+    pub const fn inner(&self) -> &core::Template {
+        &self.inner
+    }
+}
+
+#[pymethods]
+impl Template {
+    /// Sample a mesh file or a ``trimesh.Trimesh``.
+    ///
+    /// Parameters
+    /// ----------
+    /// mesh : path or trimesh.Trimesh
+    /// units : {"mm", "cm", "m", "inch"} or None
+    ///     Unit of the mesh; mesh files do not say. None for a STEP file, which does.
+    /// spacing_mm : float
+    ///     Distance of neighbouring points.
+    /// seed : int
+    ///     Of the random stream that samples; the same seed gives the same points.
+    ///
+    /// Raises
+    /// ------
+    /// MeshError
+    ///     If the units are unknown, or absurd for a part in a hand (with a guess), or the triangles are no surface.
+    /// TemplateError
+    ///     If it cannot be sampled at this spacing.
+    #[classmethod]
+    #[pyo3(signature = (mesh, *, units, spacing_mm=core::Template::DEFAULT_SPACING_MM, seed=Count(1)), text_signature = "($cls, mesh, *, units, spacing_mm=0.25, seed=1)")]
+    fn from_mesh(
+        cls: &Bound<'_, PyType>,
+        mesh: &Bound<'_, PyAny>,
+        units: &Bound<'_, PyAny>,
+        spacing_mm: f64,
+        seed: Count,
+    ) -> PyResult<Self> {
+        let (vertices_mm, triangles) = load_mesh(mesh, units)?;
+        Self::from_triangles(cls, &vertices_mm, &triangles, spacing_mm, seed)
+    }
+
+    /// Sample triangles.
+    ///
+    /// Parameters
+    /// ----------
+    /// vertices_mm : (V, 3) array_like
+    ///     Object frame.
+    /// triangles : (F, 3) array_like
+    ///     Indices of the corners, counter-clockwise seen from outside.
+    /// spacing_mm : float
+    ///     Distance of neighbouring points.
+    /// seed : int
+    ///     Of the random stream that samples.
+    ///
+    /// Raises
+    /// ------
+    /// MeshError, TemplateError
+    ///     If they are no surface, or cannot be sampled at this spacing.
+    #[classmethod]
+    #[pyo3(signature = (vertices_mm, triangles, *, spacing_mm=core::Template::DEFAULT_SPACING_MM, seed=Count(1)), text_signature = "($cls, vertices_mm, triangles, *, spacing_mm=0.25, seed=1)")]
+    fn from_triangles(
+        cls: &Bound<'_, PyType>,
+        vertices_mm: &Bound<'_, PyAny>,
+        triangles: &Bound<'_, PyAny>,
+        spacing_mm: f64,
+        seed: Count,
+    ) -> PyResult<Self> {
+        let mesh = triangle_mesh(vertices_mm, triangles)?;
+        let seed = seed.0 as u64;
+        let inner = cls.py().detach(|| core::Template::from_mesh(&mesh, spacing_mm, seed)).map_err(raise)?;
+        Ok(Self { inner })
+    }
+
+    /// From points that were sampled elsewhere.
+    ///
+    /// Parameters
+    /// ----------
+    /// points_mm, normals : (N, 3) array_like
+    ///     Object frame; the normals point outward and are normalised here.
+    /// spacing_mm : float
+    ///     Typical distance of neighbouring points.
+    ///
+    /// Raises
+    /// ------
+    /// TemplateError
+    ///     If the points are no template.
+    #[classmethod]
+    fn from_points(
+        cls: &Bound<'_, PyType>,
+        points_mm: &Bound<'_, PyAny>,
+        normals: &Bound<'_, PyAny>,
+        spacing_mm: f64,
+    ) -> PyResult<Self> {
+        let (points, normals) = (Numbers::new(points_mm, "points_mm")?, Numbers::new(normals, "normals")?);
+        let (points, normals) = (points.rows::<DVec3, 3>()?, normals.rows::<DVec3, 3>()?);
+        let inner = cls.py().detach(|| core::Template::new(points, normals, spacing_mm)).map_err(raise)?;
+        Ok(Self { inner })
+    }
+
+    /// (N, 3) points, object frame.
+    #[getter]
+    fn points_mm(&self, py: Python<'_>) -> PyResult<Matrix> {
+        arrays::rows::<_, 3>(py, self.inner.points_mm().to_vec())
+    }
+
+    /// (N, 3) outward unit normals, object frame.
+    #[getter]
+    fn normals(&self, py: Python<'_>) -> PyResult<Matrix> {
+        arrays::rows::<_, 3>(py, self.inner.normals().to_vec())
+    }
+
+    /// Typical distance of neighbouring points.
+    #[getter]
+    fn spacing_mm(&self) -> f64 {
+        self.inner.spacing_mm()
+    }
+
+    /// Digest of points and normals, bit for bit.
+    #[getter]
+    fn digest(&self) -> u64 {
+        self.inner.digest()
+    }
+
+    /// What the mesh is as the boundary of a body; ``None`` for a template of points.
+    #[getter]
+    fn surface(&self) -> Option<Surface> {
+        self.inner.solid().map(|solid| Surface { inner: *solid.report() })
+    }
+
+    /// The nearest points of the exact surface.
+    ///
+    /// Parameters
+    /// ----------
+    /// points_mm : (N, 3) array_like
+    ///     Object frame.
+    /// facing : (N, 3) or (3,) array_like, optional
+    ///     Look among faces only whose outward normal has a positive product with this direction: on a thin plate the
+    ///     side that is touched.
+    /// reach_mm : float, optional
+    ///     Farther than this nothing is found.
+    /// near : (N,) array_like, optional
+    ///     Triangles of an earlier answer to points close by: the same answer, sooner. The triangle of the point before
+    ///     if left out.
+    ///
+    /// Returns
+    /// -------
+    /// Closest
+    ///
+    /// Raises
+    /// ------
+    /// TemplateError
+    ///     If the template was made of points and has no exact surface, or a number is not finite.
+    #[pyo3(signature = (points_mm, *, facing=None, reach_mm=None, near=None))]
+    fn closest(
+        &self,
+        py: Python<'_>,
+        points_mm: &Bound<'_, PyAny>,
+        facing: Option<&Bound<'_, PyAny>>,
+        reach_mm: Option<f64>,
+        near: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Closest> {
+        let (solid, reach_mm) = (self.solid()?, reach_mm.unwrap_or(f64::INFINITY));
+        if !(reach_mm >= 0.0) {
+            return Err(TemplateError::new_err(format!("reach_mm is {reach_mm}; valid is 0 or more")));
+        }
+        let points = Numbers::new(points_mm, "points_mm")?;
+        let points = finite(points.rows::<DVec3, 3>()?, "point")?;
+        let facing = facing.map(|facing| directions(facing, points.len())).transpose()?;
+        let near = near.map(|near| Numbers::new(near, "near")).transpose()?;
+        let near = near.as_ref().map(Numbers::list).transpose()?;
+        if let Some(near) = near.filter(|near| near.len() != points.len()) {
+            let (found, points) = (near.len(), points.len());
+            return Err(ShapeError::new_err(format!(
+                "there are {found} triangles for {points} points; valid is one for each"
+            )));
+        }
+        let found = py.detach(|| closest::search(solid, points, (facing.as_deref(), near), reach_mm));
+        Closest::new(py, found)
+    }
+
+    /// A copy with signed distances on a grid around the exact surface, for screening many poses.
+    ///
+    /// Parameters
+    /// ----------
+    /// cell_mm : float
+    ///     Width of a cell; it is made wider for a part that would take more than two million nodes.
+    /// reach_mm : float
+    ///     How far from the surface the grid goes: from 2 to 1000 cells.
+    ///
+    /// Raises
+    /// ------
+    /// TemplateError
+    ///     If the template has no exact surface, or these numbers make no grid.
+    #[pyo3(signature = (*, cell_mm=Field::DEFAULT_CELL_MM, reach_mm=Field::DEFAULT_REACH_MM), text_signature = "($self, *, cell_mm=0.25, reach_mm=2.0)")]
+    fn with_grid(&self, py: Python<'_>, cell_mm: f64, reach_mm: f64) -> PyResult<Self> {
+        self.solid()?;
+        let inner = py.detach(|| self.inner.clone().without_field().with_field(cell_mm, reach_mm));
+        if inner.field().is_none() {
+            return Err(TemplateError::new_err(format!(
+                "a grid with cells of {cell_mm} mm and a reach of {reach_mm} mm; valid is a positive width, and a \
+                 reach of 2 to 1000 cells"
+            )));
+        }
+        Ok(Self { inner })
+    }
+
+    /// Signed distances from the grid, positive outside, and their gradients.
+    ///
+    /// Parameters
+    /// ----------
+    /// points_mm : (N, 3) array_like
+    ///     Object frame.
+    ///
+    /// Returns
+    /// -------
+    /// distances_mm : (N,) float64
+    ///     NaN where the surface is out of the grid's reach, or beside a hole.
+    /// gradients : (N, 3) float64
+    ///
+    /// Raises
+    /// ------
+    /// TemplateError
+    ///     If there is no grid; see `with_grid`.
+    fn grid_distance(&self, py: Python<'_>, points_mm: &Bound<'_, PyAny>) -> PyResult<(Array1<f64>, Matrix)> {
+        let no_grid =
+            || TemplateError::new_err("the template has no grid; make one with template.with_grid()");
+        let field = self.inner.field().ok_or_else(no_grid)?;
+        let points = Numbers::new(points_mm, "points_mm")?;
+        let points = finite(points.rows::<DVec3, 3>()?, "point")?;
+        let unknown = (f64::NAN, DVec3::NAN);
+        let (distances, gradients): (Vec<f64>, Vec<DVec3>) =
+            py.detach(|| points.iter().map(|&p| field.distance(p).unwrap_or(unknown)).unzip());
+        Ok((arrays::list(py, distances), arrays::rows::<_, 3>(py, gradients)?))
+    }
+
+    /// The `Symmetry` s that were found or declared.
+    #[getter]
+    fn symmetries<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let all = self.inner.symmetries().iter().map(|&inner| Py::new(py, Symmetry::from(inner)));
+        PyTuple::new(py, all.collect::<PyResult<Vec<_>>>()?)
+    }
+
+    /// A copy with symmetries that are declared, or found in the exact surface.
+    ///
+    /// Parameters
+    /// ----------
+    /// symmetries : sequence of Symmetry, optional
+    ///     Declared ones. If left out, they are looked for: axes through the area's centre such that after a turn every
+    ///     point of the template is within the tolerance of the surface.
+    /// tolerance_mm : float
+    ///     A round part is found to be round if its facets are finer than this.
+    #[pyo3(signature = (symmetries=None, *, tolerance_mm=0.02))]
+    fn with_symmetries(
+        &self,
+        py: Python<'_>,
+        symmetries: Option<Vec<PyRef<'_, Symmetry>>>,
+        tolerance_mm: f64,
+    ) -> PyResult<Self> {
+        if !(tolerance_mm > 0.0 && tolerance_mm.is_finite()) {
+            return Err(TemplateError::new_err(format!("tolerance_mm is {tolerance_mm}; valid is above 0")));
+        }
+        let declared = symmetries.map(|all| all.iter().map(|s| s.inner()).collect::<Vec<_>>());
+        if declared.is_none() {
+            self.solid()?;
+        }
+        let inner = py.detach(|| {
+            let all = declared.unwrap_or_else(|| core::Symmetry::of(&self.inner, tolerance_mm));
+            self.inner.clone().with_symmetries(all)
+        });
+        Ok(Self { inner })
+    }
+
+    /// Write the template, all of it, to a file.
+    fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
+        tree::write(py, path, self.inner.to_bytes())
+    }
+
+    /// A template from a file that `save` wrote.
+    ///
+    /// Raises
+    /// ------
+    /// TemplateError
+    ///     If the file is no template, of another version, or damaged.
+    #[classmethod]
+    fn load(cls: &Bound<'_, PyType>, path: PathBuf) -> PyResult<Self> {
+        let py = cls.py();
+        let bytes = tree::read_bytes(py, path.clone())?;
+        let read = py.detach(|| core::Template::from_bytes(&bytes)).map_err(raise);
+        let inner = read.map_err(|error| tree::in_file(py, &error, &path))?;
+        Ok(Self { inner })
+    }
+
+    fn __len__(&self) -> usize {
+        self.inner.points_mm().len()
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<Template: {} points, {} mm apart>", self.inner.points_mm().len(), self.inner.spacing_mm())
+    }
+}
+
+impl Template {
+    fn solid(&self) -> PyResult<&Solid> {
+        self.inner.solid().ok_or_else(|| {
+            TemplateError::new_err(
+                "the template was made of points and has no exact surface; make it from a mesh or from triangles",
+            )
+        })
+    }
+}
+
+/// The rows, of which none may be NaN or infinite.
+fn finite<'a>(rows: &'a [DVec3], what: &str) -> PyResult<&'a [DVec3]> {
+    match rows.iter().position(|row| !row.is_finite()) {
+        Some(index) => {
+            let found = rows[index];
+            Err(TemplateError::new_err(format!("{what} {index} is {found}; valid is three finite numbers")))
+        }
+        None => Ok(rows),
+    }
+}
+
+/// One direction for all points, or one each.
+fn directions(facing: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<DVec3>> {
+    let facing = Numbers::new(facing, "facing")?;
+    match facing.vector::<3>() {
+        Ok(one) => Ok(vec![finite(&[DVec3::from_array(one)], "direction")?[0]; count]),
+        Err(_) => {
+            let rows = finite(facing.rows::<DVec3, 3>()?, "direction")?;
+            if rows.len() == count {
+                return Ok(rows.to_vec());
+            }
+            Err(ShapeError::new_err(format!(
+                "there are {} directions for {count} points; valid is one for each, or one for all",
+                rows.len()
+            )))
+        }
+    }
+}
+
+/// Vertices in millimetres and triangles of a mesh file or a trimesh.
+pub fn load_mesh<'py>(
+    mesh: &Bound<'py, PyAny>,
+    units: &Bound<'py, PyAny>,
+) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
+    mesh.py().import("gelstereo.templates")?.call_method1("load_mesh", (mesh, units))?.extract()
+}
+
+/// The core's mesh of (V, 3) vertices and (F, 3) indices.
+pub fn triangle_mesh(vertices_mm: &Bound<'_, PyAny>, triangles: &Bound<'_, PyAny>) -> PyResult<TriangleMesh> {
+    let vertices = Numbers::new(vertices_mm, "vertices_mm")?;
+    let triangles = Numbers::new(triangles, "triangles")?;
+    let (vertices, triangles) = (vertices.rows::<DVec3, 3>()?, triangles.rows::<[f64; 3], 3>()?);
+    // Indices come through float64, which is exact far beyond u32.
+    let is_index = |x: &f64| *x >= 0.0 && *x < f64::from(u32::MAX) && *x == f64::from(*x as u32);
+    for (row, triangle) in triangles.iter().enumerate() {
+        if let Some(found) = triangle.iter().find(|x| !is_index(x)) {
+            return Err(MeshError::new_err(format!(
+                "triangle {row} names vertex {found}; valid is a whole number from 0 to {}",
+                vertices.len().saturating_sub(1)
+            )));
+        }
+    }
+    let triangles = triangles.iter().map(|t| t.map(|x| x as u32)).collect();
+    TriangleMesh::new(vertices.to_vec(), triangles).map_err(raise)
+}

@@ -1,0 +1,81 @@
+"""The command ``gelstereo template``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from gelstereo import Surface, Symmetry, Template
+from gelstereo.cli.files import write_image
+from gelstereo.templates import MM_PER_UNIT, load_mesh
+
+EXAMPLES = """examples:
+  gelstereo template plug.stl --units m --output preview.png               what the mesh is, and a picture of it
+  gelstereo template plug.stl --units m --save plug.template               to localize with, without the mesh
+
+Faces that are inside out are turned; holes and symmetries are told of. STEP files say their unit themselves.
+"""
+
+#: Axes that are written out; a cube has thirteen.
+_MOST_AXES = 4
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument("mesh", type=Path, help="mesh of the part: .stl, .ply, .obj, .glb, .step, ...")
+    parser.add_argument("--units", choices=list(MM_PER_UNIT), help="unit of the mesh; STEP files say it")
+    parser.add_argument(
+        "--spacing-mm", type=float, default=0.25, help="distance of template points (%(default)s)"
+    )
+    parser.add_argument(
+        "--tolerance-mm", type=float, default=0.02, help="how well a symmetry has to hold (%(default)s)"
+    )
+    parser.add_argument("--output", type=Path, metavar="PICTURE", help="picture to write (.png, ...)")
+    parser.add_argument("--save", type=Path, metavar="FILE", help="template to write (.template)")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Check the mesh, print what it is, and write what was asked for; the exit code."""
+    vertices_mm, triangles = load_mesh(arguments.mesh, arguments.units)
+    template = Template.from_triangles(vertices_mm, triangles, spacing_mm=arguments.spacing_mm)
+    template = template.with_symmetries(tolerance_mm=arguments.tolerance_mm)
+    size = " x ".join(f"{side:.4g}" for side in np.ptp(vertices_mm, axis=0))
+    assert template.surface is not None  # as it was made of triangles
+    notes = [
+        f"{size} mm, {len(triangles)} triangles, {len(template)} points {template.spacing_mm:g} mm apart",
+        _surface_in_words(template.surface),
+        _symmetries_in_words(template.symmetries, arguments.tolerance_mm),
+    ]
+    print("\n".join([f"{arguments.mesh.name}: {notes[0]}", *notes[1:]]))
+    if arguments.output is not None:
+        from gelstereo.view.part import draw_template
+
+        picture = draw_template(vertices_mm, triangles, arguments.mesh.name, notes, template.symmetries)
+        write_image(arguments.output, picture)
+        print(f"wrote {arguments.output}")
+    if arguments.save is not None:
+        template.save(arguments.save)
+        print(f"wrote {arguments.save}")
+    return 0
+
+
+def _surface_in_words(surface: Surface) -> str:
+    if not surface.is_closed:
+        return f"open: {surface.boundary_edges} edges at holes, {surface.clashing_edges} where faces clash"
+    return f"closed, volume {surface.volume_mm3:.4g} mm3"
+
+
+def _symmetries_in_words(symmetries: tuple[Symmetry, ...], tolerance_mm: float) -> str:
+    if not symmetries:
+        return f"no symmetry to {tolerance_mm:g} mm"
+    words = [
+        f"{'any turn' if axis.order is None else f'{axis.order} turns'} about ({x:.3f}, {y:.3f}, {z:.3f})"
+        for axis in symmetries[:_MOST_AXES]
+        for x, y, z in [axis.axis + 0.0]
+    ]
+    more = len(symmetries) - len(words)
+    return (
+        f"same to {tolerance_mm:g} mm after " + ", ".join(words) + (f", and {more} more" if more > 0 else "")
+    )

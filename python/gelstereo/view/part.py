@@ -1,0 +1,60 @@
+"""A part alone, as a picture: its faces, its axes, and what is known of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from gelstereo._native import Symmetry
+from gelstereo.view.canvas import FAINT, SALIENT, Canvas, Image
+from gelstereo.view.moment import Part
+from gelstereo.view.solid import Projection, draw_axes, draw_part
+
+_WIDTH, _HEIGHT, _HEADER, _MARGIN = 640, 560, 76, 28
+_LINE = 20
+
+
+def draw_template(
+    vertices_mm: npt.NDArray[np.float64],
+    triangles: npt.NDArray[np.int64],
+    title: str,
+    notes: Sequence[str],
+    symmetries: Sequence[Symmetry] = (),
+) -> Image:
+    """Draw a part in its own frame.
+
+    Parameters
+    ----------
+    vertices_mm : (V, 3) float64
+        Object frame.
+    triangles : (F, 3) int64
+        Counter-clockwise seen from outside.
+    title, notes
+        A headline, and lines under it.
+    symmetries
+        Their axes are drawn through the part.
+
+    Returns
+    -------
+    (H, W, 3) uint8
+        Blue, green, red, as ``cv2.imwrite`` takes it.
+    """
+    top = _HEADER + _LINE * max(0, len(notes) - 1)
+    canvas = Canvas(_WIDTH, top + _HEIGHT)
+    canvas.text(title, _MARGIN, 40, 20.0, bold=True)
+    for line, note in enumerate(notes):
+        canvas.text(note, _MARGIN, 64 + _LINE * line, 13.0, FAINT)
+    view = Canvas(_WIDTH, _HEIGHT)
+    project = Projection(vertices_mm, _WIDTH, _HEIGHT, margin=0.14)
+    draw_part(view, project, Part(vertices_mm, triangles))
+    for symmetry in symmetries:
+        # As far as the part reaches along it, and some more on either side.
+        along = (vertices_mm - symmetry.centre_mm) @ symmetry.axis
+        more = 0.08 * float(np.ptp(along))
+        ends = [symmetry.centre_mm + symmetry.axis * end for end in (along.min() - more, along.max() + more)]
+        view.line(project(ends[0]), project(ends[1]), SALIENT, 1.2 if symmetry.order is None else 0.6)
+    draw_axes(view, _HEIGHT)
+    canvas.image(view.finished(), 0, top, _WIDTH, _HEIGHT)
+    return canvas.finished()
