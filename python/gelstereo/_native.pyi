@@ -532,6 +532,10 @@ class Localization:
     @property
     def free(self) -> tuple[FreeDirection, ...]: ...
     @property
+    def log_likelihood(self) -> float | None: ...
+    @property
+    def alternatives(self) -> tuple[tuple[_Floats, float], ...]: ...
+    @property
     def digest(self) -> int: ...
 
 def localize(
@@ -539,6 +543,8 @@ def localize(
     template: Template,
     *,
     t_sensor_object: npt.ArrayLike,
+    all_points_mm: npt.ArrayLike | None = None,
+    covariance_mm2: npt.ArrayLike | None = None,
     params: Params | None = None,
 ) -> Localization: ...
 

@@ -38,16 +38,20 @@ static COUNTING: Counting = Counting;
 
 #[test]
 fn a_second_run_allocates_nothing() {
-    let shape = Shape::Sphere { radius_mm: 5.0 };
-    let template = shape.template(0.5);
+    // A box, whose template has its surface too.
+    let shape = Shape::Cuboid { half_mm: DVec3::new(3.0, 4.0, 5.0) };
+    let template = shape.template(0.5).with_field(0.4, 4.0);
     let mut random = Stream::new(1, "allocation");
-    let contact = Contact::press(&shape, Pose::exp(DVec3::X, DVec3::ZERO), 1.2, 0.03, &mut random);
+    let contact = Contact::press(&shape, Pose::exp(DVec3::X * 0.1, DVec3::ZERO), 1.2, 0.03, &mut random);
     let guess = contact.guess(0.05, 0.5, &mut random);
     for method in [
         RegisterMethod::FilterregPoint,
         RegisterMethod::FilterregPlane,
         RegisterMethod::RansacIcp,
         RegisterMethod::IcpPlane,
+        RegisterMethod::SurfaceTrack,
+        RegisterMethod::SurfaceClose,
+        RegisterMethod::SurfaceSearch,
     ] {
         let settings = RegisterParams { method, ransac_hypotheses: 100, ..Default::default() };
         let mut registrar = Registrar::new(&settings);

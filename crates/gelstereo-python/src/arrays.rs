@@ -86,6 +86,14 @@ impl<'py> Numbers<'py> {
         Ok(bytemuck::cast_slice(self.array.as_slice()?))
     }
 
+    /// The 3x3 matrices of an (N, 3, 3) or (N, 9) array.
+    pub fn matrices(&self) -> PyResult<&[[[f64; 3]; 3]]> {
+        match self.array.shape() {
+            [_, 3, 3] | [_, 9] => Ok(bytemuck::cast_slice(self.array.as_slice()?)),
+            _ => Err(self.wrong_shape("(N, 3, 3)")),
+        }
+    }
+
     /// The numbers of an (N,) array.
     pub fn list(&self) -> PyResult<&[f64]> {
         if self.array.shape().len() != 1 {

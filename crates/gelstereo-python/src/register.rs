@@ -67,6 +67,11 @@ pub struct Localization {
     rmse_mm: f64,
     /// The `FreeDirection` s that the contact leaves undetermined; empty when all six are known.
     free: Py<PyTuple>,
+    /// Logarithm of the pose's likelihood, to compare poses of one contact; None but for the surface methods.
+    log_likelihood: Option<f64>,
+    /// Other poses that explain the contact about as well, likeliest first: pairs of a (4, 4) pose and its logarithm of
+    /// the likelihood.
+    alternatives: Py<PyTuple>,
     /// Digest of all results, bit for bit.
     digest: u64,
 }
@@ -75,7 +80,12 @@ impl Localization {
     fn new(py: Python<'_>, found: core::Registration) -> PyResult<Self> {
         let (digest, covariance) = (found.digest(), found.covariance());
         let free = found.free.iter().map(|&inner| Py::new(py, FreeDirection { inner }));
+        let other =
+            |a: &core::Alternative| Ok((arrays::pose_matrix(py, &a.t_sensor_object)?, a.log_likelihood));
+        let alternatives = found.alternatives.iter().map(other).collect::<PyResult<Vec<_>>>()?;
         Ok(Self {
+            log_likelihood: found.log_likelihood,
+            alternatives: PyTuple::new(py, alternatives)?.unbind(),
             t_sensor_object: arrays::pose_matrix(py, &found.t_sensor_object)?,
             information: arrays::matrix(py, found.information)?,
             covariance: arrays::matrix(py, covariance)?,
@@ -116,6 +126,13 @@ const MOST_POINTS: usize = 20_000;
 /// template : Template
 /// t_sensor_object : (4, 4) array_like
 ///     A guess: maps object coordinates to sensor coordinates.
+/// all_points_mm : (M, 3) array_like, optional
+///     All markers' points, those of `points_mm` among them. The methods on the part's surface
+///     (``register.method`` "surface_track", "surface_close", "surface_search"; they need a template with a grid) use
+///     that the part is nowhere between the
+///     others and the camera; other methods do not look at them.
+/// covariance_mm2 : (N, 3, 3) or (N, 9) array_like, optional
+///     Covariance of each of `points_mm`, for the same methods; without it ``register.point_sigma_mm`` holds for all.
 /// params : Params, optional
 ///     Its ``register`` part is used.
 ///
@@ -128,12 +145,14 @@ const MOST_POINTS: usize = 20_000;
 /// RegisterError
 ///     If the patch cannot be registered, for example with too few points.
 #[pyfunction]
-#[pyo3(signature = (points_mm, template, *, t_sensor_object, params=None))]
+#[pyo3(signature = (points_mm, template, *, t_sensor_object, all_points_mm=None, covariance_mm2=None, params=None))]
 pub fn localize(
     py: Python<'_>,
     points_mm: &Bound<'_, PyAny>,
     template: &Bound<'_, Template>,
     t_sensor_object: &Bound<'_, PyAny>,
+    all_points_mm: Option<&Bound<'_, PyAny>>,
+    covariance_mm2: Option<&Bound<'_, PyAny>>,
     params: Option<&Bound<'_, Params>>,
 ) -> PyResult<Localization> {
     let points = Numbers::new(points_mm, "points_mm")?;
@@ -147,7 +166,20 @@ pub fn localize(
     }
     let guess = arrays::pose(t_sensor_object, "t_sensor_object")?;
     let template = template.get().inner();
+    let all = all_points_mm.map(|all| Numbers::new(all, "all_points_mm")).transpose()?;
+    let all = all.as_ref().map_or(Ok(&[][..]), Numbers::rows::<DVec3, 3>)?;
+    let covariances = covariance_mm2.map(|c| Numbers::new(c, "covariance_mm2")).transpose()?;
+    let covariances = covariances.as_ref().map(Numbers::matrices).transpose()?;
     let mut stage = core::Registrar::new(&Params::or_default(params).register);
-    let found = py.detach(|| stage.run(points, template, &guess)).map_err(raise)?;
+    let register = || {
+        let unpressed_mm = core::unpressed(all, points);
+        let contact = core::Contact {
+            covariance_mm2: covariances,
+            unpressed_mm: &unpressed_mm,
+            ..core::Contact::new(points)
+        };
+        stage.register(&contact, template, &guess)
+    };
+    let found = py.detach(register).map_err(raise)?;
     Localization::new(py, found)
 }

@@ -18,6 +18,12 @@ pub enum RegisterMethod {
     RansacIcp,
     /// Point-to-plane ICP alone, from the guess, with the same model of the shoulder: 100 / 100 / 25 %, 0.6 ms.
     IcpPlane,
+    /// On the part's field of distances, from the last pose.
+    SurfaceTrack,
+    /// On the part's exact surface, from a close guess.
+    SurfaceClose,
+    /// On the part's exact surface, from many starts around the guess.
+    SurfaceSearch,
 }
 
 /// Registration of a contact patch to a template.
@@ -54,7 +60,22 @@ pub struct RegisterParams {
     pub search_radius_mm: f64,
     /// Seed of RANSAC's random stream. Default: `1`.
     pub seed: u64,
+    /// Starts of `surface_search`, the guess among them. Default: `128`.
+    pub starts: u32,
+    /// Standard deviation of the guess's rotation, per axis: starts lie within 2.4 of it, and what the contact leaves
+    /// free is held by it. Default: `12` degrees.
+    pub start_sigma_deg: f64,
+    /// The same of its place. Default: `2` mm.
+    pub start_sigma_mm: f64,
+    /// What the mesh may be wrong by, added to every point's noise. Default: `0.003` mm.
+    pub surface_sigma_mm: f64,
+    /// Work after which the surface rungs stop with the best pose so far, in lookups of the field of distances, about
+    /// 50 ns each; one on the exact surface counts as 16. Default: `1000000`.
+    pub budget: u32,
 }
+
+/// Most starts: more take longer than anything that waits for them.
+const MOST_STARTS: u32 = 4096;
 
 impl Default for RegisterParams {
     fn default() -> Self {
@@ -70,6 +91,11 @@ impl Default for RegisterParams {
             ransac_hypotheses: 2000,
             search_radius_mm: 3.0,
             seed: 1,
+            starts: 128,
+            start_sigma_deg: 12.0,
+            start_sigma_mm: 2.0,
+            surface_sigma_mm: 0.003,
+            budget: 1_000_000,
         }
     }
 }
@@ -101,6 +127,13 @@ impl RegisterParams {
             f64::from(r.ransac_hypotheses),
             "at least 1",
         )?;
-        positive("register.search_radius_mm", r.search_radius_mm)
+        positive("register.search_radius_mm", r.search_radius_mm)?;
+        let starts_ok = (1..=MOST_STARTS).contains(&r.starts);
+        check(starts_ok, "register.starts", f64::from(r.starts), "from 1 to 4096")?;
+        let turn_ok = r.start_sigma_deg > 0.0 && r.start_sigma_deg <= 180.0;
+        check(turn_ok, "register.start_sigma_deg", r.start_sigma_deg, "above 0, at most 180")?;
+        positive("register.start_sigma_mm", r.start_sigma_mm)?;
+        positive("register.surface_sigma_mm", r.surface_sigma_mm)?;
+        check(r.budget >= 1, "register.budget", f64::from(r.budget), "at least 1")
     }
 }

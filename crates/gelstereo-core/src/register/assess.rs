@@ -6,7 +6,9 @@ use super::filterreg::width_floor_mm;
 use super::observe::{PatchFrame, Sighting, System};
 use super::one_sided::OneSided;
 use super::soft::soft_match;
-use super::{FreeDirections, Outcome, Problem, RegisterError, Registration, Scratch, check_reach};
+use super::{
+    Alternatives, FreeDirections, Outcome, Problem, RegisterError, Registration, Scratch, check_reach,
+};
 use crate::math::{centroid, sqrt};
 use crate::params::RegisterMethod;
 
@@ -54,6 +56,8 @@ pub(super) fn registration(
         points: points_mm.len(),
         rmse_mm: sqrt(sum_squared / total.max(f64::MIN_POSITIVE)),
         // Normals are read at samples, and so at most half a spacing off.
+        log_likelihood: None,
+        alternatives: Alternatives::NONE,
         free: FreeDirections::new(&in_object, params.point_sigma_mm.max(0.5 * template.spacing_mm())),
     })
 }

@@ -10,6 +10,7 @@
 //! ```
 
 use super::error::TemplateError;
+use super::surface::Relief;
 use super::symmetry::Symmetry;
 use super::template::Template;
 use crate::digest::Digest;
@@ -125,7 +126,9 @@ impl Template {
         let template = Self::with_unit_normals(points_mm, normals, spacing_mm);
         let mut template = template.map_err(TemplateBytesError::Template)?;
         if flags & SURFACE != 0 {
-            template.solid = Some(read.solid()?);
+            let solid = read.solid()?;
+            template.relief = Some(Relief::new(&solid));
+            template.solid = Some(solid);
         }
         if flags & GRID != 0 {
             let (cell_mm, reach_mm) = (read.f64()?, read.f64()?);

@@ -102,6 +102,27 @@ pub enum RegisterError {
     },
     /// The guess has a component that is NaN, infinite or beyond 1e12 mm, or its quaternion has no direction.
     BadGuess,
+    /// The rung needs the part's surface and a field of distances, and the template was made of points or without one.
+    NoSurface,
+    /// A marker that is not salient is NaN, infinite or beyond 1e12 mm.
+    MarkerNotFinite {
+        /// Which one.
+        index: usize,
+    },
+    /// The way of the press is no unit vector.
+    PressDirection,
+    /// Points and covariances are not equally many.
+    Covariances {
+        /// Points found.
+        points: usize,
+        /// Covariances found.
+        covariances: usize,
+    },
+    /// A covariance is not finite, all zero, or has an eigenvalue below 0.
+    BadCovariance {
+        /// Of which point.
+        index: usize,
+    },
     /// Fewer points than needed lie within reach of the template.
     OutOfReach {
         /// Points within reach.
@@ -131,6 +152,29 @@ impl core::fmt::Display for RegisterError {
                 f,
                 "the guess t_sensor_object is no rigid motion of finite size (below {REACH_MM:e} mm); give a \
                  rotation and a translation in millimetres"
+            ),
+            Self::NoSurface => write!(
+                f,
+                "the template has no surface with a grid of distances; make it from a mesh and give it one \
+                 (Template::with_field, in Python Template.with_grid; 0.4 mm, 4 mm), or choose another register.method"
+            ),
+            Self::MarkerNotFinite { index } => write!(
+                f,
+                "marker {index} of those not pressed is NaN, infinite or beyond {REACH_MM:e} mm; leave lost markers out"
+            ),
+            Self::PressDirection => {
+                write!(f, "the press direction is no unit vector; give the way from the part into the gel")
+            }
+            Self::Covariances { points, covariances } => {
+                write!(
+                    f,
+                    "{points} points but {covariances} covariances; every point needs one, or none has any"
+                )
+            }
+            Self::BadCovariance { index } => write!(
+                f,
+                "the covariance of point {index} is not finite, is zero, or has a negative eigenvalue; give mm², positive \
+                 semidefinite"
             ),
             Self::OutOfReach { within, least, nearest_mm, reach_mm } => write!(
                 f,

@@ -17,6 +17,7 @@ mod ransac;
 mod rigid;
 mod sample;
 mod soft;
+mod surface;
 mod symmetry;
 mod template;
 mod tree;
@@ -27,6 +28,7 @@ pub use free::{FreeDirection, FreeDirections, Motion};
 pub use observe::Observability;
 pub use rigid::{RigidFit, RigidFitError, rigid_fit};
 pub use soft::{SoftMatch, soft_match};
+pub use surface::{Alternative, Alternatives, Contact, unpressed};
 pub use symmetry::Symmetry;
 pub use template::Template;
 pub use tree::Tree;
@@ -62,6 +64,11 @@ pub struct Registration {
     pub rmse_mm: f64,
     /// Directions that the contact leaves free; empty when all six are determined.
     pub free: FreeDirections,
+    /// Natural logarithm of the pose's likelihood over that of a perfect fit, known to
+    /// the rungs on the surface alone. It compares poses of one contact, and no more.
+    pub log_likelihood: Option<f64>,
+    /// Other poses that explain the contact about as well (`surface_search` alone looks for them).
+    pub alternatives: Alternatives,
 }
 
 impl Registration {
@@ -79,6 +86,10 @@ impl Registration {
     pub fn digest(&self) -> u64 {
         let (pose, seen) = (&self.t_sensor_object, &self.observability);
         let free = self.free.iter().flat_map(|d| [d.omega, d.v, d.centre_mm]);
+        let others = self.alternatives.iter().flat_map(|a| {
+            let (q, t) = (a.t_sensor_object.rotation.to_array(), a.t_sensor_object.translation_mm.to_array());
+            q.into_iter().chain(t).chain([a.log_likelihood])
+        });
         Digest::new()
             .f64s(pose.rotation.to_array())
             .f64s(pose.translation_mm.to_array())
@@ -94,6 +105,8 @@ impl Registration {
             .f64s([self.rmse_mm])
             .u64(self.free.len() as u64)
             .f64s(free.flat_map(|v| v.to_array()))
+            .f64s(self.log_likelihood)
+            .f64s(others)
             .value()
     }
 }
@@ -160,13 +173,18 @@ fn compose(t_sensor_object: &Pose, motion: &Pose) -> Pose {
 pub struct Registrar {
     params: RegisterParams,
     scratch: Scratch,
+    surface: surface::SurfaceScratch,
 }
 
 impl Registrar {
     /// With these settings.
     #[must_use]
     pub fn new(params: &RegisterParams) -> Self {
-        Self { params: params.clone(), scratch: Scratch::default() }
+        Self {
+            params: params.clone(),
+            scratch: Scratch::default(),
+            surface: surface::SurfaceScratch::default(),
+        }
     }
 
     /// Registers a patch of salient points (sensor frame) to the template, from a guess.
@@ -181,9 +199,27 @@ impl Registrar {
         template: &Template,
         guess: &Pose,
     ) -> Result<Registration, RegisterError> {
+        self.register(&Contact::new(points_mm), template, guess)
+    }
+
+    /// As [`Self::run`], with all that was sensed of the contact.
+    ///
+    /// # Errors
+    /// [`RegisterError`].
+    pub fn register(
+        &mut self,
+        contact: &Contact<'_>,
+        template: &Template,
+        guess: &Pose,
+    ) -> Result<Registration, RegisterError> {
         self.params.validate()?;
+        let points_mm = contact.points_mm;
         let guess = check(points_mm, guess)?;
         let problem = Problem { params: &self.params, points_mm, template };
+        use RegisterMethod::{SurfaceClose, SurfaceSearch, SurfaceTrack};
+        if matches!(self.params.method, SurfaceTrack | SurfaceClose | SurfaceSearch) {
+            return surface::run(&self.params, contact, template, &guess, &mut self.surface);
+        }
         let scratch = &mut self.scratch;
         let outcome = match self.params.method {
             RegisterMethod::FilterregPoint => {
@@ -196,7 +232,7 @@ impl Registrar {
                 let start = ransac::search(&problem, scratch, &guess)?;
                 icp::point_to_point(&problem, scratch, &start)
             }
-            RegisterMethod::IcpPlane => icp::point_to_plane(&problem, scratch, &guess),
+            _ => icp::point_to_plane(&problem, scratch, &guess),
         }?;
         assess::registration(&problem, scratch, &outcome)
     }

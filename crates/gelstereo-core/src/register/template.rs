@@ -3,6 +3,7 @@
 use super::blocks::{self, Block};
 use super::error::TemplateError;
 use super::sample;
+use super::surface::Relief;
 use super::symmetry::Symmetry;
 use super::tree::Tree;
 use crate::digest::Digest;
@@ -34,6 +35,7 @@ pub struct Template {
     pub(super) solid: Option<Solid>,
     pub(super) field: Option<Field>,
     pub(super) symmetries: Vec<Symmetry>,
+    pub(super) relief: Option<Relief>,
 }
 
 impl Template {
@@ -63,12 +65,27 @@ impl Template {
         let tree = Tree::new(&points_mm);
         let curvatures_per_mm = curvatures(&points_mm, &normals, &tree, spacing_mm);
         let blocks = blocks::blocks(&points_mm, &normals, &tree);
-        let (solid, field, symmetries) = (None, None, Vec::new());
-        Self { points_mm, normals, curvatures_per_mm, spacing_mm, tree, blocks, solid, field, symmetries }
+        Self {
+            points_mm,
+            normals,
+            curvatures_per_mm,
+            spacing_mm,
+            tree,
+            blocks,
+            solid: None,
+            relief: None,
+            field: None,
+            symmetries: Vec::new(),
+        }
     }
 
     /// Spacing for a part that a hand holds: a quarter of the lattice's pitch, rounded. Default of all who sample one.
     pub const DEFAULT_SPACING_MM: f64 = 0.25;
+
+    /// Cells of a field for the surface rungs of registration ([`Self::with_field`]): under half a lattice's pitch.
+    pub const DEFAULT_CELL_MM: f64 = 0.4;
+    /// How far such a field reaches: deeper than a gel is pressed, and a guess is off.
+    pub const DEFAULT_REACH_MM: f64 = 4.0;
 
     /// Samples a mesh evenly: on average one point for every `spacing_mm`² of its area, no two points of faces that
     /// look the same way (within 60 degrees) closer than 0.81 of the spacing. The same seed gives the same points.
@@ -78,8 +95,9 @@ impl Template {
     /// [`TemplateError::Spacing`] when it is not positive, [`TemplateError::Solid`] when the triangles are no surface.
     pub fn from_mesh(mesh: &TriangleMesh, spacing_mm: f64, seed: u64) -> Result<Self, TemplateError> {
         let (points_mm, normals) = sample::evenly(mesh, spacing_mm, seed)?;
-        let solid = Some(Solid::new(mesh).map_err(TemplateError::Solid)?);
-        Ok(Self { solid, ..Self::new(&points_mm, &normals, spacing_mm)? })
+        let solid = Solid::new(mesh).map_err(TemplateError::Solid)?;
+        let relief = Some(Relief::new(&solid));
+        Ok(Self { solid: Some(solid), relief, ..Self::new(&points_mm, &normals, spacing_mm)? })
     }
 
     /// The exact surface, for a template that was made from a mesh.
@@ -107,6 +125,11 @@ impl Template {
     #[must_use]
     pub const fn field(&self) -> Option<&Field> {
         self.field.as_ref()
+    }
+
+    /// Normals of the smooth surface that the triangles stand for.
+    pub(super) const fn relief(&self) -> Option<&Relief> {
+        self.relief.as_ref()
     }
 
     /// With these symmetries instead of those it has: declared ones, or [`Symmetry::of`] it.

@@ -1,0 +1,292 @@
+//! What was sensed, as the surface rungs see it: points about the patch's centroid, and which of them a coarse look needs.
+
+use crate::math::linalg::{Symmetric, eigen};
+use crate::math::{DVec3, sqrt};
+use crate::register::RegisterError;
+use crate::register::template::REACH_MM;
+use alloc::vec::Vec;
+
+/// A contact as it was sensed, in the sensor's frame.
+#[derive(Clone, Copy, Debug)]
+pub struct Contact<'a> {
+    /// Salient points: those that the part presses on, and the gel's shoulder beside it.
+    pub points_mm: &'a [DVec3],
+    /// Covariance of each of them; without it each has `register.point_sigma_mm` along every axis.
+    pub covariance_mm2: Option<&'a [Symmetric<3>]>,
+    /// Markers that nothing presses on. The part is nowhere between them and the camera; may be empty.
+    pub unpressed_mm: &'a [DVec3],
+    /// The way from the part into the gel, a unit vector: only faces that look this way can be touched.
+    pub press_direction: DVec3,
+}
+
+impl<'a> Contact<'a> {
+    /// Salient points alone, pressed toward the camera.
+    #[must_use]
+    pub const fn new(points_mm: &'a [DVec3]) -> Self {
+        Self { points_mm, covariance_mm2: None, unpressed_mm: &[], press_direction: DVec3::NEG_Z }
+    }
+
+    /// Refuses covariances and markers without meaning; the salient points have been checked.
+    pub(super) fn check(&self) -> Result<(), RegisterError> {
+        let bad = |p: &DVec3| !p.is_finite() || p.abs().max_element() > REACH_MM;
+        if let Some(index) = self.unpressed_mm.iter().position(bad) {
+            return Err(RegisterError::MarkerNotFinite { index });
+        }
+        if !((self.press_direction.length_squared() - 1.0).abs() < 1e-6) {
+            return Err(RegisterError::PressDirection);
+        }
+        let Some(all) = self.covariance_mm2 else { return Ok(()) };
+        if all.len() != self.points_mm.len() {
+            return Err(RegisterError::Covariances { points: self.points_mm.len(), covariances: all.len() });
+        }
+        // Not more negative than rounding makes a singular one.
+        let good = |c: &Symmetric<3>| {
+            let values = eigen(c).values;
+            c.iter().flatten().all(|x| x.is_finite()) && values[2] > 0.0 && values[0] >= -1e-9 * values[2]
+        };
+        match all.iter().position(|c| !good(c)) {
+            Some(index) => Err(RegisterError::BadCovariance { index }),
+            None => Ok(()),
+        }
+    }
+}
+
+/// The markers that are not among the salient ones, for [`Contact::unpressed_mm`]: those at other places, bit for bit.
+#[must_use]
+pub fn unpressed(all_mm: &[DVec3], salient_mm: &[DVec3]) -> Vec<DVec3> {
+    let order =
+        |a: &DVec3, b: &DVec3| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)).then(a.z.total_cmp(&b.z));
+    let mut salient = salient_mm.to_vec();
+    salient.sort_unstable_by(order);
+    all_mm.iter().filter(|p| salient.binary_search_by(|s| order(s, p)).is_err()).copied().collect()
+}
+
+/// A point about the patch's centroid, with its covariance.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sample {
+    pub p_mm: DVec3,
+    /// xx, yy, zz, xy, xz, yz.
+    covariance: [f64; 6],
+    /// Whether the gel around it is curved as free gel is, and not as gel on a part.
+    pub hangs: bool,
+}
+
+/// Share of the trace that a singular covariance is given along its null direction.
+const FLOOR: f64 = 1e-6;
+
+impl Sample {
+    /// Variance along a unit vector.
+    #[inline]
+    pub fn variance(&self, n: DVec3) -> f64 {
+        let [xx, yy, zz, xy, xz, yz] = self.covariance;
+        let floor = FLOOR * (xx + yy + zz);
+        let along = floor + xx * n.x * n.x + yy * n.y * n.y + zz * n.z * n.z;
+        along + 2.0 * (xy * n.x * n.y + xz * n.x * n.z + yz * n.y * n.z)
+    }
+}
+
+/// Unpressed markers this far from the patch tell of the part; those beyond are not looked at.
+const AROUND_MM: f64 = 6.0;
+/// A coarse look needs some of those this near.
+const BESIDE_MM: f64 = 3.5;
+/// Salient points of the coarsest look.
+pub(super) const COARSE: usize = 24;
+/// And other markers, of those beside the patch.
+const COARSE_UNPRESSED: usize = 24;
+const MEDIUM_UNPRESSED: usize = 64;
+/// Salient points of the second look.
+pub(super) const MEDIUM: usize = 64;
+
+/// The points of one contact. The first [`COARSE`] and [`MEDIUM`] of `pressed` are spread over the patch.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Samples {
+    pub centre_mm: DVec3,
+    /// Rms radius of the patch.
+    pub radius_mm: f64,
+    pub pressed: Vec<Sample>,
+    /// How many of them are spread over the patch.
+    pub spread_count: usize,
+    /// How many of them do not hang; they come first.
+    may_touch: usize,
+    /// Those that a coarse look takes first.
+    pub unpressed: Vec<Sample>,
+    /// How many of `unpressed` a coarse and a medium look take.
+    pub coarse_unpressed: usize,
+    pub medium_unpressed: usize,
+    /// Of every salient point the nearest salient ones; its own index where there are fewer.
+    pub neighbours: Vec<[u32; NEIGHBOURS]>,
+    /// How far toward the camera markers come before they are salient.
+    pub salient_from_mm: f64,
+    nearest_squared: Vec<f64>,
+}
+
+/// More salient points than this are not asked for their neighbours, which takes the square of their number.
+const MOST_ASKED: usize = 2000;
+
+/// With fewer points that do not hang, all are looked at first.
+const LEAST_TOUCHING: usize = 12;
+
+/// Standard deviations within which all points are as high.
+const LEVEL: f64 = 8.0;
+
+/// Markers around one: the eight of a lattice.
+const RING: usize = 8;
+/// Standard deviations by which the mean of the markers around is higher where the gel hangs.
+const HOLLOW: f64 = 3.0;
+
+/// Salient points around one that tell whether the gel touches there.
+pub(super) const NEIGHBOURS: usize = 6;
+
+impl Samples {
+    pub fn fill(&mut self, contact: &Contact<'_>, sigma_mm: f64) {
+        let square = sigma_mm * sigma_mm;
+        let isotropic = [square, square, square, 0.0, 0.0, 0.0];
+        self.centre_mm = crate::math::centroid(contact.points_mm);
+        self.pressed.clear();
+        for (k, &point) in contact.points_mm.iter().enumerate() {
+            let covariance = contact.covariance_mm2.map_or(isotropic, |all| {
+                let c = &all[k];
+                [c[0][0], c[1][1], c[2][2], c[0][1], c[0][2], c[1][2]]
+            });
+            self.pressed.push(Sample { p_mm: point - self.centre_mm, covariance, hangs: false });
+        }
+        let sum: f64 = self.pressed.iter().map(|s| s.p_mm.length_squared()).sum();
+        self.radius_mm = sqrt(sum / self.pressed.len().max(1) as f64).max(10.0 * sigma_mm);
+        self.may_touch = self.pressed.len();
+        self.find_hanging(contact);
+        self.spread();
+        self.take_unpressed(contact.unpressed_mm, isotropic);
+        self.find_neighbours();
+        self.find_saliency(contact.press_direction);
+    }
+
+    /// The lowest salient point shows where saliency begins; points that are all as high do not.
+    fn find_saliency(&mut self, press: DVec3) {
+        let along = |s: &Sample| s.p_mm.dot(press);
+        let heights = || self.pressed.iter().map(along);
+        let (low, high) =
+            heights().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(x), h.max(x)));
+        let sigma_mm = sqrt(self.pressed.iter().map(|s| s.variance(press)).fold(0.0, f64::max));
+        self.salient_from_mm = if high - low > LEVEL * sigma_mm { low } else { f64::NEG_INFINITY };
+    }
+
+    /// Free gel of height h beside a contact obeys h - l² Δh = 0 (springs joined by a shear layer; Pasternak 1954): it
+    /// is hollow, Δh > 0, where gel on a flat or round part is not. Height over the mean of the markers around tells.
+    fn find_hanging(&mut self, contact: &Contact<'_>) {
+        let press = contact.press_direction;
+        let count = contact.points_mm.len();
+        if contact.unpressed_mm.is_empty() || count > MOST_ASKED {
+            return;
+        }
+        for k in 0..count {
+            let at = contact.points_mm[k];
+            let mut ring = [(f64::INFINITY, DVec3::ZERO); RING];
+            let all = contact.points_mm.iter().chain(contact.unpressed_mm).enumerate();
+            for (_, &other) in all.filter(|&(j, _)| j != k) {
+                let offset = other - at;
+                let squared = offset.reject_from_normalized(press).length_squared();
+                if squared < ring[RING - 1].0 {
+                    let mut place = RING - 1;
+                    while place > 0 && ring[place - 1].0 > squared {
+                        ring[place] = ring[place - 1];
+                        place -= 1;
+                    }
+                    ring[place] = (squared, offset);
+                }
+            }
+            let mean = ring.iter().map(|(_, offset)| *offset).sum::<DVec3>() / RING as f64;
+            let height_mm = mean.dot(press);
+            let aside_squared = mean.reject_from_normalized(press).length_squared();
+            // All around it, and near: where markers are missing or the gel ends nothing is known.
+            let is_around = aside_squared < 0.04 * ring[0].0 && ring[RING - 1].0 < 6.25 * ring[0].0;
+            let sigma_mm = sqrt(self.pressed[k].variance(press) * (1.0 + 1.0 / RING as f64));
+            self.pressed[k].hangs = is_around && height_mm > HOLLOW * sigma_mm;
+        }
+        // Those that may touch first.
+        let mut touching = 0;
+        for k in 0..count {
+            if !self.pressed[k].hangs {
+                self.pressed.swap(touching, k);
+                touching += 1;
+            }
+        }
+        self.may_touch = touching;
+    }
+
+    fn find_neighbours(&mut self) {
+        self.neighbours.clear();
+        if self.pressed.len() > MOST_ASKED {
+            return self.neighbours.resize_with(self.pressed.len(), || [0; NEIGHBOURS]);
+        }
+        for (k, s) in self.pressed.iter().enumerate() {
+            let mut best = [(f64::INFINITY, k as u32); NEIGHBOURS];
+            for (j, other) in self.pressed.iter().enumerate() {
+                let squared = s.p_mm.distance_squared(other.p_mm);
+                if squared < best[NEIGHBOURS - 1].0 && j != k {
+                    let mut at = NEIGHBOURS - 1;
+                    while at > 0 && best[at - 1].0 > squared {
+                        best[at] = best[at - 1];
+                        at -= 1;
+                    }
+                    best[at] = (squared, j as u32);
+                }
+            }
+            // Those behind a gap are no neighbours.
+            let limit = 4.0 * best[0].0;
+            self.neighbours.push(best.map(|(squared, j)| if squared <= limit { j } else { k as u32 }));
+        }
+    }
+
+    /// Brings points that are far from each other to the front (Gonzalez 1985), beginning with the one nearest to the
+    /// centroid.
+    fn spread(&mut self) {
+        let among = if self.may_touch >= LEAST_TOUCHING { self.may_touch } else { self.pressed.len() };
+        let count = MEDIUM.min(among);
+        self.spread_count = count;
+        self.nearest_squared.clear();
+        self.nearest_squared.extend(self.pressed.iter().map(|s| 1.0 / (1e-30 + s.p_mm.length_squared())));
+        for k in 0..count {
+            let rest = &self.nearest_squared[k..among];
+            let best = (1..rest.len()).fold(0, |best, i| if rest[i] > rest[best] { i } else { best }) + k;
+            self.pressed.swap(k, best);
+            self.nearest_squared.swap(k, best);
+            if k == 0 {
+                self.nearest_squared.fill(f64::INFINITY);
+            }
+            let from = self.pressed[k].p_mm;
+            for (near, s) in self.nearest_squared.iter_mut().zip(&self.pressed).skip(k + 1) {
+                *near = near.min(s.p_mm.distance_squared(from));
+            }
+        }
+    }
+
+    /// Those around the patch: some beside it first, then the others beside it, then the rest.
+    fn take_unpressed(&mut self, unpressed_mm: &[DVec3], covariance: [f64; 6]) {
+        self.unpressed.clear();
+        let spread = &self.pressed[..COARSE.min(self.pressed.len())];
+        let mut beside = 0;
+        for &point in unpressed_mm {
+            let p_mm = point - self.centre_mm;
+            let near = spread.iter().map(|s| s.p_mm.distance_squared(p_mm)).fold(f64::INFINITY, f64::min);
+            if near > AROUND_MM * AROUND_MM {
+                continue;
+            }
+            self.unpressed.push(Sample { p_mm, covariance, hangs: false });
+            if near <= BESIDE_MM * BESIDE_MM {
+                let last = self.unpressed.len() - 1;
+                self.unpressed.swap(beside, last);
+                beside += 1;
+            }
+        }
+        // Spread over those beside: equal steps through them, which come in the order of the lattice.
+        self.coarse_unpressed = COARSE_UNPRESSED.min(beside);
+        self.medium_unpressed = MEDIUM_UNPRESSED.min(beside);
+        for k in 1..self.medium_unpressed {
+            self.unpressed.swap(k, k * beside / self.medium_unpressed);
+        }
+        let second = self.medium_unpressed;
+        for k in 1..self.coarse_unpressed {
+            self.unpressed.swap(k, k * second / self.coarse_unpressed);
+        }
+    }
+}

@@ -1,0 +1,99 @@
+//! Registration on the part's own surface: distances to the triangles of its mesh, many starts screened on a field of
+//! distances, and every marker used, also those that nothing presses.
+//!
+//! A salient point touches the part or hangs beside it, and no marker is within it ([`noise`]). The pose is the most
+//! likely one under that mixture, with the guess as a weak prior that keeps the directions which the contact leaves free
+//! where they were guessed. One start finds it from close by; from farther off many are needed, since threads, teeth
+//! and edges each have a minimum of their own.
+
+mod contact;
+mod evidence;
+mod fit;
+mod noise;
+mod part;
+mod polish;
+mod relief;
+mod search;
+mod starts;
+mod step;
+
+pub use contact::{Contact, unpressed};
+pub use evidence::{Alternative, Alternatives};
+pub(super) use relief::Relief;
+
+use super::error::LEAST_PATCH;
+use super::{RegisterError, Registration, Template};
+use crate::math::Pose;
+use crate::params::{RegisterMethod, RegisterParams};
+use alloc::vec::Vec;
+use contact::Samples;
+use part::{Coarse, Exact};
+use polish::PolishScratch;
+use search::{Candidate, Search};
+use step::{Placement, Prior};
+
+/// What the surface rungs keep from run to run.
+#[derive(Clone, Debug, Default)]
+pub(super) struct SurfaceScratch {
+    samples: Samples,
+    candidates: Vec<Candidate>,
+    polish: PolishScratch,
+}
+
+/// Registers by one of the surface rungs.
+pub(super) fn run(
+    params: &RegisterParams,
+    contact: &Contact<'_>,
+    template: &Template,
+    guess: &Pose,
+    scratch: &mut SurfaceScratch,
+) -> Result<Registration, RegisterError> {
+    let (Some(solid), Some(field), Some(relief)) = (template.solid(), template.field(), template.relief())
+    else {
+        return Err(RegisterError::NoSurface);
+    };
+    contact.check()?;
+    let SurfaceScratch { samples, candidates, polish } = scratch;
+    samples.fill(contact, params.point_sigma_mm);
+    let centred = Pose { translation_mm: guess.translation_mm - samples.centre_mm, ..*guess };
+    let mut search = Search {
+        params,
+        samples,
+        press_direction: contact.press_direction,
+        field: Coarse(field),
+        faces: Exact { solid, relief },
+        prior: Prior {
+            guess: Placement::new(centred),
+            sigma_rad: params.start_sigma_deg.to_radians(),
+            sigma_mm: params.start_sigma_mm,
+        },
+        work: 0,
+    };
+    check_reach(&search, solid, params)?;
+    let end = match params.method {
+        RegisterMethod::SurfaceTrack => search.track(candidates, polish),
+        RegisterMethod::SurfaceClose => search.close(candidates, polish),
+        _ => search.many(candidates, polish),
+    };
+    Ok(evidence::registration(params, samples, candidates, polish, (end.converged, end.iterations)))
+}
+
+/// Refuses a patch of which nothing is near the part at the guess.
+fn check_reach(
+    search: &Search<'_>,
+    solid: &crate::surface::Solid,
+    params: &RegisterParams,
+) -> Result<(), RegisterError> {
+    let reach_mm = params.search_radius_mm + REACH * params.start_sigma_mm;
+    let placed = || search.samples.pressed.iter().map(|s| search.prior.guess.object_point(s.p_mm));
+    let within = |x| solid.closest_within(x, reach_mm, None).is_some();
+    if placed().filter(|&x| within(x)).take(LEAST_PATCH).count() == LEAST_PATCH {
+        return Ok(());
+    }
+    let nearest_mm = placed().fold(f64::INFINITY, |least, x| least.min(solid.closest(x).distance_mm.abs()));
+    let within = placed().filter(|&x| within(x)).count();
+    Err(RegisterError::OutOfReach { within, least: LEAST_PATCH, nearest_mm, reach_mm })
+}
+
+/// Starts lie within this many standard deviations of the guess.
+const REACH: f64 = 2.4;

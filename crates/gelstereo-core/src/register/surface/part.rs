@@ -1,0 +1,111 @@
+//! How far points are from the part: on the exact triangles, and on the field that is a sum away.
+
+use super::relief::Relief;
+use super::step::Placement;
+use crate::math::{DVec3, abs, sqrt};
+use crate::surface::{Facing, Field, Solid};
+
+/// A face that looks away from the gel by more than this cosine cannot be touched. Noise and a guess's tilt get it.
+const LEAST_COSINE: f64 = -0.1;
+/// Lookups on the way through the part to the face that can be touched.
+const MOST_LOOKUPS: usize = 8;
+
+/// The distance to the part and the outward normal where it is nearest, object frame.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Near {
+    pub distance_mm: f64,
+    pub normal: DVec3,
+    /// How fast the normal turns along the surface; 0 where that is not known.
+    pub curvature_per_mm: f64,
+}
+
+/// Something that knows distances to a part.
+pub(super) trait Distances {
+    /// What one lookup costs, in lookups of the field.
+    const WORK: u64;
+    /// `press` is the way from the part into the gel, object frame; `hint` what the last call for the same point said.
+    fn at(&self, x_mm: DVec3, press: DVec3, hint: &mut u32) -> Near;
+}
+
+/// The distance field, trilinear between its nodes.
+#[derive(Clone, Copy)]
+pub(super) struct Coarse<'a>(pub &'a Field);
+
+impl Distances for Coarse<'_> {
+    const WORK: u64 = 1;
+
+    #[inline]
+    fn at(&self, x_mm: DVec3, press: DVec3, _: &mut u32) -> Near {
+        let near = self.lookup(x_mm, press);
+        if near.normal.dot(press) >= LEAST_COSINE { near } else { self.through(x_mm, press, near) }
+    }
+}
+
+impl Coarse<'_> {
+    /// Out of the field's reach there is no part.
+    #[inline]
+    fn lookup(&self, x_mm: DVec3, press: DVec3) -> Near {
+        let (distance_mm, gradient) = self.0.distance(x_mm).unwrap_or((self.0.reach_mm(), press));
+        let length_squared = gradient.length_squared();
+        let normal = if length_squared > 1e-6 { gradient / sqrt(length_squared) } else { press };
+        Near { distance_mm, normal, curvature_per_mm: 0.0 }
+    }
+
+    /// The nearest face cannot be touched: the back of a thin plate. Goes on along the press until the nearest face can,
+    /// and takes the distance to its plane; a way that leads out of the part says that nothing is there.
+    #[cold]
+    fn through(&self, x_mm: DVec3, press: DVec3, first: Near) -> Near {
+        let least_mm = self.0.cell_mm();
+        let (mut way_mm, mut near) = (0.0, first);
+        for _ in 0..MOST_LOOKUPS {
+            way_mm += abs(near.distance_mm).max(least_mm);
+            let next = self.lookup(x_mm + press * way_mm, press);
+            if next.normal.dot(press) >= LEAST_COSINE {
+                let distance_mm = next.distance_mm - way_mm * next.normal.dot(press);
+                // Out of the part and away from it: nothing stands in the way.
+                return if near.distance_mm > 0.0 { first } else { Near { distance_mm, ..next } };
+            }
+            if near.distance_mm > 0.0 && next.distance_mm > near.distance_mm {
+                return first;
+            }
+            near = next;
+        }
+        first
+    }
+}
+
+/// The triangles themselves.
+#[derive(Clone, Copy)]
+pub(super) struct Exact<'a> {
+    pub solid: &'a Solid,
+    pub relief: &'a Relief,
+}
+
+/// No part is farther away that says anything.
+const REACH_MM: f64 = 20.0;
+
+impl Distances for Exact<'_> {
+    const WORK: u64 = 16;
+
+    #[inline]
+    fn at(&self, x_mm: DVec3, press: DVec3, hint: &mut u32) -> Near {
+        let facing = Facing { direction: press, least_cosine: LEAST_COSINE };
+        match self.solid.closest_facing(x_mm, &facing, REACH_MM, Some(*hint)) {
+            Some(found) => {
+                *hint = found.triangle;
+                let slope = self.relief.slope(self.solid, &found, x_mm - found.point_mm);
+                Near {
+                    distance_mm: found.distance_mm,
+                    normal: slope.normal,
+                    curvature_per_mm: slope.curvature_per_mm,
+                }
+            }
+            None => Near { distance_mm: REACH_MM, normal: press, curvature_per_mm: 0.0 },
+        }
+    }
+}
+
+/// The press in the object's frame.
+pub(super) fn press_in_object(placement: &Placement, press_direction: DVec3) -> DVec3 {
+    placement.object_direction(press_direction)
+}

@@ -1,0 +1,268 @@
+//! The last steps: maximum likelihood under the mixture of contact, free gel and outliers.
+//!
+//! Distances are looked up once a step; the probabilities of contact follow from them (expectation and maximisation). A
+//! step that does not make the pose more likely is halved: at creases the nearest face changes, and whole steps of
+//! Gauss and Newton would go back and forth between two faces for ever.
+
+use super::contact::Samples;
+use super::fit::View;
+use super::noise::Mixture;
+use super::part::{Coarse, Distances, Near, press_in_object};
+use super::search::Candidate;
+use super::step::{Normal, Placement, Prior};
+use crate::math::{DVec3, ln, sqrt};
+use crate::params::RegisterParams;
+use alloc::vec::Vec;
+
+/// Salient points that do not touch hang up to this far over the part.
+const SHOULDER_MM: f64 = 1.0;
+/// And the other markers.
+const FREE_MM: f64 = 4.0;
+/// Markers that are not salient and this far over the part say nothing.
+const FAR_MM: f64 = 0.5;
+/// Those this far over it at the start are not looked at again: polishing does not move the part as far.
+const OUT_OF_REACH_MM: f64 = 1.2;
+/// Halvings of a step before it is given up.
+const HALVINGS: u32 = 4;
+/// Steps of expectation for one of maximisation: they cost no lookups.
+const EXPECTATIONS: u32 = 2;
+/// Longest step, over the patch.
+const LONGEST_MM: f64 = 0.5;
+/// The gel hangs beside faces that are steeper than this, cosine to the press, and does not touch them.
+const STEEP_COSINE: f64 = 0.35;
+/// Standard deviations that a marker that cannot touch may lie in the part before it pushes.
+const SLACK: f64 = 2.0;
+/// Probability that a salient point touches around which the gel is hollow: in a fillet it would.
+const HANGING: f64 = 0.02;
+/// Probability of contact before anything is known: of salient points, and of others.
+const FIRST: [f64; 2] = [0.6, 0.05];
+
+/// The distance of a point, its normal in the sensor's frame, and its variance along that.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Reading {
+    pub distance_mm: f64,
+    pub normal: DVec3,
+    pub variance_mm2: f64,
+    pub curvature_per_mm: f64,
+}
+
+impl Reading {
+    const NOTHING: Self =
+        Self { distance_mm: 0.0, normal: DVec3::ZERO, variance_mm2: 1.0, curvature_per_mm: 0.0 };
+
+    pub fn sigma_mm(&self) -> f64 {
+        sqrt(self.variance_mm2)
+    }
+}
+
+/// What was read at one placement, salient points first.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Readings {
+    pub all: Vec<Reading>,
+    /// The triangle that was nearest last, or [`SKIP`].
+    hints: Vec<u32>,
+}
+
+/// A marker that is not looked at.
+const SKIP: u32 = u32::MAX;
+
+/// Vectors that are kept from run to run.
+#[derive(Clone, Debug, Default)]
+pub(super) struct PolishScratch {
+    pub here: Readings,
+    there: Readings,
+    /// Probability that a point touches, by its neighbours; 0 for one that cannot.
+    before: Vec<f64>,
+    /// The same by its own distance too.
+    pub touches: Vec<f64>,
+}
+
+/// The way of one candidate to the greatest likelihood.
+pub(super) struct Polish<'a, D> {
+    pub params: &'a RegisterParams,
+    pub samples: &'a Samples,
+    pub view: View<'a>,
+    pub field: Coarse<'a>,
+    pub part: D,
+    pub prior: Prior,
+}
+
+/// Where it ended.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct End {
+    pub converged: bool,
+    pub iterations: u32,
+    pub work: u64,
+}
+
+impl<D: Distances> Polish<'_, D> {
+    /// At most `most` steps, and none once `budget` of work is spent.
+    pub fn run(&self, candidate: &mut Candidate, most: u32, budget: u64, scratch: &mut PolishScratch) -> End {
+        let mut end =
+            End { converged: false, iterations: 0, work: self.start(&candidate.placement, scratch) };
+        while end.iterations < most && !end.converged && end.work < budget {
+            end.iterations += 1;
+            for _ in 0..EXPECTATIONS {
+                self.believe(scratch);
+            }
+            let now = self.system(scratch, &scratch.here, &candidate.placement);
+            let Some((omega, v)) = now.solve(self.view.radius_mm, LONGEST_MM) else { break };
+            let full_mm = sqrt((omega * self.view.radius_mm).length_squared() + v.length_squared());
+            let tolerance_mm = self.params.step_tolerance * scratch.here.all[0].sigma_mm();
+            let mut share = 1.0;
+            let mut accepted = false;
+            for _ in 0..=HALVINGS {
+                let next = candidate.placement.moved(omega * share, v * share);
+                end.work += self.read(&next, &mut scratch.there);
+                if self.system(scratch, &scratch.there, &next).cost < now.cost {
+                    candidate.placement = next;
+                    core::mem::swap(&mut scratch.here, &mut scratch.there);
+                    accepted = true;
+                    break;
+                }
+                share *= 0.5;
+                if share * full_mm < 10.0 * tolerance_mm {
+                    break;
+                }
+            }
+            // Nothing more likely along the step, within what steps are told apart by.
+            end.converged = !accepted || share * full_mm < 10.0 * tolerance_mm;
+        }
+        end
+    }
+
+    /// The likelihood's negative logarithm, with the same probabilities of contact for all candidates. Leaves what it
+    /// read in the scratch, and what is believed of it.
+    pub fn compare(&self, placement: &Placement, scratch: &mut PolishScratch) -> (f64, u64) {
+        let work = self.start(placement, scratch);
+        for k in 0..scratch.before.len() {
+            if !self.can_touch(k, &scratch.here.all[k]) {
+                scratch.before[k] = 0.0;
+            }
+        }
+        let cost = self.system(scratch, &scratch.here, placement).cost;
+        self.believe(scratch);
+        (cost, work)
+    }
+
+    /// Reads the first placement, and leaves out the markers that are far from the part.
+    fn start(&self, placement: &Placement, scratch: &mut PolishScratch) -> u64 {
+        let (pressed, count) = (self.view.pressed.len(), self.view.len() as usize);
+        for readings in [&mut scratch.here, &mut scratch.there] {
+            readings.all.clear();
+            readings.all.resize(count, Reading::NOTHING);
+            readings.hints.clear();
+            readings.hints.resize(count, 0);
+        }
+        let press = press_in_object(placement, self.view.press_direction);
+        for (k, sample) in self.view.unpressed.iter().enumerate() {
+            let near = self.field.at(placement.object_point(sample.p_mm), press, &mut 0);
+            if near.distance_mm > OUT_OF_REACH_MM {
+                for readings in [&mut scratch.here, &mut scratch.there] {
+                    readings.all[pressed + k].distance_mm = near.distance_mm;
+                    readings.hints[pressed + k] = SKIP;
+                }
+            }
+        }
+        for beliefs in [&mut scratch.before, &mut scratch.touches] {
+            beliefs.clear();
+            beliefs.extend(self.view.pressed.iter().map(|s| if s.hangs { HANGING } else { FIRST[0] }));
+            beliefs.resize(count, FIRST[1]);
+        }
+        self.view.unpressed.len() as u64 + self.read(placement, &mut scratch.here)
+    }
+
+    /// Looks up all distances; returns what that cost.
+    fn read(&self, placement: &Placement, out: &mut Readings) -> u64 {
+        let press = press_in_object(placement, self.view.press_direction);
+        let model = self.params.surface_sigma_mm * self.params.surface_sigma_mm;
+        let samples = self.view.pressed.iter().chain(self.view.unpressed);
+        let mut lookups = 0;
+        for ((sample, reading), hint) in samples.zip(&mut out.all).zip(&mut out.hints) {
+            if *hint == SKIP {
+                continue;
+            }
+            let Near { distance_mm, normal, curvature_per_mm } =
+                self.part.at(placement.object_point(sample.p_mm), press, hint);
+            let normal = placement.sensor_direction(normal);
+            let variance_mm2 = sample.variance(normal) + model;
+            *reading = Reading { distance_mm, normal, variance_mm2, curvature_per_mm };
+            lookups += 1;
+        }
+        lookups * D::WORK
+    }
+
+    /// One step of expectation: contact and shoulder are regions, so what is believed of a salient point before its own
+    /// distance is what its neighbours say.
+    fn believe(&self, scratch: &mut PolishScratch) {
+        let PolishScratch { here, before, touches, .. } = scratch;
+        let pressed = self.view.pressed.len();
+        let mut total = 0.0;
+        for (k, r) in here.all.iter().enumerate() {
+            let reach_mm = if k < pressed { SHOULDER_MM } else { FREE_MM };
+            let mixture = Mixture::new(before[k].max(0.01), self.params.outlier_share, reach_mm);
+            touches[k] = if self.can_touch(k, r) { mixture.at(r.distance_mm, r.sigma_mm()).0 } else { 0.0 };
+            if k < pressed {
+                total += touches[k];
+            }
+        }
+        // Laplace's rule keeps it off 0 and 1.
+        let whole = (total + 1.0) / (pressed as f64 + 2.0);
+        for (k, r) in here.all.iter().enumerate() {
+            let hangs = k < pressed && self.view.pressed[k].hangs;
+            before[k] = match self.samples.neighbours.get(k) {
+                _ if !self.can_touch(k, r) => 0.0,
+                _ if hangs => HANGING,
+                Some(near) => {
+                    let others = near.iter().map(|&j| j as usize).filter(|&j| j != k);
+                    let (sum, count) =
+                        others.fold((2.0 * whole, 2.0), |(sum, n), j| (sum + touches[j], n + 1.0));
+                    sum / count
+                }
+                // Nobody knows which of the others touch, and whom to believe would bias the pose: they only push.
+                None => 0.0,
+            };
+        }
+    }
+
+    /// A marker whose foot on the part lies below where saliency begins is not asked, salient or not: asking those alone
+    /// that noise has raised over it would raise the part.
+    fn can_touch(&self, k: usize, r: &Reading) -> bool {
+        let press = self.view.press_direction;
+        let p_mm = match self.view.pressed.get(k) {
+            Some(sample) => sample.p_mm,
+            None => self.view.unpressed[k - self.view.pressed.len()].p_mm,
+        };
+        r.normal.dot(press) >= STEEP_COSINE
+            && (p_mm - r.normal * r.distance_mm).dot(press) >= self.samples.salient_from_mm
+    }
+
+    fn system(&self, scratch: &PolishScratch, readings: &Readings, placement: &Placement) -> Normal {
+        let outliers = self.params.outlier_share;
+        let pressed = self.view.pressed.len();
+        let mut sum = Normal::ZERO;
+        let per_radius = 1.0 / self.view.radius_mm;
+        let samples = self.view.pressed.iter().chain(self.view.unpressed);
+        for (k, ((sample, r), &before)) in samples.zip(&readings.all).zip(&scratch.before).enumerate() {
+            if k >= pressed && r.distance_mm > FAR_MM {
+                continue;
+            }
+            // The cost of a marker that is not salient is over that of gel far from the part.
+            let (reach_mm, far) = if k < pressed { (SHOULDER_MM, 0.0) } else { (FREE_MM, ln(FREE_MM)) };
+            let mixture = Mixture::new(before, outliers, reach_mm);
+            let (d_mm, (weight, cost)) = if before > 0.0 {
+                (r.distance_mm, mixture.at(r.distance_mm, r.sigma_mm()))
+            } else {
+                let d_mm = r.distance_mm + SLACK * r.sigma_mm();
+                let hangs = r.distance_mm > reach_mm;
+                let stray = Mixture::new(0.0, 1.0, reach_mm);
+                (d_mm.min(0.0), if hangs { stray.free(d_mm, 1.0) } else { mixture.free(d_mm, r.sigma_mm()) })
+            };
+            sum.cost -= far;
+            sum.add(sample.p_mm, r.normal, d_mm, weight / r.variance_mm2, per_radius);
+            sum.cost += cost;
+        }
+        sum.add_prior(&self.prior, placement, self.view.radius_mm, 1.0);
+        sum
+    }
+}
