@@ -159,7 +159,7 @@ class Score:
 def grasps(press: Press, noise: Noise, seeds: range) -> Iterator[Grasp]:
     """Press a part once per seed: lying across the gel, held within 4 mm of the middle, 0.8 to 1.4 mm deep."""
     mesh = press.make()
-    template = Template.from_mesh(mesh, units="mm", spacing_mm=0.3)
+    template = Template.from_mesh(mesh, units="mm", spacing_mm=0.3).with_grid()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "part.stl"
         mesh.export(path)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from gelstereo import Error, Localization, Params, localize
+from gelstereo import Error, localize
 from gelstereo.frontier.grasps import GRASPED, NOISES, STARTS, Grasp, Start, grasps
 from gelstereo.frontier.rivals import Method, rivals
 from gelstereo.frontier.rungs import Rung, rungs_of
@@ -20,7 +20,7 @@ __all__ = ["Tally", "measure_localization"]
 Array = npt.NDArray[np.float64]
 
 #: The rung of which the targets are asked.
-BEST = "surface"
+BEST = "surface_search"
 
 
 @dataclass
@@ -150,10 +150,18 @@ def _one_of(method: Method, contacts: Sequence[Grasp]) -> Callable[[int], object
 
 
 def _native(rung: Rung) -> Method:
-    params = rung.params()
-    return lambda grasp, guess: locate(grasp, guess, params).t_sensor_object
+    """Register with all that the sensor knows of the contact; guesses are farther off than usual."""
+    params = rung.params().replace({"register": {"search_radius_mm": 8.0}})
 
+    def method(grasp: Grasp, guess: Array) -> Array:
+        found = localize(
+            grasp.points_mm,
+            grasp.template,
+            t_sensor_object=guess,
+            all_points_mm=grasp.all_points_mm,
+            covariance_mm2=grasp.covariance_mm2,
+            params=params,
+        )
+        return found.t_sensor_object
 
-def locate(grasp: Grasp, guess: Array, params: Params) -> Localization:
-    """Register a contact with all that the sensor knows of it."""
-    return localize(grasp.points_mm, grasp.template, t_sensor_object=guess, params=params)
+    return method
