@@ -38,12 +38,12 @@ impl SolidReport {
 pub enum SolidError {
     /// No triangle has an area beyond the rounding of its coordinates.
     Empty,
-    /// A vertex lies beyond [`super::REACH_MM`].
+    /// A vertex lies beyond 1e12 mm.
     TooFar {
         /// Which vertex.
         vertex: usize,
     },
-    /// More triangles than [`super::MOST_TRIANGLES`].
+    /// More triangles than four million.
     TooMany {
         /// Triangles found.
         found: usize,
