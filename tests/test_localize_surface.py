@@ -19,8 +19,7 @@ def template() -> Template:
 def corner(noise_mm: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A box's corner pressed toward the camera: the pose, salient points, and all markers."""
     rng = np.random.default_rng(3)
-    turn = se3_exp([0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    turn[:3, :3] = np.array(se3_exp([2.6, 0.7, 0.2, 0.0, 0.0, 0.0]))[:3, :3]
+    turn = np.array(se3_exp([2.6, 0.7, 0.2, 0.0, 0.0, 0.0]))
     half = np.array([4.0, 3.0, 15.0])
     grid = np.stack(np.meshgrid(np.arange(-12, 13), np.arange(-12, 13)), -1).reshape(-1, 2) * 0.9
     # Entry of every line along z, the box's corner nearest to the camera at 1.6 mm over the rest plane.
