@@ -92,8 +92,8 @@ const BESIDE_MM: f64 = 3.5;
 /// Salient points of the coarsest look.
 pub(super) const COARSE: usize = 24;
 /// And other markers, of those beside the patch.
-const COARSE_UNPRESSED: usize = 24;
-const MEDIUM_UNPRESSED: usize = 64;
+const COARSE_UNPRESSED: usize = 48;
+const MEDIUM_UNPRESSED: usize = 128;
 /// Salient points of the second look.
 pub(super) const MEDIUM: usize = 64;
 
@@ -118,6 +118,7 @@ pub(super) struct Samples {
     /// How far toward the camera markers come before they are salient.
     pub salient_from_mm: f64,
     nearest_squared: Vec<f64>,
+    flat: Vec<DVec3>,
 }
 
 /// More salient points than this are not asked for their neighbours, which takes the square of their number.
@@ -138,7 +139,8 @@ const HOLLOW: f64 = 3.0;
 pub(super) const NEIGHBOURS: usize = 6;
 
 impl Samples {
-    pub fn fill(&mut self, contact: &Contact<'_>, sigma_mm: f64) {
+    /// `is_whole` unless the salient points alone are wanted, soon.
+    pub fn fill(&mut self, contact: &Contact<'_>, sigma_mm: f64, is_whole: bool) {
         let square = sigma_mm * sigma_mm;
         let isotropic = [square, square, square, 0.0, 0.0, 0.0];
         self.centre_mm = crate::math::centroid(contact.points_mm);
@@ -153,11 +155,38 @@ impl Samples {
         let sum: f64 = self.pressed.iter().map(|s| s.p_mm.length_squared()).sum();
         self.radius_mm = sqrt(sum / self.pressed.len().max(1) as f64).max(10.0 * sigma_mm);
         self.may_touch = self.pressed.len();
-        self.find_hanging(contact);
-        self.spread();
-        self.take_unpressed(contact.unpressed_mm, isotropic);
-        self.find_neighbours();
         self.find_saliency(contact.press_direction);
+        if is_whole {
+            self.find_hanging(contact);
+            self.spread();
+            self.take_unpressed(contact.unpressed_mm, isotropic);
+            self.find_neighbours();
+        } else {
+            self.unpressed.clear();
+            self.neighbours.clear();
+            self.neighbours.extend((0..self.pressed.len() as u32).map(|k| [k; NEIGHBOURS]));
+        }
+    }
+
+    /// All markers beside salient ones, these first, about the centroid with the press along z.
+    fn lay_flat(&mut self, contact: &Contact<'_>) {
+        let (a, b) = contact.press_direction.any_orthonormal_pair();
+        let centre_mm = self.centre_mm;
+        let flat = |p: &DVec3| {
+            let p = *p - centre_mm;
+            DVec3::new(p.dot(a), p.dot(b), p.dot(contact.press_direction))
+        };
+        self.flat.clear();
+        self.flat.extend(contact.points_mm.iter().map(flat));
+        let (low, high) = self
+            .flat
+            .iter()
+            .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), &p| (low.min(p), high.max(p)));
+        let beside = |p: &DVec3| {
+            let (p, margin) = (p.truncate(), BESIDE_MM);
+            p.cmpge(low.truncate() - margin).all() && p.cmple(high.truncate() + margin).all()
+        };
+        self.flat.extend(contact.unpressed_mm.iter().map(flat).filter(beside));
     }
 
     /// The lowest salient point shows where saliency begins; points that are all as high do not.
@@ -178,29 +207,27 @@ impl Samples {
         if contact.unpressed_mm.is_empty() || count > MOST_ASKED {
             return;
         }
+        self.lay_flat(contact);
         for k in 0..count {
-            let at = contact.points_mm[k];
+            let at = self.flat[k];
             let mut ring = [(f64::INFINITY, DVec3::ZERO); RING];
-            let all = contact.points_mm.iter().chain(contact.unpressed_mm).enumerate();
-            for (_, &other) in all.filter(|&(j, _)| j != k) {
-                let offset = other - at;
-                let squared = offset.reject_from_normalized(press).length_squared();
-                if squared < ring[RING - 1].0 {
+            for (j, &other) in self.flat.iter().enumerate() {
+                let squared = (other.x - at.x) * (other.x - at.x) + (other.y - at.y) * (other.y - at.y);
+                if squared < ring[RING - 1].0 && j != k {
                     let mut place = RING - 1;
                     while place > 0 && ring[place - 1].0 > squared {
                         ring[place] = ring[place - 1];
                         place -= 1;
                     }
-                    ring[place] = (squared, offset);
+                    ring[place] = (squared, other - at);
                 }
             }
             let mean = ring.iter().map(|(_, offset)| *offset).sum::<DVec3>() / RING as f64;
-            let height_mm = mean.dot(press);
-            let aside_squared = mean.reject_from_normalized(press).length_squared();
             // All around it, and near: where markers are missing or the gel ends nothing is known.
-            let is_around = aside_squared < 0.04 * ring[0].0 && ring[RING - 1].0 < 6.25 * ring[0].0;
+            let is_around =
+                mean.truncate().length_squared() < 0.04 * ring[0].0 && ring[RING - 1].0 < 6.25 * ring[0].0;
             let sigma_mm = sqrt(self.pressed[k].variance(press) * (1.0 + 1.0 / RING as f64));
-            self.pressed[k].hangs = is_around && height_mm > HOLLOW * sigma_mm;
+            self.pressed[k].hangs = is_around && mean.z > HOLLOW * sigma_mm;
         }
         // Those that may touch first.
         let mut touching = 0;

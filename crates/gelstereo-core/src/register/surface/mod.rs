@@ -54,7 +54,8 @@ pub(super) fn run(
     };
     contact.check()?;
     let SurfaceScratch { samples, candidates, polish } = scratch;
-    samples.fill(contact, params.point_sigma_mm);
+    let is_whole = params.method != RegisterMethod::SurfaceTrack;
+    samples.fill(contact, params.point_sigma_mm, is_whole);
     let centred = Pose { translation_mm: guess.translation_mm - samples.centre_mm, ..*guess };
     let mut search = Search {
         params,

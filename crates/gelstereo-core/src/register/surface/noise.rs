@@ -7,6 +7,8 @@
 
 use crate::math::{exp, ln, sqrt};
 
+/// No contact is this many standard deviations off: its density, e^-32 of the greatest, is far below that of outliers.
+const NEVER: f64 = 8.0;
 /// Outliers are spread over this much.
 const STRAY_MM: f64 = 3.0;
 
@@ -66,6 +68,10 @@ impl Mixture {
     #[inline]
     pub fn at(&self, d_mm: f64, sigma_mm: f64) -> (f64, f64) {
         let r = d_mm / sigma_mm;
+        if r.abs() > NEVER {
+            let free = if r > 0.0 && d_mm < self.reach_mm { self.free } else { 0.0 };
+            return (0.0, -ln(free + self.stray));
+        }
         let peak = self.contact / (sigma_mm * sqrt(core::f64::consts::TAU));
         let near = exp(-0.5 * r * r);
         let touch = peak * near;

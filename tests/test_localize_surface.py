@@ -1,0 +1,68 @@
+"""`localize` on a part's own surface: every marker, covariances, likelihood and other poses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from gelstereo import Params, RegisterError, ShapeError, Template, localize
+from gelstereo.geometry import se3_exp, se3_log
+
+SEARCH = Params().replace({"register.method": "surface_search"})
+
+
+@pytest.fixture(scope="module")
+def template() -> Template:
+    return Template.from_mesh(trimesh.creation.box((8.0, 6.0, 30.0)), units="mm").with_grid(cell_mm=0.4, reach_mm=4.0)
+
+
+def corner(noise_mm: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A box's corner pressed toward the camera: the pose, salient points, and all markers."""
+    rng = np.random.default_rng(3)
+    turn = np.array(se3_exp([2.6, 0.7, 0.2, 0.0, 0.0, 0.0]))
+    half = np.array([4.0, 3.0, 15.0])
+    grid = np.stack(np.meshgrid(np.arange(-12, 13), np.arange(-12, 13)), -1).reshape(-1, 2) * 0.9
+    # Entry of every line along z, the box's corner nearest to the camera at 1.6 mm over the rest plane.
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half @ turn[:3, :3].T
+    nearest = corners[corners[:, 2].argmin()]
+    turn[:3, 3] = np.array([0.0, 0.0, 28.7 - 1.6]) - nearest
+    origins = np.column_stack([grid, np.zeros(len(grid))]) - turn[:3, 3]
+    origins, way = origins @ turn[:3, :3], turn[:3, :3].T @ [0.0, 0.0, 1.0]
+    near, far = (-half * np.sign(way) - origins) / way, (half * np.sign(way) - origins) / way
+    enter, leave = near.max(axis=1), far.min(axis=1)
+    z = np.where(enter < leave, np.minimum(enter, 28.7), 28.7)
+    points = np.column_stack([grid, z]) + noise_mm * rng.normal(size=(len(grid), 3))
+    return turn, points[28.7 - points[:, 2] > 0.35], points
+
+
+def test_a_far_guess_finds_a_corner_with_every_marker(template: Template) -> None:
+    truth, salient, everything = corner(0.02)
+    guess = truth @ se3_exp([0.2, -0.15, 0.2, 1.0, -1.0, 0.8])
+    covariance = np.tile(np.eye(3) * 0.02**2, (len(salient), 1, 1))
+    found = localize(
+        salient,
+        template,
+        t_sensor_object=guess,
+        all_points_mm=everything,
+        covariance_mm2=covariance,
+        params=SEARCH,
+    )
+    error = np.array(se3_log(np.linalg.inv(found.t_sensor_object) @ truth))
+    centre = np.append(salient.mean(axis=0), 1.0)
+    moved = (found.t_sensor_object @ np.linalg.inv(truth) @ centre - centre)[:3]
+    assert found.converged and np.isfinite(found.log_likelihood)
+    # Success as elsewhere: 2 degrees and 0.3 mm at the patch.
+    assert np.linalg.norm(error[:3]) < np.deg2rad(2.0) and np.linalg.norm(moved) < 0.3
+    for pose, likelihood in found.alternatives:
+        assert pose.shape == (4, 4) and likelihood <= found.log_likelihood
+
+
+def test_what_the_surface_methods_refuse(template: Template) -> None:
+    truth, salient, _ = corner(0.0)
+    bare = Template.from_points(template.points_mm, template.normals, 0.25)
+    with pytest.raises(RegisterError, match="no surface with a grid"):
+        localize(salient, bare, t_sensor_object=truth, params=SEARCH)
+    with pytest.raises(RegisterError, match="covariances"):
+        localize(salient, template, t_sensor_object=truth, covariance_mm2=np.eye(3)[None], params=SEARCH)
+    with pytest.raises(ShapeError, match=r"valid is \(N, 3, 3\)"):
+        localize(salient, template, t_sensor_object=truth, covariance_mm2=np.eye(3), params=SEARCH)
