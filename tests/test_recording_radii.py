@@ -121,7 +121,9 @@ def test_window_and_noise_are_found_under_creep(seed: int, window: int) -> None:
     random = np.random.default_rng(seed)
     stretches = []
     for frames in (26, 32):
-        noise = smoothed(random.normal(size=(frames + window - 1, 256, 3)), window) * np.sqrt(window) * NOISE_MM
+        noise = (
+            smoothed(random.normal(size=(frames + window - 1, 256, 3)), window) * np.sqrt(window) * NOISE_MM
+        )
         creep = 0.05 * np.linspace(0, 1, frames)[:, None, None] ** 2 * random.normal(size=(1, 256, 3))
         stretches.append(noise + creep)
     assert smoothing_frames(stretches) == window
@@ -137,7 +139,9 @@ def test_expected_covariance_is_that_of_simulated_noise() -> None:
     design = np.vander(np.arange(frames), degree + 1)
     left = noise - design @ np.linalg.lstsq(design, noise, rcond=None)[0]
     # Covariances of unit variables over 200000 trials scatter by at most sqrt(2 / 200000) = 0.003; five of that.
-    np.testing.assert_allclose(detrended_covariance(window, frames, degree), left @ left.T / 200000, atol=0.016)
+    np.testing.assert_allclose(
+        detrended_covariance(window, frames, degree), left @ left.T / 200000, atol=0.016
+    )
 
 
 def moving(frames: int, sequence: np.ndarray | None = None) -> CloudRecording:
@@ -157,7 +161,9 @@ def test_undone_smoothing_leaves_a_fraction_of_the_smear() -> None:
     # The mean of frames t-1.5 to t+1.5 stands for the middle between two frames, so an odd window is compared here.
     for window in (3, 5):
         middle = slice(window // 2, -(window // 2))
-        recording = replace(moving(40), points_mm=smoothed(truth, window), time_s=np.arange(40.0 - window + 1))
+        recording = replace(
+            moving(40), points_mm=smoothed(truth, window), time_s=np.arange(40.0 - window + 1)
+        )
         sharp = undo_smoothing(recording, window).points_mm[1:-1]
         before = np.abs(recording.points_mm[1:-1] - truth[middle][1:-1])[:, :, 2].max()
         after = np.abs(sharp - truth[middle][1:-1])[:, :, 2].max()

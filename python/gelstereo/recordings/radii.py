@@ -108,7 +108,7 @@ def _eliminated(pose: _Sphere | _Cylinder, radius: float) -> _System:
     weight = 1.0 / np.sqrt(normals**2 @ pose.noise**2)
     a, b, c = jacobian * weight[:, None], -weight, residual * weight
     # Both right-hand sides at once: the step for this radius, and how it changes with the radius.
-    solved = np.linalg.lstsq(a, np.column_stack([c, -b]), rcond=None)[0]
+    solved = np.asarray(np.linalg.lstsq(a, np.column_stack([c, -b]), rcond=None)[0], np.float64)
     left_over = b + a @ solved[:, 1]
     return _System(float(left_over @ left_over), float(left_over @ c), solved[:, 0], solved[:, 1])
 

@@ -58,7 +58,10 @@ def smoothing_frames(points_mm: Sequence[Array]) -> int:
     _check_stretches(points_mm)
     seen = [(len(p), _correlation(_residual_covariance(p))) for p in points_mm]
     misfits = [
-        sum(np.sum((found - _correlation(detrended_covariance(window, frames))) ** 2) for frames, found in seen)
+        sum(
+            np.sum((found - _correlation(detrended_covariance(window, frames))) ** 2)
+            for frames, found in seen
+        )
         for window in range(1, _LONGEST + 1)
     ]
     return 1 + int(np.argmin(misfits))
@@ -98,7 +101,7 @@ def undo_smoothing(recording: CloudRecording, window: int) -> CloudRecording:
 
 
 def noise_gain(window: int) -> float:
-    """Tell by how much `undo_smoothing` raises the standard deviation of noise that is a mean over ``window`` frames."""
+    """Factor by which `undo_smoothing` raises the deviation of noise that is a mean over ``window`` frames."""
     share = _share(window)
     smooth = np.full(window, 1.0 / window)
     sharp = np.convolve(smooth, [-share, 1.0 + 2.0 * share, -share])

@@ -1,8 +1,8 @@
 """Meshes that others made, pressed into the simulated gel and localized.
 
-Run ``python -m gelstereo.reports.meshes --meshes FOLDER`` to fill the table in docs/real-recordings.md. The folder holds
-``factory_meshes`` (pegs and a bolt of isaac-sim/IsaacGymEnvs) and ``meshes_realsense`` (a USB plug of realsense-ros),
-both in metres.
+Run ``python -m gelstereo.reports.meshes --meshes FOLDER`` to fill the table in docs/real-recordings.md. In the folder
+are ``factory_meshes`` (pegs and a bolt of isaac-sim/IsaacGymEnvs) and ``meshes_realsense`` (a USB plug of
+realsense-ros), both in metres.
 """
 
 from __future__ import annotations
@@ -74,7 +74,9 @@ def measure(part: MeshPart, folder: Path, rung: Rung, start: Start, seeds: range
 def main(arguments: list[str] | None = None) -> int:
     """Fill the table of meshes in docs/real-recordings.md."""
     parser = argparse.ArgumentParser(prog="python -m gelstereo.reports.meshes", description=__doc__)
-    parser.add_argument("--meshes", type=Path, required=True, help="folder of factory_meshes and meshes_realsense")
+    parser.add_argument(
+        "--meshes", type=Path, required=True, help="folder of factory_meshes and meshes_realsense"
+    )
     parser.add_argument("--docs", type=Path, default=Path("docs"), help="folder of the manual")
     parser.add_argument("--contacts", type=int, default=10, help="contacts of every part")
     options = parser.parse_args(arguments)
@@ -85,7 +87,9 @@ def main(arguments: list[str] | None = None) -> int:
         cells = []
         for rung in rungs:
             scores = measure(part, options.meshes, rung, STARTS[0], range(options.contacts))
-            angle, shift = (np.median([getattr(s, name) for s in scores]) for name in ("angle_deg", "shift_mm"))
+            angle, shift = (
+                np.median([getattr(s, name) for s in scores]) for name in ("angle_deg", "shift_mm")
+            )
             cells.append(f"{sum(s.success for s in scores)}: {angle:.2f} / {1e3 * shift:.0f}")
         rows.append([part.name, *cells])
     head = ["part", *(rung.name for rung in rungs)]

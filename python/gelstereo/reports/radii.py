@@ -30,7 +30,15 @@ from gelstereo.recordings import (
 )
 from gelstereo.reports.markdown import table
 
-__all__ = ["Measured", "Sharpened", "draw_radii", "measure_radii", "radii_table", "sharpen", "vendor_radii_mm"]
+__all__ = [
+    "Measured",
+    "Sharpened",
+    "draw_radii",
+    "measure_radii",
+    "radii_table",
+    "sharpen",
+    "vendor_radii_mm",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -85,20 +93,21 @@ def sharpen(recording: CloudRecording, threshold_mm: float) -> Sharpened:
     """Find the recorder's window by the noise while nothing touches, and undo it."""
     touched = episodes(recording.indentation_mm(), threshold_mm)
     edges = [0, *(edge for run in touched for edge in (run.start, run.stop)), len(recording)]
-    inner = np.arange(recording.rows * recording.cols).reshape(recording.rows, recording.cols)
-    markers = inner[_EDGE:-_EDGE, _EDGE:-_EDGE].ravel()
+    grid = np.arange(recording.rows * recording.cols).reshape(recording.rows, recording.cols)
+    markers = grid[_EDGE:-_EDGE, _EDGE:-_EDGE].ravel()
     lost = recording.lost_before
     stretches = []
     for start, stop in zip(edges[::2], edges[1::2], strict=True):
         first, last = start + (_MARGIN if start else 0), stop - (_MARGIN if stop < len(recording) else 0)
         if last - first >= 16 and not lost[first + 1 : last].any():
-            stretches.append(recording.points_mm[first:last][:, markers])
-    window = smoothing_frames(stretches)
+            stretches.append(recording.points_mm[first:last])
+    inside = [stretch[:, markers] for stretch in stretches]
+    window = smoothing_frames(inside)
     return Sharpened(
         recording,
         undo_smoothing(recording, window),
         window,
-        noise_mm(stretches, window),
+        noise_mm(inside, window),
         intact(recording, window),
         stretches,
     )
@@ -242,10 +251,10 @@ def draw_radii(
     figure, axes = plt.subplots(1, len(measured), figsize=(15, 4.4), layout="constrained")
     for axis, (name, m) in zip(axes, measured.items(), strict=True):
         theirs = [frame for frame in m.frames if frame in vendor[name]]
+        axis.plot(theirs, [vendor[name][f] for f in theirs], ".-", color="0.6", label="vendor's analysis")
         axis.plot(
-            theirs, [vendor[name][f] for f in theirs], ".-", color="0.6", label="vendor's analysis"
+            m.frames, [fit.radius_mm for fit in m.smooth], ".-", color="tab:orange", label="as recorded"
         )
-        axis.plot(m.frames, [fit.radius_mm for fit in m.smooth], ".-", color="tab:orange", label="as recorded")
         radii, sigma = (np.array([getattr(fit, key) for fit in m.sharp]) for key in ("radius_mm", "sigma_mm"))
         axis.plot(m.frames, radii, ".-", color="tab:blue", label="smoothing undone, 1 σ of noise")
         axis.fill_between(m.frames, radii - sigma, radii + sigma, color="tab:blue", alpha=0.3, lw=0)

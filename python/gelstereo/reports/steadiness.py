@@ -6,20 +6,25 @@ frames that nothing touches is put on a pressed frame; and in the stillest frame
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 import numpy.typing as npt
 
 from gelstereo import Localization, Params, Template, localize
 from gelstereo.geometry import se3_log
-from gelstereo.recordings import detrended_covariance
+from gelstereo.recordings import RecordingError, detrended_covariance
 
 __all__ = ["Steadiness", "rest_noise_mm", "scatter_by_noise", "scatter_over_time", "stillest"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
+
+
+#: Fewer markers are no contact.
+_LEAST_MARKERS = 8
 
 
 @dataclass(frozen=True)
@@ -45,7 +50,12 @@ def rest_noise_mm(stretch_mm: Array, window: int) -> Array:
 
 
 def scatter_by_noise(
-    points_mm: Array, template: Template, guess: Array, noise_mm: Sequence[Array], sigma_mm: float, method: str
+    points_mm: Array,
+    template: Template,
+    guess: Array,
+    noise_mm: Sequence[Array],
+    sigma_mm: float,
+    method: str,
 ) -> Steadiness:
     """Register one pressed frame under noise (markers, 3) of so many others."""
     params = _params(method)
@@ -68,15 +78,40 @@ def scatter_over_time(
     return _steadiness(found, left, points_mm.mean(axis=0), freedom, sigma_mm)
 
 
-def stillest(points_mm: Array, frames: int) -> tuple[int, float]:
-    """Find the stretch of so many frames in which the markers (all, markers, 3) move least.
+def stillest(points_mm: Array, cores: Mapping[int, Indices], frames: int) -> tuple[Array, Indices, float]:
+    """Find the stretch of so many frames in which a contact's markers move least.
 
-    Returns its first frame, and the median motion from frame to frame, mm.
+    Parameters
+    ----------
+    points_mm
+        All markers (all frames, markers, 3).
+    cores
+        Markers that touch, of every frame that may be taken.
+
+    Returns
+    -------
+    points_mm : (frames, core, 3)
+        Markers that touch throughout.
+    core
+        Which they are.
+    motion_mm
+        Median motion from frame to frame, of the fastest pair of frames.
     """
-    motion = np.median(np.linalg.norm(np.diff(points_mm, axis=0), axis=2), axis=1)
-    runs = [float(motion[start : start + frames - 1].max()) for start in range(len(points_mm) - frames + 1)]
-    first = int(np.argmin(runs))
-    return first, float(np.median(motion[first : first + frames - 1]))
+    best: tuple[Array, Indices, float] | None = None
+    for first in cores:
+        stretch = range(first, first + frames)
+        if not all(frame in cores for frame in stretch):
+            continue
+        core = reduce(np.intersect1d, [cores[frame] for frame in stretch])
+        points = points_mm[first : first + frames][:, core]
+        if len(core) < _LEAST_MARKERS:
+            continue
+        motion = np.median(np.linalg.norm(np.diff(points, axis=0), axis=2), axis=1).max()
+        if best is None or motion < best[2]:
+            best = points, core, float(motion)
+    if best is None:
+        raise RecordingError(f"no {frames} frames in a row share {_LEAST_MARKERS} markers that touch")
+    return best
 
 
 def _params(method: str) -> Params:
