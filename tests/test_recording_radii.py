@@ -12,6 +12,7 @@ from gelstereo.recordings import (
     RecordingError,
     cap_radius_sigma_mm,
     detrended_covariance,
+    fit_plane,
     fit_radius,
     intact,
     noise_gain,
@@ -105,8 +106,31 @@ def test_bad_input_of_a_radius_is_refused() -> None:
         fit_radius(points, "sphere", [0.0, 1.0, 1.0])
     with pytest.raises(RecordingError, match="at least one is needed"):
         fit_radius([], "sphere", NOISE_MM)
-    with pytest.raises(RecordingError, match="3 points for a sphere"):
-        fit_radius([np.eye(3)], "sphere", NOISE_MM)
+    with pytest.raises(RecordingError, match="2 points for a plane"):
+        fit_radius([np.eye(2, 3)], "sphere", NOISE_MM)
+
+
+@pytest.mark.parametrize("shape", ["sphere", "cylinder"])
+def test_markers_of_no_cap_are_refused(shape: str) -> None:
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-2.5, 3.0), np.arange(-2.5, 3.0)))
+    flat = np.column_stack([x, y, np.full(36, 20.0)])
+    for points in (flat, np.full((9, 3), 2.0), np.column_stack([np.arange(9.0), np.zeros(9), np.zeros(9)])):
+        with pytest.raises(RecordingError, match="no more than their noise"):
+            fit_radius([points], shape, NOISE_MM)
+
+
+@settings(max_examples=60, deadline=None)
+@given(SEEDS, st.sampled_from(["sphere", "cylinder"]), st.integers(5, 30))
+def test_a_fit_is_never_worse_than_a_plane(seed: int, shape: str, count: int) -> None:
+    random = np.random.default_rng(seed)
+    points = random.normal(size=(count, 3)) * [2.0, 2.0, 0.3] + [0.0, 0.0, 20.0]
+    try:
+        fit = fit_radius([points], shape, NOISE_MM)
+    except RecordingError as refused:
+        assert "mm about planes" in str(refused)
+        return
+    assert np.isfinite([fit.radius_mm, fit.rms_mm]).all()
+    assert fit.rms_mm < fit_plane(points).rms_mm
 
 
 def smoothed(values: np.ndarray, window: int) -> np.ndarray:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gelstereo.recordings.clouds import RecordingError
-from gelstereo.recordings.fits import fit_cylinder, fit_sphere
+from gelstereo.recordings.fits import fit_cylinder, fit_plane, fit_sphere
 
 __all__ = ["RadiusFit", "cap_radius_sigma_mm", "fit_radius"]
 
@@ -60,6 +60,11 @@ def fit_radius(points_mm: Sequence[Array], shape: Shape, noise_mm: npt.ArrayLike
         ``"sphere"`` or ``"cylinder"``.
     noise_mm
         Standard deviation (3,) of a marker along x, y and z; distances along the surface's normal are weighed by it.
+
+    Raises
+    ------
+    RecordingError
+        The arguments are none of these, a frame's markers are flat within their noise, or a plane fits them better.
     """
     if shape not in ("sphere", "cylinder"):
         raise RecordingError(f"shape is {shape!r}; valid is 'sphere' or 'cylinder'")
@@ -68,6 +73,7 @@ def fit_radius(points_mm: Sequence[Array], shape: Shape, noise_mm: npt.ArrayLike
         raise RecordingError(f"the noise is {noise}; valid are three positive numbers")
     if not points_mm:
         raise RecordingError("no frames; at least one is needed")
+    flat_squares = sum(_plane_squares(p, shape, float(noise.max())) for p in points_mm)
     poses: list[_Sphere | _Cylinder] = [
         _Sphere(p, noise) if shape == "sphere" else _Cylinder(p, noise) for p in points_mm
     ]
@@ -89,7 +95,26 @@ def fit_radius(points_mm: Sequence[Array], shape: Shape, noise_mm: npt.ArrayLike
     information = sum(_eliminated(pose, radius).information for pose in poses)
     squares = sum(float(np.sum((pose.distances() - radius) ** 2)) for pose in poses)
     count = sum(len(p) for p in points_mm)
+    if not squares < flat_squares:
+        about, plane = (np.sqrt(total / count) for total in (squares, flat_squares))
+        raise RecordingError(
+            f"the markers lie {about:.3g} mm rms about the {shape} and {plane:.3g} mm about planes; "
+            "valid are markers of a cap that faces the camera"
+        )
     return RadiusFit(radius, float(1.0 / np.sqrt(information)), float(np.sqrt(squares / count)), converged)
+
+
+def _plane_squares(points_mm: Array, shape: str, noise_mm: float) -> float:
+    """Sum of squared distances from the best plane, of markers that are more than flat."""
+    points = np.asarray(points_mm, np.float64)
+    rms_mm = fit_plane(points).rms_mm
+    # Fewer than three dimensions: the radius could be anything.
+    if not rms_mm > noise_mm:
+        raise RecordingError(
+            f"{len(points)} markers lie {rms_mm:.2g} mm rms about a plane, which is no more than their noise of "
+            f"{noise_mm:.2g} mm; they do not tell the radius of a {shape}"
+        )
+    return float(rms_mm**2 * len(points))
 
 
 @dataclass(frozen=True)
