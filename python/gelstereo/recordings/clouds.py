@@ -12,6 +12,7 @@ from gelstereo import Error, RestSurface
 __all__ = ["CloudRecording", "RecordingError"]
 
 Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
 
 
 class RecordingError(Error):
@@ -32,6 +33,9 @@ class CloudRecording:
     rest_mm: Array
     #: Times (frames,), seconds, not decreasing.
     time_s: Array
+    #: Numbers (frames,) that the recorder gave its frames, increasing; where one is missing a frame was lost. `None`:
+    #: none was.
+    sequence: Integers | None = None
 
     def __post_init__(self) -> None:
         """Check that the arrays belong together."""
@@ -52,6 +56,12 @@ class CloudRecording:
         if (np.diff(self.time_s) < 0.0).any():
             frame = int(np.argmin(np.diff(self.time_s))) + 1
             raise RecordingError(f"{self.name}: time runs backwards at frame {frame}")
+        if self.sequence is not None:
+            if self.sequence.shape != (len(self),):
+                raise RecordingError(f"{self.name}: {len(self.sequence)} numbers for {len(self)} frames")
+            if (np.diff(self.sequence) <= 0).any():
+                frame = int(np.argmax(np.diff(self.sequence) <= 0)) + 1
+                raise RecordingError(f"{self.name}: the frames' numbers do not increase at frame {frame}")
 
     def __len__(self) -> int:
         """Count the frames."""
@@ -63,6 +73,14 @@ class CloudRecording:
         grid = self.rest_mm.reshape(self.rows, self.cols, 3)
         steps = [np.linalg.norm(np.diff(grid, axis=axis), axis=-1).ravel() for axis in (0, 1)]
         return float(np.median(np.concatenate(steps)))
+
+    @property
+    def lost_before(self) -> npt.NDArray[np.bool_]:
+        """Tell of every frame (frames,) whether the recorder lost one or more just before it."""
+        lost = np.zeros(len(self), bool)
+        if self.sequence is not None:
+            lost[1:] = np.diff(self.sequence) > 1
+        return lost
 
     def indentation_mm(self) -> Array:
         """Height (frames, rows * cols) of every marker over its rest height, positive towards the camera."""

@@ -18,7 +18,8 @@ _SIDE = 20
 
 
 def load_pytac3d(folder: str | Path) -> CloudRecording:
-    """Read one sensor's folder: ``3D_Positions.npy``, ``3D_Displacements.npy`` and ``sendTimestamp.npy``.
+    """Read one sensor's folder: ``3D_Positions.npy``, ``3D_Displacements.npy``, ``sendTimestamp.npy``
+    and, if it is there, ``index.npy``.
 
     The sensor frame of PyTac3D has z out of the gel, away from its camera, and millimetres, as gelstereo's. The rest
     frame is positions minus displacements, their median over the frames: the sensor is zeroed again now and then,
@@ -39,7 +40,9 @@ def load_pytac3d(folder: str | Path) -> CloudRecording:
             f"valid is (frames, {_SIDE * _SIDE}, 3) for both"
         )
     rest_mm = np.median(points_mm - displacements_mm, axis=0)
-    return CloudRecording(folder.name, _SIDE, _SIDE, points_mm, rest_mm, time_s)
+    numbered = (folder / "index.npy").is_file()
+    sequence = _read(folder, "index.npy").astype(np.int64) if numbered else None
+    return CloudRecording(folder.name, _SIDE, _SIDE, points_mm, rest_mm, time_s, sequence)
 
 
 def pytac3d_example(example: str, sensor: str) -> Path:

@@ -1,0 +1,43 @@
+"""Meshes that nobody on this project made, pressed into the simulated gel and localized."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from gelstereo.frontier.grasps import STARTS
+from gelstereo.frontier.rungs import rungs_of
+from gelstereo.reports.meshes import PARTS, MeshPart, measure
+from real_data import DATA, needs
+
+pytest.importorskip("rtree", reason="rtree is absent (pip install 'gelstereo[bench]')")
+PLANE = next(rung for rung in rungs_of("register") if rung.name == "filterreg_plane")
+
+
+@needs("factory_meshes")
+@needs("meshes_realsense")
+@pytest.mark.parametrize("part", PARTS, ids=lambda part: part.name)
+def test_mesh_lies_along_z_and_faces_outwards(part: MeshPart) -> None:
+    mesh = part.mesh(DATA)
+    size = np.ptp(mesh.bounds, axis=0)
+    assert size[2] == size.max() and 30.0 < size[2] < 60.0
+    assert not part.flat or size[1] == size.min()
+    assert mesh.volume > 0.0
+
+
+@needs("factory_meshes")
+@pytest.mark.parametrize("part", PARTS[:2], ids=lambda part: part.name)
+def test_round_pegs_are_localized(part: MeshPart) -> None:
+    scores = measure(part, DATA, PLANE, STARTS[0], range(3))
+    assert all(score.success for score in scores)
+    # What a contact cannot tell is not scored: a round peg turns about its axis.
+    assert all(score.observable <= 5 for score in scores)
+
+
+@needs("factory_meshes")
+@needs("meshes_realsense")
+@pytest.mark.parametrize("part", PARTS[2:], ids=lambda part: part.name)
+def test_edged_parts_come_nearer_than_their_starts(part: MeshPart) -> None:
+    """Half of the markers lie on the gel's shoulder, which pulls parts with edges aside by up to a millimetre."""
+    scores = measure(part, DATA, PLANE, STARTS[0], range(3))
+    assert all(np.isfinite([score.angle_deg, score.shift_mm]).all() for score in scores)
+    assert np.median([score.angle_deg for score in scores]) < STARTS[0].angle_deg
