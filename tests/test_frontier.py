@@ -210,7 +210,7 @@ def test_wrong_names_held_markers_and_refusals_are_told_apart() -> None:
 
 def test_sequences_are_as_hard_as_they_say() -> None:
     runs = {task.name: task.make() for task in SEQUENCES}
-    pitch_px = 0.9 * VGA.f_px / 28.7
+    pitch_px = 0.9 * VGA.rig().left_matrix[0, 0] / 28.7
 
     def steps(name: str) -> list[float]:
         """Largest motion between frames, in pitches."""

@@ -76,8 +76,12 @@ fn a_first_frame_under_a_press_is_measured_as_after_a_rest_frame() {
         for method in [LabelMethod::Lattice, LabelMethod::Temporal, LabelMethod::Foresight] {
             let mut params = Params::preset(preset).unwrap();
             params.label.method = method;
-            // Where windows lie depends on the frame before, and centres on that by a part of their noise.
+            // Where windows lie depends on the frame before, and centres on that by a part of their noise; so do the weights
+            // of the matched step, which are kept while they serve.
             params.detect.search = Search::Whole;
+            if params.detect.centre == Centre::Matched {
+                params.detect.centre = Centre::Band;
+            }
             let mut ongoing = rested(&scene, &params);
             let record = ongoing.rest_record().unwrap();
             let mut begins = resumed(&scene, &params, &record);

@@ -145,8 +145,8 @@ class Part:
     depth_mm: float = 1.0
 
     def template(self) -> Template:
-        """Sample the part's surface."""
-        return Template.from_mesh(self.mesh, units="mm", spacing_mm=0.3)
+        """Sample the part's surface, and lay a grid of distances around it."""
+        return Template.from_mesh(self.mesh, units="mm", spacing_mm=0.3).with_grid()
 
 
 def part_press(part: Part, seed: int = 1) -> list[SimulatedFrame]:

@@ -2,9 +2,9 @@
 //!
 //! Each view is labelled by itself. Where one of them is a column off, the rows still agree and the rays
 //! still meet: only the depth is wrong, by what a step of one pitch along the baseline makes, which heights
-//! are measured in here. The gel's surface is continuous, so that heights of neighbours which belong together
-//! differ by less than half of that: more would take a slope of half of distance over baseline, which is 60
-//! degrees or more on sensors of this kind. And most of the gel stays near its rest height.
+//! are measured in here. Heights of neighbours which belong together differ by less than 0.7 of that: more
+//! would take a cliff of more than 2 mm between two markers on sensors of this kind. And most of the gel stays
+//! near its rest height.
 
 use super::RestSurface;
 use crate::math::{DVec2, median};
@@ -14,10 +14,10 @@ use alloc::vec::Vec;
 
 /// Heights of neighbours differ by less, in slips; and markers that nothing presses are nearer to their
 /// height at rest.
-const APART: f64 = 0.5;
+const APART: f64 = 0.7;
 
-/// One marker in so many, at least, is near its height at rest, and no more than that lie deeper by half a
-/// slip: a press raises some of the gel towards the camera, and nothing sinks.
+/// One marker in so many, at least, is near its height at rest, and no more than that lie deeper by that much: a
+/// press raises some of the gel towards the camera, and nothing sinks.
 const SHARE: usize = 10;
 
 /// Finds slips; scratch is kept from frame to frame.

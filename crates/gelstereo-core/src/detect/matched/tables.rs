@@ -25,7 +25,7 @@ const MOST_WEIGHT: f64 = 8191.0;
 /// The share of a disc is stored with so many fractional bits: its product with a contrast of 255 fits 16 bits.
 pub(super) const SHARE_BITS: u32 = 7;
 /// Sets there is room for, of discs as large as those of the first image. The markers of an image need two or three.
-const MOST_SETS: usize = 5;
+const MOST_SETS: usize = 12;
 /// Larger discs than in the first image that are served: pixels more on a side of their support.
 const WIDER_PX: usize = 4;
 /// Sizes of grain over that of the design for which the variance is known.
