@@ -13,7 +13,9 @@ SEARCH = Params().replace({"register.method": "surface_search"})
 
 @pytest.fixture(scope="module")
 def template() -> Template:
-    return Template.from_mesh(trimesh.creation.box((8.0, 6.0, 30.0)), units="mm").with_grid(cell_mm=0.4, reach_mm=4.0)
+    return Template.from_mesh(trimesh.creation.box((8.0, 6.0, 30.0)), units="mm").with_grid(
+        cell_mm=0.4, reach_mm=4.0
+    )
 
 
 def corner(noise_mm: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -62,8 +62,9 @@ def test_displacements_are_smooth(replayed: Replay) -> None:
         field = replayed.displacement_mm[frame].reshape(rows, cols, 3)
         ring = (field[:-2, 1:-1] + field[2:, 1:-1] + field[1:-1, :-2] + field[1:-1, 2:]) / 4.0
         rough = np.linalg.norm(field[1:-1, 1:-1] - ring, axis=2)
-        # A gel bends over its thickness of several pitches; one marker out of line would stand out by a pitch.
-        assert rough.max() < 0.3 * np.linalg.norm(field, axis=2).max()
+        # A gel bends over its thickness of several pitches; one marker out of line would stand out by a pitch. Height
+        # has a noise of 0.01 mm, of which three times are added.
+        assert rough.max() < 0.3 * np.linalg.norm(field, axis=2).max() + 0.03
         assert np.median(rough) < 0.03
 
 
@@ -73,7 +74,7 @@ def test_nothing_moves_while_nothing_touches(replayed: Replay) -> None:
     # Ten times the recording's own noise of height.
     idle = np.abs(indentation).max(axis=1) < 0.03
     assert idle.sum() > 50
-    moved = replayed.displacement_mm[idle]
+    moved = (replayed.displacement_mm - replayed.recorded_mm)[idle]
     sigma = np.sqrt(np.einsum("fmii->fmi", replayed.covariance_mm2[idle]))
     share = (np.abs(moved) < 3.0 * sigma).mean()
     assert share > 0.99
