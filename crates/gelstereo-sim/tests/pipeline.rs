@@ -161,10 +161,10 @@ fn row_34_one_thread_or_two_and_any_repeat_give_the_same_bits() {
 #[test]
 fn row_34_the_bits_of_a_fixed_scene_are_known() {
     let known = [
-        ("paper", 0xd9c1_21b2_6f45_c9d5),
-        ("fast", 0xea5e_1207_dcdd_5179),
-        ("balanced", 0x0390_8b51_f332_db6e),
-        ("exact", 0xe9cc_c375_2684_31a3),
+        ("paper", 0x244c_4e9e_0321_9249),
+        ("fast", 0x902c_3905_5f28_41a3),
+        ("balanced", 0x2fe9_b8f1_5668_a296),
+        ("exact", 0x1543_53d3_767f_0de9),
     ];
     assert_eq!(known.map(|(preset, _)| preset), Params::PRESETS, "every preset has its digest");
     let found = known.map(|(preset, _)| {
