@@ -15,13 +15,37 @@ struct Condition {
     bright_level: u8,
     noise: f64,
     grain: f64,
+    /// Known excess of the squared errors over the covariance. Where noise is a seventh of the contrast, terms of second order
+    /// in it are 3 to 4 %, and the grain, a seventieth of the noise's variance, is measured to a half.
+    excess: f64,
 }
 
 const CONDITIONS: [Condition; 4] = [
-    Condition { name: "usual", dark_level: 50, bright_level: 170, noise: 2.0, grain: 3.0 },
-    Condition { name: "25 levels of contrast", dark_level: 145, bright_level: 170, noise: 2.0, grain: 0.625 },
-    Condition { name: "35 % of the light", dark_level: 18, bright_level: 60, noise: 2.0, grain: 1.05 },
-    Condition { name: "noise of 18 levels", dark_level: 50, bright_level: 170, noise: 18.0, grain: 3.0 },
+    Condition { name: "usual", dark_level: 50, bright_level: 170, noise: 2.0, grain: 3.0, excess: 0.0 },
+    Condition {
+        name: "25 levels of contrast",
+        dark_level: 145,
+        bright_level: 170,
+        noise: 2.0,
+        grain: 0.625,
+        excess: 0.0,
+    },
+    Condition {
+        name: "35 % of the light",
+        dark_level: 18,
+        bright_level: 60,
+        noise: 2.0,
+        grain: 1.05,
+        excess: 0.0,
+    },
+    Condition {
+        name: "noise of 18 levels",
+        dark_level: 50,
+        bright_level: 170,
+        noise: 18.0,
+        grain: 3.0,
+        excess: 0.07,
+    },
 ];
 
 /// Images of rest and presses with their true ellipses' centres.
@@ -99,7 +123,7 @@ fn covariances_are_calibrated_on_presses() {
         let (nees, rms_px, count) = errors(Centre::Fit, &pictures);
         println!("{:24} rms {rms_px:.4} px, normalised squared errors {nees:.3}", condition.name);
         let band = 2.6 / (0.5 * count).sqrt() + 0.03;
-        let missed = if condition.name == "noise of 18 levels" { 0.1 } else { 0.0 };
+        let missed = condition.excess;
         assert!(
             (1.0 - band..1.0 + missed + band).contains(&nees),
             "{}: {nees}, band {band:.3}",

@@ -1,7 +1,7 @@
 //! One blurred, tilted disc on a sloping ground: its parameters and the sums of a step of the fit.
 
 use super::edge::Edge;
-use super::lanes::{Lanes, WIDTH};
+use super::lanes::{Lanes, Sum, WIDTH, inverse_root};
 use super::solve::Factor;
 use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
@@ -33,6 +33,15 @@ impl Outline {
             .then(|| Self { centre, form: [yy / determinant, -xy / determinant, xx / determinant] })
     }
 
+    /// Radius of curvature at the ends of the longer axis: the shorter semi-axis squared over the longer one. `None` when
+    /// it is no ellipse.
+    pub fn sharpest_px(&self) -> Option<f64> {
+        let [[xx, xy], [_, yy]] = self.spread_px2()?;
+        let mean = 0.5 * (xx + yy);
+        let apart = sqrt((mean * mean - (xx * yy - xy * xy)).max(0.0));
+        Some((mean - apart) / sqrt(mean + apart))
+    }
+
     /// The matrix whose eigenvalues are the squared semi-axes; `None` when it is no ellipse.
     pub fn spread_px2(&self) -> Option<Symmetric<2>> {
         let [xx, xy, yy] = self.form;
@@ -42,18 +51,15 @@ impl Outline {
     }
 }
 
-/// Places of four pixels of a window, from its middle. Lanes that hold no pixel are zero.
+/// Some pixels of a window: where they are from its middle, their levels, and what the model says of them. Places without a
+/// pixel are zero in all that is summed.
 #[derive(Clone, Copy, Debug, Default)]
-struct Places {
+struct Cell {
     x: Lanes,
     y: Lanes,
     /// 1 for a pixel.
     one: Lanes,
-}
-
-/// What the model says of them; zero in all that is summed where there is no pixel.
-#[derive(Clone, Copy, Debug, Default)]
-struct Model {
+    level: Lanes,
     /// Share of the contrast, and its fall with the distance from the outline, 1/px.
     inside: Lanes,
     slope: Lanes,
@@ -62,6 +68,9 @@ struct Model {
     weight: Lanes,
     /// How far the outline moves outwards here with each parameter: centre, then form.
     basis: [Lanes; 5],
+    /// How the level changes with the slopes of the light: the place, but more where there is contrast, for that takes
+    /// part in the light.
+    lit: [Lanes; 2],
 }
 
 /// The outline's part of the normal equations (lower triangle), for a contrast of 1.
@@ -104,18 +113,17 @@ impl Extent {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Window {
     extent: Extent,
+    /// Of each row with pixels: its distance from the middle's, first column and number of columns.
+    spans: Vec<(i64, i64, usize)>,
     /// Pixels in all.
     pixels: usize,
-    /// Row by row; each begins a new block. They serve every marker of the same extent.
-    places: Vec<Places>,
-    levels: Vec<Lanes>,
-    model: Vec<Model>,
+    /// Levels of the pixels.
+    loaded: Vec<u8>,
+    /// Row by row; the places serve every marker of the same extent.
+    cells: Vec<Cell>,
     /// Σ over pixels of products of 1, x, y with each other (lower triangle) and with the level.
     ground: Symmetric<3>,
     ground_right: [f64; 3],
-    /// Contrast over the gel's level when levels were last found: light that falls off takes its share of the contrast
-    /// with it, so that where the dot is a slope of light is 1 plus this as steep.
-    per_ground: f64,
     /// The pixel in the middle.
     pub origin: DVec2,
 }
@@ -123,11 +131,9 @@ pub(super) struct Window {
 impl Window {
     /// Room for a window of so many pixels on a side.
     pub fn reserve(&mut self, side: usize) {
-        let blocks = side * (side / WIDTH + 1);
-        self.levels.clear();
-        self.levels.reserve(blocks);
-        self.model.reserve(blocks.saturating_sub(self.model.len()));
-        self.places.reserve(blocks.saturating_sub(self.places.len()));
+        self.cells.reserve((side * side).div_ceil(WIDTH).saturating_sub(self.cells.len()));
+        self.spans.reserve(side.saturating_sub(self.spans.len()));
+        self.loaded.reserve((side * side).saturating_sub(self.loaded.len()));
     }
 
     /// The pixels of `image` within `radius_px` of that at `centre_px`; their number.
@@ -142,104 +148,103 @@ impl Window {
             self.extent = extent;
             self.place();
         }
-        self.levels.clear();
-        for (dy, first, count) in extent.spans() {
-            if count > 0 {
-                let row = &image.row((y + dy) as usize)[(x + first) as usize..][..count];
-                let (whole, rest) = row.as_chunks::<WIDTH>();
-                self.levels.extend(whole.iter().map(|levels| Lanes(levels.map(f32::from))));
-                if !rest.is_empty() {
-                    let level = |k: usize| rest.get(k).map_or(0.0, |&level| f32::from(level));
-                    self.levels.push(Lanes(core::array::from_fn(level)));
-                }
+        self.loaded.clear();
+        for &(dy, first, count) in &self.spans {
+            let row = &image.row((y + dy) as usize)[(x + first) as usize..];
+            self.loaded.extend_from_slice(&row[..count]);
+        }
+        for (cell, levels) in self.cells.iter_mut().zip(self.loaded.chunks(WIDTH)) {
+            for (lane, &level) in cell.level.0.iter_mut().zip(levels) {
+                *lane = f32::from(level);
             }
         }
-        let mut right = [Lanes::default(); 3];
-        for (p, &level) in self.places.iter().zip(&self.levels) {
-            for (sum, term) in right.iter_mut().zip([p.one, p.x, p.y]) {
-                *sum = *sum + term * level;
-            }
-        }
-        self.ground_right = right.map(Lanes::sum);
+        self.ground_right = self.sums(|cell| [&cell.one, &cell.x, &cell.y].map(|term| (term, &cell.level)));
         self.pixels
     }
 
     /// Places of the pixels of a new extent, and their sums.
     fn place(&mut self) {
-        self.places.clear();
-        self.pixels = 0;
-        for (y, first, count) in self.extent.spans() {
-            self.pixels += count;
-            for from in (0..count).step_by(WIDTH) {
-                let mut places = Places::default();
-                for lane in 0..WIDTH.min(count - from) {
-                    places.x.0[lane] = (first + (from + lane) as i64) as f32;
-                    places.y.0[lane] = y as f32;
-                    places.one.0[lane] = 1.0;
-                }
-                self.places.push(places);
-            }
+        self.spans.clear();
+        self.spans.extend(self.extent.spans().filter(|&(_, _, count)| count > 0));
+        self.pixels = self.spans.iter().map(|&(_, _, count)| count).sum();
+        self.cells.clear();
+        self.cells.resize(self.pixels.div_ceil(WIDTH), Cell::default());
+        let pixels =
+            self.spans.iter().flat_map(|&(y, first, count)| (0..count).map(move |k| (first + k as i64, y)));
+        for (n, (x, y)) in pixels.enumerate() {
+            let (cell, lane) = (&mut self.cells[n / WIDTH], n % WIDTH);
+            (cell.x[lane], cell.y[lane], cell.one[lane]) = (x as f32, y as f32, 1.0);
         }
-        let mut sums = [Lanes::default(); 6];
-        for Places { x, y, one } in &self.places {
-            let terms = [*one, *x, *x * *x, *y, *y * *x, *y * *y];
-            for (sum, term) in sums.iter_mut().zip(terms) {
-                *sum = *sum + term;
-            }
-        }
-        let [n, x, xx, y, yx, yy] = sums.map(Lanes::sum);
+        let [n, x, xx, y, yx, yy] =
+            self.sums(|Cell { x, y, one, .. }| [(one, one), (one, x), (x, x), (one, y), (y, x), (y, y)]);
         self.ground = [[n, x, y], [x, xx, yx], [y, yx, yy]];
-        self.model.clear();
-        self.model.resize(self.places.len(), Model::default());
+    }
+
+    /// Sums over the pixels.
+    #[inline]
+    fn sums<const N: usize>(&self, terms: impl Fn(&Cell) -> [(&Lanes, &Lanes); N]) -> [f64; N] {
+        let mut sums = [Sum::default(); N];
+        for cell in &self.cells {
+            for (sum, (a, b)) in sums.iter_mut().zip(terms(cell)) {
+                sum.add(a, b);
+            }
+        }
+        sums.each_ref().map(Sum::total)
     }
 
     /// Draws the model's shares for an outline of this blur.
     pub fn draw(&mut self, outline: &Outline, blur_px: f64, edge: &Edge) {
-        let [xx, xy, yy] = outline.form.map(|entry| Lanes::all(entry as f32));
-        let (centre_x, centre_y) = (Lanes::all(outline.centre.x as f32), Lanes::all(outline.centre.y as f32));
-        let per_blur = Lanes::all((1.0 / blur_px) as f32);
-        let (half, tiny) = (Lanes::all(-0.5), Lanes::all(1e-12));
-        for (p, model) in self.places.iter().zip(&mut self.model) {
-            let (x, y) = (p.x - centre_x, p.y - centre_y);
-            let (along, across) = (xx * x + xy * y, xy * x + yy * y);
-            // Distance from the outline to first order (Sampson): (q² - 1) / |∇(q²)| with q = 1 on it, but growing as
-            // q does.
-            let q2 = x * along + y * across + tiny;
-            let q = q2 * q2.inverse_root();
-            let inverse = (along * along + across * across + tiny).inverse_root();
-            let distance = q * (q - Lanes::all(1.0)) * inverse;
-            let shares = edge.at(distance * per_blur);
-            let (normal_x, normal_y) = (along * inverse, across * inverse);
-            let (x_half, y_half) = (half * x * inverse, half * y * inverse);
-            *model = Model {
-                inside: shares.inside * p.one,
-                slope: shares.density * per_blur,
-                distance,
-                weight: shares.weight * p.one,
-                basis: [normal_x, normal_y, x_half * x, (x_half + x_half) * y, y_half * y],
-            };
+        let [xx, xy, yy] = outline.form.map(|entry| entry as f32);
+        let (centre_x, centre_y) = (outline.centre.x as f32, outline.centre.y as f32);
+        let per_blur = (1.0 / blur_px) as f32;
+        const TINY: f32 = 1e-12;
+        for cell in &mut self.cells {
+            let mut z = Lanes::default();
+            for k in 0..WIDTH {
+                let (x, y) = (cell.x[k] - centre_x, cell.y[k] - centre_y);
+                let (along, across) = (xx * x + xy * y, xy * x + yy * y);
+                // Distance from the outline to first order (Sampson): (q² - 1) / |∇(q²)| with q = 1 on it, but growing as
+                // q does.
+                let q2 = x * along + y * across + TINY;
+                let q = q2 * inverse_root(q2);
+                let inverse = inverse_root(along * along + across * across + TINY);
+                let distance = q * (q - 1.0) * inverse;
+                z[k] = distance * per_blur;
+                cell.distance[k] = distance;
+                cell.basis[0][k] = along * inverse;
+                cell.basis[1][k] = across * inverse;
+                let (x_half, y_half) = (-0.5 * x * inverse, -0.5 * y * inverse);
+                cell.basis[2][k] = x_half * x;
+                cell.basis[3][k] = (x_half + x_half) * y;
+                cell.basis[4][k] = y_half * y;
+            }
+            let shares = edge.at(&z);
+            for k in 0..WIDTH {
+                cell.inside[k] = shares.inside[k] * cell.one[k];
+                cell.slope[k] = shares.density[k] * per_blur * cell.one[k];
+                cell.weight[k] = shares.weight[k] * cell.one[k];
+            }
         }
     }
 
-    /// Places, levels and model, block by block.
-    fn seen(&self) -> impl Iterator<Item = ((&Places, &Lanes), &Model)> {
-        self.places.iter().zip(&self.levels).zip(&self.model)
-    }
-
-    /// By how much a slope of the gel's light is as steep here.
-    fn light(&self, model: &Model) -> Lanes {
-        Lanes::all(1.0) + Lanes::all(self.per_ground as f32) * model.inside
+    /// Contrast over the gel's level: light that falls off takes its share of the contrast with it, so that where the dot
+    /// is a slope of light is 1 plus this as steep.
+    fn light(&mut self, per_ground: f64) {
+        let per_ground = per_ground as f32;
+        for cell in &mut self.cells {
+            for k in 0..WIDTH {
+                let light = 1.0 + per_ground * cell.inside[k];
+                cell.lit[0][k] = light * cell.x[k];
+                cell.lit[1][k] = light * cell.y[k];
+            }
+        }
     }
 
     /// Least-squares levels, and the factor of their normal matrix (ground, slopes, contrast).
     pub fn levels(&mut self) -> Option<(Levels, Factor<4>)> {
-        let mut sums = [Lanes::default(); 5];
-        for ((p, &level), Model { inside, .. }) in self.seen() {
-            for (sum, term) in sums.iter_mut().zip([*inside, p.one, p.x, p.y, level]) {
-                *sum = *sum + *inside * term;
-            }
-        }
-        let [square, one, x, y, right] = sums.map(Lanes::sum);
+        let [square, one, x, y, right] = self.sums(|Cell { x, y, one, level, inside, .. }| {
+            [inside, one, x, y, level].map(|term| (inside, term))
+        });
         let [ground, along, across] = self.ground;
         let factor = Factor::new(&[
             [ground[0], 0.0, 0.0, 0.0],
@@ -249,27 +254,28 @@ impl Window {
         ])?;
         let [level, level_x, level_y] = self.ground_right;
         let [ground, x, y, contrast] = factor.solve(&[level, level_x, level_y, right]);
-        self.per_ground = contrast / ground.max(1.0);
+        self.light(contrast / ground.max(1.0));
         Some((Levels { contrast, ground, slope: DVec2::new(x, y) }, factor))
     }
 
     /// By how much the blur should grow, by least squares together with the levels.
     pub fn blur_step(&self, blur_px: f64) -> Option<f64> {
-        let per_blur = Lanes::all((1.0 / blur_px) as f32);
-        let mut matrix = [[Lanes::default(); 5]; 5];
-        let mut right = [Lanes::default(); 5];
-        for ((p, &level), model) in self.seen() {
+        let per_blur = (1.0 / blur_px) as f32;
+        let mut matrix = [[Sum::default(); 5]; 5];
+        let mut right = [Sum::default(); 5];
+        for cell in &self.cells {
             // ∂Φ(-d/σ)/∂σ = φ(d/σ) d / σ²
-            let wider = model.slope * model.distance * per_blur * p.one;
-            let terms = [p.one, p.x, p.y, model.inside, wider];
+            let wider = Lanes(core::array::from_fn(|k| cell.slope[k] * cell.distance[k] * per_blur));
+            let terms = [&cell.one, &cell.x, &cell.y, &cell.inside, &wider];
             for i in 0..5 {
-                right[i] = right[i] + terms[i] * level;
+                right[i].add(terms[i], &cell.level);
                 for j in 0..=i {
-                    matrix[i][j] = matrix[i][j] + terms[i] * terms[j];
+                    matrix[i][j].add(terms[i], terms[j]);
                 }
             }
         }
-        let (matrix, right) = (matrix.map(|row| row.map(Lanes::sum)), right.map(Lanes::sum));
+        let (matrix, right) =
+            (matrix.map(|row| row.each_ref().map(Sum::total)), right.each_ref().map(Sum::total));
         let [_, _, _, contrast, wider] = Factor::new(&matrix)?.solve(&right);
         let step_px = wider / contrast;
         step_px.is_finite().then_some(step_px)
@@ -277,28 +283,29 @@ impl Window {
 
     /// The normal matrix of the outline's step, less what the levels take up when they follow it (variable projection).
     pub fn matrix(&self, levels: &Factor<4>) -> Matrix {
-        let mut sums = [[Lanes::default(); 5]; 5];
-        let mut with_weight = [[Lanes::default(); 4]; 5];
-        let mut with_slope = [[Lanes::default(); 4]; 5];
-        for (p, b) in self.places.iter().zip(&self.model) {
-            let slope = b.slope * p.one;
-            let light = self.light(b);
+        let mut sums = [[Sum::default(); 5]; 5];
+        let mut with_weight = [[Sum::default(); 4]; 5];
+        let mut with_slope = [[Sum::default(); 4]; 5];
+        for cell in &self.cells {
+            let times = |a: &Lanes, b: &Lanes| Lanes(core::array::from_fn(|k| a[k] * b[k]));
+            let sloped = cell.basis.each_ref().map(|basis| times(&cell.slope, basis));
+            let weighted = cell.basis.each_ref().map(|basis| times(&cell.weight, basis));
+            let terms = [&cell.one, &cell.x, &cell.y, &cell.inside];
+            let seen = [&cell.one, &cell.lit[0], &cell.lit[1], &cell.inside];
             for i in 0..5 {
-                let (weighted, sloped) = (b.weight * b.basis[i], slope * b.basis[i]);
                 for j in 0..=i {
-                    sums[i][j] = sums[i][j] + weighted * slope * b.basis[j];
+                    sums[i][j].add(&weighted[i], &sloped[j]);
                 }
-                let terms = [p.one, p.x, p.y, b.inside];
-                let seen = [p.one, light * p.x, light * p.y, b.inside];
                 for k in 0..4 {
-                    with_weight[i][k] = with_weight[i][k] + weighted * seen[k];
-                    with_slope[i][k] = with_slope[i][k] + sloped * terms[k];
+                    with_weight[i][k].add(&weighted[i], seen[k]);
+                    with_slope[i][k].add(&sloped[i], terms[k]);
                 }
             }
         }
-        let mut matrix = sums.map(|row| row.map(Lanes::sum));
-        let with_weight = with_weight.map(|row| row.map(Lanes::sum));
-        let followed = with_slope.map(|row| levels.solve(&row.map(Lanes::sum)));
+        let mut matrix = sums.map(|row| row.each_ref().map(Sum::total));
+        let with_weight = with_weight.map(|row| row.each_ref().map(Sum::total));
+        let with_slope = with_slope.map(|row| row.each_ref().map(Sum::total));
+        let followed = with_slope.map(|row| levels.solve(&row));
         let dot = |a: &[f64; 4], b: &[f64; 4]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         for i in 0..5 {
             for j in 0..=i {
@@ -319,32 +326,31 @@ impl Window {
         mut each: impl FnMut([i32; 2], DVec2),
     ) {
         let row = |axis: usize| matrix.solve(&core::array::from_fn(|k| f64::from(u8::from(k == axis))));
-        let rows = [row(0), row(1)].map(|row| row.map(|entry| Lanes::all((entry / contrast) as f32)));
-        let pulled = |b: &Model| {
-            rows.map(|row| {
-                let along = row.iter().zip(&b.basis).fold(Lanes::default(), |sum, (&r, &b)| sum + r * b);
-                along * b.weight
-            })
+        let rows = [row(0), row(1)].map(|row| row.map(|entry| (entry / contrast) as f32));
+        let pulled = |cell: &Cell, row: &[f32; 5]| {
+            Lanes(core::array::from_fn(|k| {
+                let along: f32 = row.iter().zip(&cell.basis).map(|(r, basis)| r * basis[k]).sum();
+                along * cell.weight[k]
+            }))
         };
-        let mut taken = [[Lanes::default(); 4]; 2];
-        for (p, b) in self.places.iter().zip(&self.model) {
-            let light = self.light(b);
-            for (sums, pull) in taken.iter_mut().zip(pulled(b)) {
-                for (sum, term) in sums.iter_mut().zip([p.one, light * p.x, light * p.y, b.inside]) {
-                    *sum = *sum + pull * term;
-                }
+        let taken = rows.map(|row| {
+            let mut sums = [Sum::default(); 4];
+            for cell in &self.cells {
+                let pull = pulled(cell, &row);
+                let terms = [&cell.one, &cell.lit[0], &cell.lit[1], &cell.inside];
+                sums.iter_mut().zip(terms).for_each(|(sum, term)| sum.add(&pull, term));
             }
-        }
-        let taken = taken.map(|sums| levels.solve(&sums.map(Lanes::sum)));
-        for (p, b) in self.places.iter().zip(&self.model) {
-            let pulls = pulled(b);
-            for lane in (0..WIDTH).filter(|&lane| p.one.0[lane] > 0.0) {
-                let terms = [p.one, p.x, p.y, b.inside].map(|lanes| f64::from(lanes.0[lane]));
+            levels.solve(&sums.each_ref().map(Sum::total))
+        });
+        for cell in &self.cells {
+            let pulls = rows.map(|row| pulled(cell, &row));
+            for lane in (0..WIDTH).filter(|&lane| cell.one[lane] > 0.0) {
+                let terms = [&cell.one, &cell.x, &cell.y, &cell.inside].map(|lanes| f64::from(lanes[lane]));
                 let answer = |axis: usize| {
                     let level: f64 = taken[axis].iter().zip(terms).map(|(taken, term)| taken * term).sum();
-                    f64::from(pulls[axis].0[lane]) - level
+                    f64::from(pulls[axis][lane]) - level
                 };
-                each([p.x.0[lane] as i32, p.y.0[lane] as i32], DVec2::new(answer(0), answer(1)));
+                each([cell.x[lane] as i32, cell.y[lane] as i32], DVec2::new(answer(0), answer(1)));
             }
         }
     }
@@ -352,18 +358,21 @@ impl Window {
     /// The weighted residuals at these levels.
     pub fn pull(&self, levels: &Levels) -> Pull {
         let [ground, along, across, contrast] =
-            [levels.ground, levels.slope.x, levels.slope.y, levels.contrast].map(|l| Lanes::all(l as f32));
-        let (mut right, mut square) = ([Lanes::default(); 5], Lanes::default());
-        for ((p, &level), model) in self.seen() {
-            let slopes = self.light(model) * (along * p.x + across * p.y);
-            let expected = p.one * ground + slopes + contrast * model.inside;
-            let residual = level - expected;
-            square = square + residual * residual;
-            let pull = model.weight * residual;
-            for (sum, &basis) in right.iter_mut().zip(&model.basis) {
-                *sum = *sum + pull * basis;
+            [levels.ground, levels.slope.x, levels.slope.y, levels.contrast].map(|level| level as f32);
+        let (mut right, mut square) = ([Sum::default(); 5], Sum::default());
+        for cell in &self.cells {
+            let (mut residual, mut pull) = (Lanes::default(), Lanes::default());
+            for k in 0..WIDTH {
+                let slopes = along * cell.lit[0][k] + across * cell.lit[1][k];
+                let expected = ground * cell.one[k] + slopes + contrast * cell.inside[k];
+                residual[k] = cell.level[k] - expected;
+                pull[k] = cell.weight[k] * residual[k];
+            }
+            square.add(&residual, &residual);
+            for i in 0..5 {
+                right[i].add(&pull, &cell.basis[i]);
             }
         }
-        Pull { right: right.map(Lanes::sum), residual2: square.sum() }
+        Pull { right: right.each_ref().map(Sum::total), residual2: square.total() }
     }
 }

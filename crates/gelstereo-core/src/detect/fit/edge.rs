@@ -1,6 +1,7 @@
 //! The profile of a blurred edge, and the weights that locate it best in the image's noise.
 
-use super::lanes::Lanes;
+use super::contour::Across;
+use super::lanes::{Lanes, WIDTH};
 use super::noise::Noise;
 use crate::math::{cos, erf, exp, sqrt};
 use alloc::boxed::Box;
@@ -28,8 +29,8 @@ const LEAST_SHARE: f64 = 0.03;
 /// fourth makes it 16 bytes.
 type Node = [f32; 4];
 
-/// An edge at four places.
-#[derive(Clone, Copy, Debug)]
+/// An edge at some places.
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Shares {
     pub inside: Lanes,
     pub density: Lanes,
@@ -41,6 +42,7 @@ pub(super) struct Shares {
 pub(super) struct Edge {
     nodes: Box<[Node; NODES]>,
     coarse: Vec<f64>,
+    across: Across,
 }
 
 impl Edge {
@@ -50,7 +52,11 @@ impl Edge {
             let density = exp(-0.5 * z * z) / sqrt(TAU);
             [(0.5 - 0.5 * erf(z * FRAC_1_SQRT_2)) as f32, density as f32, 0.0, 0.0]
         };
-        Self { nodes: Box::new(core::array::from_fn(node)), coarse: alloc::vec![0.0; REACH * COARSE + 2] }
+        Self {
+            nodes: Box::new(core::array::from_fn(node)),
+            coarse: alloc::vec![0.0; REACH * COARSE + 2],
+            across: Across::default(),
+        }
     }
 
     /// Chooses the weights for an edge of this blur in this noise: in frequencies, the edge's density over the
@@ -75,25 +81,49 @@ impl Edge {
                 (before, here) = (here, twice * here - before);
             }
         }
+        let mut across = Across::default();
         let (middle, per) = (REACH * PER_UNIT, PER_UNIT / COARSE);
         for (k, node) in self.nodes.iter_mut().enumerate() {
             let from_edge = k.abs_diff(middle);
             let (first, part) = (from_edge / per, (from_edge % per) as f64 / per as f64);
-            node[2] = (self.coarse[first] + (self.coarse[first + 1] - self.coarse[first]) * part) as f32;
+            let weight = self.coarse[first] + (self.coarse[first + 1] - self.coarse[first]) * part;
+            node[2] = weight as f32;
+            across.slope += weight * f64::from(node[1]);
+            across.weight += weight;
+            across.inside += weight * f64::from(node[0]);
         }
+        let (per_node, px) = (1.0 / PER_UNIT as f64, blur_px / PER_UNIT as f64);
+        let Across { slope, weight, inside } = across;
+        self.across = Across { slope: slope * per_node, weight: weight * px, inside: inside * px };
+    }
+
+    /// Integrals across a straight edge.
+    pub const fn across(&self) -> &Across {
+        &self.across
     }
 
     /// At distances `z` over blur, the share with its tangent.
     #[inline]
-    pub fn at(&self, z: Lanes) -> Shares {
+    pub fn at(&self, z: &Lanes) -> Shares {
         // 2^23: a sum with it is rounded to an integer, which stands in its lowest bits.
-        let round = Lanes::all(8_388_608.0);
-        let place = (z.limited(REACH as f32 - 0.02) + Lanes::all(REACH as f32)) * Lanes::all(PER_UNIT as f32);
-        let rounded = place + round;
-        let nodes = rounded.0.map(|r| self.nodes[r.to_bits() as usize % NODES]);
-        let column = |k: usize| Lanes(nodes.map(|node| node[k]));
-        let off = (place - (rounded - round)) * Lanes::all(1.0 / PER_UNIT as f32);
-        let density = column(1);
-        Shares { inside: column(0) - off * density, density, weight: column(2) }
+        const ROUND: f32 = 8_388_608.0;
+        let (mut shares, mut off, mut place) = (Shares::default(), Lanes::default(), [0_u32; WIDTH]);
+        let limit = REACH as f32 - 0.02;
+        for k in 0..WIDTH {
+            let low = if z[k] > -limit { z[k] } else { -limit };
+            let within = if low < limit { low } else { limit };
+            let at = (within + REACH as f32) * PER_UNIT as f32;
+            let rounded = at + ROUND;
+            place[k] = rounded.to_bits();
+            off[k] = (at - (rounded - ROUND)) * (1.0 / PER_UNIT as f32);
+        }
+        for k in 0..WIDTH {
+            let node = &self.nodes[place[k] as usize % NODES];
+            (shares.inside[k], shares.density[k], shares.weight[k]) = (node[0], node[1], node[2]);
+        }
+        for k in 0..WIDTH {
+            shares.inside[k] -= off[k] * shares.density[k];
+        }
+        shares
     }
 }

@@ -1,71 +1,70 @@
-//! Four numbers at once. Written so that the compiler turns each operation into one vector instruction; single precision
-//! suffices, for sums over a window keep 1e-6 of the contrast.
+//! Pixels by the 32. Loops over them are plain, and long enough that the compiler turns each into vector instructions instead
+//! of unrolling it first; single precision suffices, for sums over a window keep 1e-6 of the contrast.
 
-use core::array::from_fn;
-use core::ops::{Add, Mul, Sub};
+use core::ops::{Index, IndexMut};
 
 /// Numbers in a [`Lanes`].
-pub(super) const WIDTH: usize = 4;
+pub(super) const WIDTH: usize = 32;
+/// Running sums of a [`Sum`].
+const SUMS: usize = 8;
 
-#[derive(Clone, Copy, Debug, Default)]
-#[repr(align(16))]
+/// One number for each of 32 pixels.
+#[derive(Clone, Copy, Debug)]
+#[repr(align(32))]
 pub(super) struct Lanes(pub [f32; WIDTH]);
 
-impl Lanes {
-    #[inline]
-    pub const fn all(value: f32) -> Self {
-        Self([value; WIDTH])
+impl Default for Lanes {
+    fn default() -> Self {
+        Self([0.0; WIDTH])
     }
+}
 
-    /// The lanes, kept within -limit to limit.
+impl Index<usize> for Lanes {
+    type Output = f32;
     #[inline]
-    pub fn limited(self, limit: f32) -> Self {
-        let low = self.0.map(|x| if x > -limit { x } else { -limit });
-        Self(low.map(|x| if x < limit { x } else { limit }))
+    fn index(&self, lane: usize) -> &f32 {
+        &self.0[lane]
     }
+}
 
-    /// Sum of the lanes, always in the same order.
+impl IndexMut<usize> for Lanes {
     #[inline]
-    pub fn sum(self) -> f64 {
-        let [a, b, c, d] = self.0.map(f64::from);
-        (a + b) + (c + d)
+    fn index_mut(&mut self, lane: usize) -> &mut f32 {
+        &mut self.0[lane]
     }
+}
 
-    /// 1 / sqrt(x) for normal x > 0, to 5e-6: a first guess by halving the exponent, then Newton's method, which unlike
-    /// the square root is vectorised without unsafe code.
+/// A sum of products, always in the same order.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Sum([f32; SUMS]);
+
+impl Sum {
     #[inline]
-    pub fn inverse_root(self) -> Self {
-        let mut y = Self(self.0.map(|x| f32::from_bits(0x5f37_59df - (x.to_bits() >> 1))));
-        let half = self * Self::all(0.5);
-        for _ in 0..2 {
-            y = y * (Self::all(1.5) - half * y * y);
+    pub fn add(&mut self, a: &Lanes, b: &Lanes) {
+        for (a, b) in a.0.chunks_exact(SUMS).zip(b.0.chunks_exact(SUMS)) {
+            for k in 0..SUMS {
+                self.0[k] += a[k] * b[k];
+            }
         }
-        y
+    }
+
+    /// The whole. Not inlined, or else the compiler turns the sums of several totals into vectors across them, and shuffles
+    /// every product for it.
+    #[inline(never)]
+    pub fn total(&self) -> f64 {
+        let [a, b, c, d, e, f, g, h] = self.0.map(f64::from);
+        ((a + b) + (c + d)) + ((e + f) + (g + h))
     }
 }
 
-impl Add for Lanes {
-    type Output = Self;
-    #[inline]
-    fn add(self, other: Self) -> Self {
-        Self(from_fn(|k| self.0[k] + other.0[k]))
-    }
-}
-
-impl Sub for Lanes {
-    type Output = Self;
-    #[inline]
-    fn sub(self, other: Self) -> Self {
-        Self(from_fn(|k| self.0[k] - other.0[k]))
-    }
-}
-
-impl Mul for Lanes {
-    type Output = Self;
-    #[inline]
-    fn mul(self, other: Self) -> Self {
-        Self(from_fn(|k| self.0[k] * other.0[k]))
-    }
+/// 1 / sqrt(x) for normal x > 0, to 5e-6: a first guess by halving the exponent, then Newton's method, which unlike the
+/// square root is vectorised without unsafe code.
+#[inline]
+pub(super) fn inverse_root(x: f32) -> f32 {
+    let half = x * 0.5;
+    let y = f32::from_bits(0x5f37_59df - (x.to_bits() >> 1));
+    let y = y * (1.5 - half * y * y);
+    y * (1.5 - half * y * y)
 }
 
 #[cfg(test)]
@@ -77,7 +76,7 @@ mod tests {
         for k in 0..4000 {
             let x = 1e-12_f32 * 1.02_f32.powi(k % 2000) * (1.0 + k as f32 * 1e-4);
             let exact = 1.0 / f64::from(x).sqrt();
-            let found = f64::from(Lanes::all(x).inverse_root().0[0]);
+            let found = f64::from(inverse_root(x));
             assert!((found / exact - 1.0).abs() < 5e-6, "{x:e}: {found:e}");
         }
     }

@@ -5,6 +5,7 @@
 //! edge, balance. In white noise that is least squares; in grain, which makes neighbouring pixels alike,
 //! least squares would be half as precise again as the bound (Kay, Estimation Theory, section 4.5: whitened residuals).
 
+mod contour;
 mod disc;
 mod edge;
 mod influence;
@@ -20,11 +21,11 @@ use super::Markers;
 use super::components::Most;
 use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
-use crate::math::{DVec2, median, sqrt};
+use crate::math::{DVec2, median, round, sqrt};
 use crate::params::DetectParams;
 use crate::track::grid::Grid;
 use alloc::vec::Vec;
-use disc::{Levels, Outline, Window};
+use disc::{Levels, Matrix, Outline, Window};
 use edge::Edge;
 use influence::{Influence, Variances};
 
@@ -53,6 +54,13 @@ const MOST_INFLATION: f64 = 10.0;
 const INFLUENCES: f64 = 5.0;
 /// A step of the outline that is shorter leaves the model's slopes as they are.
 const SAME_SLOPES_PX: f64 = 0.25;
+/// A step that moves the outline by less leaves its shape as it is.
+const SAME_SHAPE_PX: f64 = 0.15;
+/// Ratios of the normal matrix to the integral along the outline for which the latter is believed.
+const OVER_CONTOUR: core::ops::RangeInclusive<f64> = 0.7..=1.4;
+/// Steps by the integral along the outline, and the least radius that the outline may have for it, in blurs.
+const QUICK_STEPS: usize = 2;
+const STRAIGHT_BLURS: f64 = 2.0;
 /// Longest step.
 const MOST_PX: f64 = 0.6;
 /// Standard deviation of a grey centroid over the bound, where the fit did not settle.
@@ -113,6 +121,9 @@ pub struct DiscFit {
     /// J⁻¹ K J⁻¹ over J⁻¹ (Huber 1967), for the weights are those of a straight edge without end in the light of the
     /// samples.
     sandwich: Variances,
+    /// Square roots of the normal matrix's diagonal over that of the integral along the outline; `None` when no sample's
+    /// outline is straight enough for it.
+    over_contour: Option<[f64; 5]>,
     starts: Vec<Start>,
     grid: Grid,
     centres: Vec<DVec2>,
@@ -149,6 +160,7 @@ impl DiscFit {
             contrast: 0.0,
             influence: Influence::new(),
             sandwich: Variances::default(),
+            over_contour: None,
             starts: Vec::new(),
             grid: Grid::default(),
             centres: Vec::new(),
@@ -249,17 +261,20 @@ impl DiscFit {
             let (levels, follow) = self.window.levels()?;
             // A matrix serves until the outline has moved much (chord method): it decides how fast the steps end, not
             // where.
-            let factor = match last.filter(|(_, moved)| *moved <= SAME_SLOPES_PX) {
+            let factor = match last.filter(|&(_, moved)| moved <= SAME_SLOPES_PX && steps != QUICK_STEPS + 1)
+            {
                 Some((factor, _)) => factor,
-                None => Factor::new(&self.window.matrix(&follow))?,
+                None => self.factor(&outline, &levels, &follow, steps)?,
             };
             let pull = self.window.pull(&levels);
             let step = step(&factor, &pull.right, &levels)?;
-            last = Some((factor, apply(&mut outline, &step)));
+            let moved_px = apply(&mut outline, &step);
+            last = Some((factor, moved_px));
             if !plausible(start, outline.centre - offset, outline.spread_px2()) {
                 return None;
             }
-            if sqrt(step[0] * step[0] + step[1] * step[1]) <= self.step_px {
+            let centre_moved_px = sqrt(step[0] * step[0] + step[1] * step[1]);
+            if centre_moved_px <= self.step_px && moved_px <= SAME_SHAPE_PX.max(self.step_px) {
                 let surprise = pull.residual2 / (pixels as f64 - 9.0) / self.noise.variance_levels2();
                 let inflation = self.inflation(&levels) * (surprise / CHANCE).max(1.0);
                 return Some(Fitted {
@@ -285,16 +300,21 @@ impl DiscFit {
     /// Measures variances of some samples' centres over what the inverse information says.
     fn measure_sandwich(&mut self, image: GrayView<'_>) {
         let mut sums = Variances::default();
-        let mut count = 0.0;
+        let (mut count, mut straight, mut ratios) = (0.0, 0.0, [0.0; 5]);
         for k in 0..self.samples.len() {
             if count < INFLUENCES
-                && let Some(Variances { white, grain }) = self.sandwich_of(image, k)
+                && let Some((Variances { white, grain }, ratio)) = self.sandwich_of(image, k)
             {
                 sums.white += white;
                 sums.grain += grain;
+                if let Some(ratio) = ratio {
+                    ratios.iter_mut().zip(ratio).for_each(|(sum, ratio)| *sum += ratio);
+                    straight += 1.0;
+                }
                 count += 1.0;
             }
         }
+        self.over_contour = (straight > 0.0).then(|| ratios.map(|sum| sqrt(sum / straight)));
         self.sandwich = if count > 0.0 {
             Variances { white: sums.white / count, grain: sums.grain / count }
         } else {
@@ -303,7 +323,8 @@ impl DiscFit {
         };
     }
 
-    fn sandwich_of(&mut self, image: GrayView<'_>, k: usize) -> Option<Variances> {
+    /// The sample's part of both, and the normal matrix's diagonal over that of the integral.
+    fn sandwich_of(&mut self, image: GrayView<'_>, k: usize) -> Option<(Variances, Option<[f64; 5]>)> {
         let Sample { start, mut outline, alive, .. } = self.samples[k];
         if !alive {
             return None;
@@ -312,14 +333,50 @@ impl DiscFit {
         outline.centre += start.centre_px - self.window.origin;
         self.window.draw(&outline, self.blur_px, &self.edge);
         let (levels, follow) = self.window.levels()?;
-        let factor = Factor::new(&self.window.matrix(&follow))?;
+        let matrix = self.window.matrix(&follow);
+        let quick = self.is_straight(&outline).then(|| self.along(&outline, &levels, &follow)).flatten();
+        let over: Option<[f64; 5]> = quick.map(|quick| core::array::from_fn(|i| matrix[i][i] / quick[i][i]));
+        let factor = Factor::new(&matrix)?;
         let [[xx, _], [_, yy]] = covariance(&factor, &levels, 1.0)?;
         let Self { window, influence, .. } = self;
         influence.clear();
         window.influence(&factor, &follow, levels.contrast, |place, answer| influence.set(place, answer));
         let Variances { white, grain } = influence.variances_px2(self.noise.grain_size_px)?;
         let ratios = Variances { white: white / (xx + yy), grain: grain / (xx + yy) };
-        (ratios.white.is_finite() && ratios.grain.is_finite()).then_some(ratios)
+        let over = over.filter(|over| over.iter().all(|over| OVER_CONTOUR.contains(over)));
+        (ratios.white.is_finite() && ratios.grain.is_finite()).then_some((ratios, over))
+    }
+
+    /// Factor of the normal matrix: by the integral along the outline, or pixel by pixel where the outline bends within a
+    /// blur, or where steps by the former did not settle.
+    fn factor(
+        &self,
+        outline: &Outline,
+        levels: &Levels,
+        follow: &Factor<4>,
+        steps: usize,
+    ) -> Option<Factor<5>> {
+        let over = self.over_contour.filter(|_| steps <= QUICK_STEPS && self.is_straight(outline));
+        let quick = over.and_then(|over| {
+            let mut matrix = self.along(outline, levels, follow)?;
+            for i in 0..5 {
+                for j in 0..=i {
+                    matrix[i][j] *= over[i] * over[j];
+                }
+            }
+            Factor::new(&matrix)
+        });
+        quick.or_else(|| Factor::new(&self.window.matrix(follow)))
+    }
+
+    /// The integral along the outline.
+    fn along(&self, outline: &Outline, levels: &Levels, follow: &Factor<4>) -> Option<Matrix> {
+        contour::matrix(outline, self.edge.across(), levels, follow)
+    }
+
+    /// Whether an outline is straight enough for that everywhere.
+    fn is_straight(&self, outline: &Outline) -> bool {
+        outline.sharpest_px().is_some_and(|radius| radius >= self.blur_px * STRAIGHT_BLURS)
     }
 
     /// Least variance of a coordinate, px², for the marker that did not fit.
@@ -343,7 +400,8 @@ impl DiscFit {
         // A neighbour of the same size begins at its radius, with its own blur around.
         let gap = start.neighbour_px - 2.0 * longest - 1.5 * self.blur_px;
         let reach = (REACH_PX + self.blur_px - FIRST_BLUR_PX).max(REACH_PX).min(gap).max(LEAST_REACH_PX);
-        let radius = longest + reach;
+        // Markers alike share one window's places.
+        let radius = round(2.0 * (longest + reach)) * 0.5;
         if !(2.0 * radius + 1.0 <= self.most_side_px as f64 && start.centre_px.is_finite()) {
             return None;
         }

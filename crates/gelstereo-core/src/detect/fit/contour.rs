@@ -1,0 +1,83 @@
+//! The normal matrix of a step as an integral along the outline, at a twentieth of the cost of a sum over pixels.
+//!
+//! Weights and slopes live within a blur of the outline. Across it they integrate to constants of the image, so that along it
+//! a few points suffice: the trapezoidal rule on an ellipse converges exponentially (Trefethen and Weideman, SIAM Review
+//! 2014). What curvature and sampling change is the same for all markers of an image to first order, and measured on samples.
+
+use super::disc::{Levels, Matrix, Outline};
+use super::solve::Factor;
+use crate::math::sqrt;
+use core::f64::consts::{FRAC_1_SQRT_2, PI};
+
+/// Integrals across a straight edge, over the distance in px: weight times slope, weight, weight times share.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Across {
+    pub slope: f64,
+    pub weight: f64,
+    pub inside: f64,
+}
+
+/// cos and sin of 8 points of half an ellipse; the other half has the same products.
+const HALF_TURN: [(f64, f64); 8] = {
+    const C: f64 = 0.923_879_532_511_286_7;
+    const S: f64 = 0.382_683_432_365_089_8;
+    const R: f64 = FRAC_1_SQRT_2;
+    [(1.0, 0.0), (C, S), (R, R), (S, C), (0.0, 1.0), (-S, C), (-R, R), (-C, S)]
+};
+
+/// The normal matrix of the outline's step for a contrast of 1, less what the levels take up when they follow it. `None`
+/// for what is no ellipse.
+pub(super) fn matrix(
+    outline: &Outline,
+    across: &Across,
+    levels: &Levels,
+    follow: &Factor<4>,
+) -> Option<Matrix> {
+    let [[sxx, sxy], [_, syy]] = outline.spread_px2()?;
+    let [axx, axy, ayy] = outline.form;
+    // A root of the spread: points of the ellipse are its products with those of the unit circle.
+    let l11 = sqrt(sxx);
+    let l21 = sxy / l11;
+    let l22 = sqrt((syy - l21 * l21).max(0.0));
+    let mut matrix = [[0.0; 5]; 5];
+    // Σ of what moves each parameter times 1, x and y from the ellipse's centre.
+    let mut moved = [[0.0; 3]; 5];
+    for (cos, sin) in HALF_TURN {
+        let (x, y) = (l11 * cos, l21 * cos + l22 * sin);
+        let (along, up) = (axx * x + axy * y, axy * x + ayy * y);
+        // The outline moves outwards by c / |A p| for each parameter, and its element is |A p| times the area element.
+        let c = [along, up, -0.5 * x * x, -x * y, -0.5 * y * y];
+        let per = 1.0 / sqrt(along * along + up * up);
+        for i in 0..2 {
+            moved[i][1] += c[i] * x;
+            moved[i][2] += c[i] * y;
+            for j in 0..=i {
+                matrix[i][j] += c[i] * c[j] * per;
+            }
+        }
+        for i in 2..5 {
+            moved[i][0] += c[i];
+            for j in 2..=i {
+                matrix[i][j] += c[i] * c[j] * per;
+            }
+        }
+    }
+    let element = 2.0 * PI / HALF_TURN.len() as f64 * l11 * l22;
+    let lit = across.weight + levels.contrast / levels.ground.max(1.0) * across.inside;
+    let middle = outline.centre;
+    let (mut with_weight, mut followed) = ([[0.0; 4]; 5], [[0.0; 4]; 5]);
+    for i in 0..5 {
+        let one = moved[i][0] * element;
+        let (x, y) = (moved[i][1] * element + middle.x * one, moved[i][2] * element + middle.y * one);
+        with_weight[i] = [across.weight * one, lit * x, lit * y, across.inside * one];
+        followed[i] = follow.solve(&[one, x, y, 0.5 * one]);
+    }
+    let dot = |a: &[f64; 4], b: &[f64; 4]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    for i in 0..5 {
+        for j in 0..=i {
+            let taken = dot(&with_weight[i], &followed[j]) + dot(&with_weight[j], &followed[i]);
+            matrix[i][j] = across.slope * element * matrix[i][j] - 0.5 * taken;
+        }
+    }
+    Some(matrix)
+}
