@@ -99,7 +99,7 @@ impl Markers {
 pub const MOST_MARKERS: usize = 8192;
 
 /// Pixels of an image for each of the markers that it may have.
-pub const PIXELS_PER_MARKER: usize = 48;
+pub const PIXELS_PER_MARKER: usize = 50;
 
 /// Smaller pieces take no pixels from a marker beside them.
 const LEAST_NEIGHBOUR_PX2: u32 = 3;
