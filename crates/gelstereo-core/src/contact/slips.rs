@@ -20,6 +20,9 @@ const APART: f64 = 0.7;
 /// press raises some of the gel towards the camera, and nothing sinks.
 const SHARE: usize = 10;
 
+/// So many markers tell what a slip looks like.
+const MARKERS_TO_LEARN: usize = 64;
+
 /// Finds slips; scratch is kept from frame to frame.
 #[derive(Clone, Debug, Default)]
 pub struct LabelSlips {
@@ -70,11 +73,14 @@ impl LabelSlips {
         };
         // Away from the camera a slip is larger than towards it.
         let least = |i: usize| Some(height(i, -pitch_px)?.min(height(i, pitch_px).unwrap_or(f64::INFINITY)));
-        let mut heights: Vec<f64> = (0..rest.points_mm().len()).filter_map(least).collect();
+        let markers = rest.points_mm().len();
+        // It hardly varies over the gel, so that the median of a few markers does.
+        let few = (0..markers).step_by((markers / MARKERS_TO_LEARN).max(1));
+        let mut heights: Vec<f64> = few.filter_map(least).collect();
         self.cols = cols.max(1);
         self.slip_mm = median(&mut heights).filter(|mm| *mm > 0.0).unwrap_or(f64::INFINITY);
-        self.parent.reserve(rest.points_mm().len());
-        self.parts.reserve(rest.points_mm().len());
+        self.parent.reserve(markers);
+        self.parts.reserve(markers);
         self.above_mm.reserve(self.cols);
     }
 
