@@ -91,7 +91,10 @@ fn check(stage: &Triangulator, left_px: DVec2, right_px: DVec2, covariances_px2:
     let Ok(found) = stage.point(0, &left, &right) else { return };
     let c = found.covariance_mm2;
     let numbers = c.iter().flatten().chain([&found.epipolar_px]);
-    assert!(found.point_mm.is_finite() && numbers.into_iter().all(|x| x.is_finite()), "{left_px} {right_px}: {found:?}");
+    assert!(
+        found.point_mm.is_finite() && numbers.into_iter().all(|x| x.is_finite()),
+        "{left_px} {right_px}: {found:?}"
+    );
     let trace = c[0][0] + c[1][1] + c[2][2];
     // A sum of squares, whose entries are rounded.
     let semi_definite = (0..3).all(|i| c[i][i] >= 0.0) && eigen(&c).values[0] >= -16.0 * f64::EPSILON * trace;

@@ -47,7 +47,11 @@ fn run(mut u: Unstructured<'_>) -> Result<()> {
             let faces = mesh.triangles().iter().enumerate();
             let faces = faces.filter(|&(t, _)| solid.face_normal(t as u32) != DVec3::ZERO);
             let to_corner = |&i: &u32| nearest[i as usize].distance(p);
-            assert!(faces.flat_map(|(_, t)| t.iter().map(to_corner)).all(|d| d + slack >= found.distance_mm.abs()));
+            assert!(
+                faces
+                    .flat_map(|(_, t)| t.iter().map(to_corner))
+                    .all(|d| d + slack >= found.distance_mm.abs())
+            );
             let facing = Facing { direction: found.normal, least_cosine: -1.0 };
             assert!(solid.closest_facing(p, &facing, f64::INFINITY, None).is_some());
         }
