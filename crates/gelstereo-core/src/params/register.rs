@@ -9,14 +9,14 @@ use super::{ParamsError, check, positive};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
 pub enum RegisterMethod {
-    /// FilterReg, point to point (the paper): 100 / 100 / 22 %, 6 ms.
+    /// FilterReg, point to point (the paper): 100 / 100 / 56 %, 11 ms.
     #[default]
     FilterregPoint,
-    /// FilterReg, point to plane, with a one-sided model of the gel's shoulder: 100 / 100 / 100 %, 2 ms.
+    /// FilterReg, point to plane, with a one-sided model of the gel's shoulder: 100 / 100 / 100 %, 4 ms.
     FilterregPlane,
-    /// RANSAC, then point-to-point ICP (the paper's comparison): 100 / 97 / 12 %, 33 ms.
+    /// RANSAC, then point-to-point ICP (the paper's comparison): 100 / 81 / 19 %, 47 ms.
     RansacIcp,
-    /// Point-to-plane ICP alone, from the guess, with the same model of the shoulder: 100 / 100 / 25 %, 0.6 ms.
+    /// Point-to-plane ICP alone, from the guess, with the same model of the shoulder: 100 / 100 / 38 %, 0.9 ms.
     IcpPlane,
     /// Steps on a field of distances to the part, from a pose that is nearly right, as the last frame's is: 0.15 ms.
     /// It looks at salient points alone, and from 5 degrees and 1 mm off it finds 63 % of the contacts below.

@@ -218,9 +218,11 @@ mod tests {
             let (area, centroid) = dense(dot, &view);
             let off = (found.centre_px - centroid).length();
             prop_assert!(off < tolerance_px, "{off} px from {centroid}");
-            let share = found.radius_px() * found.radius_px() * core::f64::consts::PI / area;
-            // How a lens scales changes by (r / Z)² of itself across a dot, times the slope's square and a few.
-            prop_assert!((share - 1.0).abs() < 6e-3, "{share} of the area");
+            // Of the area that it would have seen face on: nothing is left of a dot that is seen from its edge.
+            let [a, b] = found.half_px.map(DVec2::length_squared);
+            let off_px2 = found.radius_px() * found.radius_px() * core::f64::consts::PI - area;
+            let share = off_px2 / (core::f64::consts::PI * a.max(b));
+            prop_assert!(share.abs() < 2e-3, "{share} of the area");
         }
         Ok(())
     }
@@ -259,7 +261,8 @@ mod tests {
             let mut rig = Scene::default_rig();
             rig.left.distortion = [k1, k2, 0.002, -0.001, 0.0];
             rig.right.distortion = [k1, 0.0, -0.002, 0.001, 0.01];
-            check(&rig, &dot(x, y, 28.0, 0.22, [a, b], [1.1, 0.9]), 1e-5)?;
+            // Third order again, 5 px · (0.22 / 28)³ · a few: most for dots that are seen nearly from their edge.
+            check(&rig, &dot(x, y, 28.0, 0.22, [a, b], [1.1, 0.9]), 3e-5)?;
         }
 
         /// The closed form is exact; 4000 corners lose 4e-7 of the area.
