@@ -16,8 +16,13 @@ use gelstereo_sim::{Effects, GelKeyframe, Scene, Shape, Simulator, Truth};
 use proptest::prelude::*;
 use std::ops::Range;
 
-/// Standard deviation of a centre that is twice the worst rung's, pixels.
+/// Standard deviation of a centre along each axis that is twice the worst rung's, pixels.
 const NOISE_PX: f64 = 0.2;
+
+/// But for fine lattices, where it is this share of the pitch (still above the worst rung's 0.09 px on the finest, of
+/// 6.2 px). Heights of neighbours that are a slip apart are told from those that are not by 0.3 of it; the difference
+/// of two disparities has twice a centre's noise, so that 0.3 is nine of its standard deviations.
+const NOISE_OF_PITCH: f64 = 1.0 / 60.0;
 
 /// Rest and one frame of a scene, in which what follows the rest frame is done by hand.
 struct Sensor {
@@ -34,13 +39,14 @@ impl Sensor {
     fn new(scene: &Scene, press_mm: f64, seed: u64) -> Self {
         let params = TriangulateParams { method: TriangulateMethod::Rays, ..Default::default() };
         let triangulator = Triangulator::new(&scene.rig, &params).unwrap();
-        let mut stream = Stream::new(seed, "centres");
-        let mut noisy = |positions_px: &[DVec2]| -> Vec<DVec2> {
-            let mut noise = || NOISE_PX * stream.normal();
-            positions_px.iter().map(|&p| p + DVec2::new(noise(), noise())).collect()
-        };
         let mut truth = Truth::default();
         simulator(scene).truth(None, &mut truth);
+        let noise_px = NOISE_PX.min(NOISE_OF_PITCH * truth.left_px[0].distance(truth.left_px[1]));
+        let mut stream = Stream::new(seed, "centres");
+        let mut noisy = |positions_px: &[DVec2]| -> Vec<DVec2> {
+            let mut noise = || noise_px * stream.normal();
+            positions_px.iter().map(|&p| p + DVec2::new(noise(), noise())).collect()
+        };
         let (left_px, right_px) = (noisy(&truth.left_px), noisy(&truth.right_px));
         let (mut stereo, covariance_px2) = (Vec::new(), vec![[[0.04, 0.0], [0.0, 0.04]]; left_px.len()]);
         let centres = |positions_px| Centres { positions_px, covariance_px2: &covariance_px2 };
