@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
+from urllib.parse import urlsplit
 
 from gelstereo import Error
 from gelstereo.experiments.store import Record, Store
@@ -229,6 +230,19 @@ def _on_processes(run: Run, chunks: _Chunks, workers: int) -> Iterator[_Result]:
     yield from parallel(joblib.delayed(_run_chunk)(run, chunk, build) for chunk in chunks)
 
 
+def _check_address(address: str) -> None:
+    """See that an address can be one: dask is slow to say that it cannot."""
+    parts = urlsplit(address if "://" in address else f"tcp://{address}")
+    try:
+        usable = parts.scheme == "inproc" or (bool(parts.hostname) and parts.port is not None)
+    except ValueError:
+        usable = False
+    if not usable:
+        raise BatchError(
+            f"{address!r} is no scheduler's address; valid is one as the scheduler prints it, as tcp://10.0.0.2:8786"
+        )
+
+
 def _on_cluster(run: Run, chunks: _Chunks, address: str) -> Iterator[_Result]:
     try:
         from distributed import Client, as_completed
@@ -236,6 +250,7 @@ def _on_cluster(run: Run, chunks: _Chunks, address: str) -> Iterator[_Result]:
         raise BatchError(
             "a scheduler's address needs dask.distributed, which is not installed: pip install 'gelstereo[batch]'"
         ) from error
+    _check_address(address)
     try:
         client = Client(address, timeout=_CLUSTER_TIMEOUT_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:

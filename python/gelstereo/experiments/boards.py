@@ -61,7 +61,7 @@ def trials(repeats: int, seed: int) -> list[Trial]:
 
 
 def run(configuration: Configuration, seed: int) -> dict[str, Any]:
-    """Press a board once; every method measures the same images.
+    """Press a board once; every method measures the same images, or those of the configuration's ``methods`` do.
 
     The record holds, by method, ``errors_um`` of the markers on the block, and ``salient_mm``, the mean height of what
     the method takes for the contact, as the paper measures; or ``refused``, why it gave no answer.
@@ -70,7 +70,10 @@ def run(configuration: Configuration, seed: int) -> dict[str, Any]:
     scene = board_scenes()[configuration["sensor"]]
     press = board_press(configuration["protrusion_mm"], seed, scene)
     found: dict[str, Mapping[str, Any]] = {}
+    chosen = configuration.get("methods")
     for name, (params, native) in methods().items():
+        if chosen is not None and name not in chosen:
+            continue
         try:
             heights = measure_heights(Runner(scene.rig, params, native), press)
         except (Error, ValueError) as error:

@@ -26,7 +26,6 @@ def box_plots(
     across: int,
     x_label: str,
     y_label: str,
-    share: bool,
 ) -> Figure:
     """One panel of boxes for each name: quartiles, whiskers to 1.5 times their distance, dots beyond.
 
@@ -37,13 +36,11 @@ def box_plots(
     across
         Panels side by side.
     x_label, y_label
-        What the boxes are of, and the values with their unit.
-    share
-        Whether all panels have the same scale.
+        What the boxes are of, and the values with their unit; every panel has its own scale.
     """
     down = -(-len(panels) // across)
     figure = Figure(figsize=(3.3 * across, 2.7 * down + 0.3), layout="constrained")
-    axes: Any = figure.subplots(down, across, sharey=share, squeeze=False)
+    axes: Any = figure.subplots(down, across, squeeze=False)
     for axis, (name, boxes) in zip(axes.flat, panels.items(), strict=False):
         axis.axhline(0.0, color="0.6", linewidth=0.8)
         axis.boxplot(

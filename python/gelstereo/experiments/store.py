@@ -106,11 +106,12 @@ class Store:
             ) from error
         changed = sorted(name for name in {*before, *identity} if before.get(name) != identity.get(name))
         if changed:
-            name = changed[0]
+            said = ", ".join(
+                f"another {name} ({_short(before.get(name))} then, {_short(identity.get(name))} now)"
+                for name in changed
+            )
             raise StoreError(
-                f"the trials in {self.folder} were run with another {' and another '.join(changed)} "
-                f"({name}: {_short(before.get(name))} then, {_short(identity.get(name))} now); name another folder to "
-                "begin anew"
+                f"the trials in {self.folder} were run with {said}; name another folder to begin anew"
             )
 
     def _read(self, path: Path) -> None:
@@ -128,4 +129,4 @@ class Store:
 
 def _short(value: object) -> str:
     text = json.dumps(value)
-    return text if len(text) <= 40 else f"{text[:36]}..."
+    return text if len(text) <= 20 else f"{text[:13]}..."
