@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import dataclasses
 import hashlib
-import json
 import os
 import re
 import signal
@@ -162,6 +161,11 @@ def pressed() -> Records:
     return trials, [boards.run(trial.configuration, trial.seed) for trial in trials]
 
 
+def only(record: dict[str, Any], *names: str) -> dict[str, Any]:
+    """A record of some of the methods."""
+    return {"methods": {name: record["methods"][name] for name in names}}
+
+
 def test_a_board_is_measured_within_what_the_paper_reports(
     pressed: Records,
 ) -> None:
@@ -202,10 +206,10 @@ def test_tables_of_boards_are_their_records(pressed: Records, tmp_path: Path) ->
 
 def test_a_refused_method_is_told_of(pressed: Records) -> None:
     trials, records = pressed
-    changed = json.loads(json.dumps(records))
-    for record in changed[:2]:
+    changed = [only(record, "preset paper", "preset fast", "points: rays") for record in records[:2]]
+    for record in changed:
         record["methods"]["preset paper"] = {"refused": "too few <markers>"}
-    page = Page(document("x", boards_report(trials[:2], changed[:2], {}).findings))
+    page = Page(document("x", boards_report(trials[:2], changed, {}).findings))
     assert page.tables["Refusals"][1:] == [["preset paper", "too few <markers>"]]
     row = next(t for c, t in page.tables.items() if "presets" in c)[1]
     assert row == ["preset paper", "none", "none", "none"]
@@ -216,12 +220,8 @@ def test_a_refused_method_is_told_of(pressed: Records) -> None:
 
 def test_processes_and_clusters_measure_boards_alike(pressed: Records) -> None:
     distributed = pytest.importorskip("distributed")
-    expected = []
-    trials = []
-    for trial, record in zip(*pressed, strict=True):
-        trials.append(Trial({**trial.configuration, "methods": ["preset fast", BASELINE]}, trial.seed))
-        expected.append({"methods": {name: record["methods"][name] for name in ("preset fast", BASELINE)}})
-    assert run_batch(boards.run, trials) == expected
+    trials = [Trial({**trial.configuration, "methods": ["preset fast"]}, trial.seed) for trial in pressed[0]]
+    expected = [only(record, "preset fast") for record in pressed[1]]
     assert run_batch(boards.run, trials, workers=2) == expected
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=False, protocol="tcp://", dashboard_address=":0"
@@ -231,7 +231,10 @@ def test_processes_and_clusters_measure_boards_alike(pressed: Records) -> None:
 
 def test_a_report_is_one_file_that_says_what_it_rests_on(pressed: Records, tmp_path: Path) -> None:
     trials, records = pressed
-    known = {trial.digest: record for trial, record in zip(trials, records, strict=True)}
+    known = {
+        trial.digest: only(record, "preset fast", BASELINE)
+        for trial, record in zip(trials, records, strict=True)
+    }
     experiment = dataclasses.replace(
         boards.EXPERIMENT,
         trials=lambda repeats, seed: trials,

@@ -39,8 +39,7 @@ def box_plots(
         What the boxes are of, and the values with their unit; every panel has its own scale.
     """
     down = -(-len(panels) // across)
-    figure = Figure(figsize=(3.3 * across, 2.7 * down + 0.3), layout="constrained")
-    axes: Any = figure.subplots(down, across, squeeze=False)
+    figure, axes = _panels(down, min(across, len(panels)))
     for axis, (name, boxes) in zip(axes.flat, panels.items(), strict=False):
         axis.axhline(0.0, color="0.6", linewidth=0.8)
         axis.boxplot(
@@ -55,6 +54,21 @@ def box_plots(
         axis.grid(axis="y", alpha=0.3)
     for axis in axes.flat[len(panels) :]:
         axis.set_visible(False)
-    figure.supxlabel(x_label, fontsize=9)
-    figure.supylabel(y_label, fontsize=9)
+    figure.supxlabel(x_label, fontsize=9, y=0.02 / down)
+    figure.supylabel(y_label, fontsize=9, x=0.01)
     return figure
+
+
+def _panels(down: int, across: int) -> tuple[Figure, Any]:
+    """Panels of one size, whose places are reckoned in inches: to ask a layout engine takes as long as to draw."""
+    width, height = 3.3 * across + 0.3, 2.6 * down + 0.5
+    figure = Figure(figsize=(width, height))
+    figure.subplots_adjust(
+        left=0.75 / width,
+        right=1.0 - 0.1 / width,
+        bottom=0.55 / height,
+        top=1.0 - 0.3 / height,
+        wspace=0.2,
+        hspace=0.28,
+    )
+    return figure, figure.subplots(down, across, squeeze=False)
