@@ -25,6 +25,7 @@ All write report.html into the output folder: one file with its figures inside, 
 #: Every experiment is a module with an `Experiment` of the name ``EXPERIMENT``.
 EXPERIMENTS = {
     "boards": ("gelstereo.experiments.boards", "height of boards pressed into the gel (Table I, Fig. 14)"),
+    "objects": ("gelstereo.experiments.objects", "objects pressed into the gel, and located (Fig. 12)"),
 }
 
 

@@ -7,9 +7,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import matplotlib
+import numpy as np
+import numpy.typing as npt
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
-__all__ = ["as_svg", "box_plots"]
+__all__ = ["as_svg", "box_plots", "contact_maps"]
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
 
 
 def as_svg(figure: Figure) -> bytes:
@@ -72,3 +78,38 @@ def _panels(down: int, across: int) -> tuple[Figure, Any]:
         hspace=0.28,
     )
     return figure, figure.subplots(down, across, squeeze=False)
+
+
+def contact_maps(truth_mm: Array, found_mm: Array, touching: Mask, salient: Mask) -> Figure:
+    """Maps of a contact, a cell for every marker: heights in truth and as measured, their difference, and the region.
+
+    Parameters
+    ----------
+    truth_mm, found_mm : (rows, cols) float64
+    touching, salient : (rows, cols) bool
+        Which markers touch, and which were taken to.
+    """
+    figure = Figure(figsize=(13.0, 3.0))
+    axes: Any = figure.subplots(1, 4)
+    figure.subplots_adjust(left=0.01, right=0.95, bottom=0.03, top=0.9, wspace=0.2)
+    top_mm = max(float(truth_mm.max()), float(found_mm.max()), 0.1)
+    error_um = 1e3 * (found_mm - truth_mm)
+    largest_um = max(float(np.abs(error_um).max()), 1.0)
+    # 0 neither, 1 touches only, 2 salient only, 3 both.
+    region = touching.astype(np.int64) + 2 * salient.astype(np.int64)
+    colours = ListedColormap(["#eef0f2", "#3c9ec4", "#f6a828", "#2e7d4f"])
+    shown: list[tuple[str, Array, dict[str, Any]]] = [
+        ("height in truth, mm", truth_mm, {"cmap": "viridis", "vmin": 0.0, "vmax": top_mm}),
+        ("height as measured, mm", found_mm, {"cmap": "viridis", "vmin": 0.0, "vmax": top_mm}),
+        ("measured less true, um", error_um, {"cmap": "RdBu_r", "vmin": -largest_um, "vmax": largest_um}),
+        ("region", region.astype(np.float64), {"cmap": colours, "vmin": -0.5, "vmax": 3.5}),
+    ]
+    for axis, (title, values, style) in zip(axes, shown, strict=True):
+        drawn = axis.imshow(values, interpolation="nearest", **style)
+        axis.set_title(title, fontsize=9)
+        axis.set(xticks=[], yticks=[])
+        bar = figure.colorbar(drawn, ax=axis, fraction=0.046, pad=0.03)
+        bar.ax.tick_params(labelsize=8)
+        if title == "region":
+            bar.set_ticks([0, 1, 2, 3], labels=["neither", "touches", "salient", "both"])
+    return figure

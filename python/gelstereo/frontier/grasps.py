@@ -19,7 +19,18 @@ from gelstereo.geometry import se3_exp, se3_log
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["GRASPED", "NOISES", "STARTS", "Grasp", "Noise", "Press", "Start", "grasps"]
+__all__ = [
+    "GRASPED",
+    "NOISES",
+    "STARTS",
+    "Grasp",
+    "Noise",
+    "Press",
+    "Start",
+    "grasps",
+    "place",
+    "surface_normals",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -61,6 +72,8 @@ class Press:
     held_mm: tuple[float, float]
     #: A flat part lies on one of its wide faces, normal along its y axis; others roll as they like.
     flat: bool = False
+    #: Whether its tip is pressed, rather than its side.
+    standing: bool = False
 
 
 NOISES = (Noise("noise 0.03 mm", 0.03, 0.0), Noise("noise 0.06 mm, 10 % outliers", 0.06, 0.1))
@@ -184,7 +197,7 @@ def _grasp(
     noise: Noise,
     random: np.random.Generator,
 ) -> Grasp | None:
-    pose = _place(press, mesh, random)
+    pose = place(press, mesh, random)
     truth = simulator.press(pose)
     points, touching = np.array(truth.points_mm), np.array(truth.in_contact)
     sigma = noise.sigma_mm * np.array([0.5, 0.5, 1.0])
@@ -196,13 +209,13 @@ def _grasp(
     if (touching & salient).sum() < _LEAST_TOUCHING or not 30 <= salient.sum() <= _MOST_SALIENT:
         return None
     normals = np.full_like(points, np.nan)
-    normals[touching] = _normals(mesh, pose, np.asarray(truth.points_mm)[touching])
+    normals[touching] = surface_normals(mesh, pose, np.asarray(truth.points_mm)[touching])
     covariance = np.broadcast_to(np.diag(sigma**2), (int(salient.sum()), 3, 3)).copy()
     return Grasp(press.name, mesh, template, points[salient], covariance, points, normals[salient], pose)
 
 
-def _place(press: Press, mesh: trimesh.Trimesh, random: np.random.Generator) -> Array:
-    """Draw a pose: the part's axis across the gel, tilted by up to 3.5 degrees."""
+def place(press: Press, mesh: trimesh.Trimesh, random: np.random.Generator) -> Array:
+    """Draw a pose: the part's axis across the gel (along its normal if it stands), tilted by up to 3.5 degrees."""
     roll = random.choice([0.5, 1.5]) * np.pi + random.uniform(-0.1, 0.1)
     if not press.flat:
         roll = random.uniform(0.0, 2.0 * np.pi)
@@ -213,7 +226,7 @@ def _place(press: Press, mesh: trimesh.Trimesh, random: np.random.Generator) -> 
         twist[axis] = angle
         return np.asarray(se3_exp(twist), np.float64)
 
-    pose = turn(2, yaw) @ turn(1, 0.5 * np.pi + tilt) @ turn(2, roll)
+    pose = turn(2, yaw) @ turn(1, (1.0 if press.standing else 0.5) * np.pi + tilt) @ turn(2, roll)
     held = pose[:3, :3] @ [0.0, 0.0, mesh.bounds[1][2] - random.uniform(*press.held_mm)]
     pose[:2, 3] = np.array(VGA.centre_mm) + random.uniform(-4.0, 4.0, size=2) - held[:2]
     depth_mm = random.uniform(0.8, 1.4)
@@ -232,7 +245,7 @@ def _samples(mesh: trimesh.Trimesh) -> Array:
     return np.vstack([points, mesh.vertices])
 
 
-def _normals(mesh: trimesh.Trimesh, pose: Array, points_mm: Array) -> Array:
+def surface_normals(mesh: trimesh.Trimesh, pose: Array, points_mm: Array) -> Array:
     """Normals of the part where it is nearest to points of the sensor frame."""
     import trimesh
 

@@ -31,7 +31,7 @@ details { margin: .4rem 0; }
 summary { cursor: pointer; }
 """
 
-_MEDIA = {"png": "image/png", "svg": "image/svg+xml"}
+_MEDIA = {"png": "image/png", "jpeg": "image/jpeg", "svg": "image/svg+xml"}
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Figure:
 
     caption: str
     content: bytes
-    kind: Literal["png", "svg"]
+    kind: Literal["png", "jpeg", "svg"]
     #: Pixels across; the picture's own width if left out.
     width_px: int | None = None
 
