@@ -23,6 +23,7 @@ COMMANDS = {
     "template": ("gelstereo.cli.template", "a part's mesh, checked, to a template and a picture of it"),
     "simulate": ("gelstereo.cli.simulate", "a scene to stereo images with their truth"),
     "view": ("gelstereo.cli.view", "a recording or a folder of stereo images to a picture"),
+    "experiment": ("gelstereo.experiments.command", "the paper's experiments, simulated, with a report each"),
     "frontier": ("gelstereo.frontier.command", "measure every method and write docs/accuracy-vs-time.md"),
 }
 

@@ -52,3 +52,10 @@ def guess_of(arguments: argparse.Namespace) -> npt.NDArray[np.float64]:
     pose = np.array(se3_exp([*np.radians(arguments.guess_deg), 0.0, 0.0, 0.0]))
     pose[:3, 3] = arguments.guess_mm
     return pose
+
+
+def count(text: str) -> int:
+    """A whole number from 1 on."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is no count; valid is a whole number from 1 on")
+    return int(text)

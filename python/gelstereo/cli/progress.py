@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from types import TracebackType
 from typing import Protocol, TypeVar
 
 T_co = TypeVar("T_co", covariant=True)
@@ -33,6 +34,34 @@ def progress(items: Items[T_co], what: str) -> Iterator[T_co]:
             _draw(total, total, what)
     finally:
         if shown and total:
+            sys.stderr.write("\n")
+
+
+class Counter:
+    """How many of how many, told from outside: a bar for people, else a line at every tenth."""
+
+    def __init__(self, what: str) -> None:
+        self._what = what
+        self._shown = sys.stderr.isatty()
+        self._tenth = -1
+        self.done = self.total = 0
+
+    def __call__(self, done: int, total: int) -> None:
+        """Tell that so many are done."""
+        self.done, self.total = done, total
+        if self._shown:
+            _draw(done, max(total, 1), self._what)
+        elif total and 10 * done // total > self._tenth:
+            self._tenth = 10 * done // total
+            print(f"{self._what} {done}/{total}", file=sys.stderr, flush=True)
+
+    def __enter__(self) -> Counter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._shown and self.total:
             sys.stderr.write("\n")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +14,7 @@ from gelstereo.frontier.runners import Runner
 from gelstereo.frontier.scenes import BOARDS_MM, VGA, board_press, layered_scene
 from gelstereo.frontier.table import Report, Table, Target
 
-__all__ = ["measure_boards"]
+__all__ = ["BASELINE", "Heights", "board_scenes", "measure_boards", "measure_heights"]
 
 Array = npt.NDArray[np.float64]
 
@@ -28,13 +29,17 @@ def measure_boards(presses: int, report: Report) -> tuple[list[Table], list[Targ
 
     Once with cameras that see the markers directly, and once through air, acrylic and gel.
     """
-    scenes = {"boards": VGA.scene(), "refraction": layered_scene()}
     tables, targets = [], []
-    for name, scene in scenes.items():
+    for name, scene in board_scenes().items():
         table, errors_um = _measure(name, scene, presses, report)
         tables.append(table)
         targets += _targets(name, errors_um)
     return tables, targets
+
+
+def board_scenes() -> dict[str, Scene]:
+    """Give the sensors: cameras that see the markers directly, and through air, acrylic and gel."""
+    return {"boards": VGA.scene(), "refraction": layered_scene()}
 
 
 def _measure(name: str, scene: Scene, presses: int, report: Report) -> tuple[Table, dict[str, list[Array]]]:
@@ -50,7 +55,7 @@ def _measure(name: str, scene: Scene, presses: int, report: Report) -> tuple[Tab
         for method, (params, native) in methods.items():
             try:
                 found = np.concatenate(
-                    [_errors_um(Runner(scene.rig, params, native), shot) for shot in shots]
+                    [measure_heights(Runner(scene.rig, params, native), shot).errors_um() for shot in shots]
                 )
             except (Error, ValueError) as error:
                 row.append(f"refused: {error}")
@@ -61,16 +66,38 @@ def _measure(name: str, scene: Scene, presses: int, report: Report) -> tuple[Tab
     return Table(name, ["protrusion mm", *methods], rows), errors_um
 
 
-def _errors_um(runner: Runner, press: Sequence[SimulatedFrame]) -> Array:
-    """Height errors of the markers on the block, in the last frame against the first."""
-    rest_mm = np.empty((0, 3))
+@dataclass(frozen=True)
+class Heights:
+    """How high the markers stand in the last frame of a press, above where they were in the first.
+
+    Attributes
+    ----------
+    found_mm, truth_mm : (N,) float64
+        As measured along z, and as simulated.
+    seen : (N,) bool
+    salient : (N,) bool, optional
+        What the method itself takes for the contact; not known of the OpenCV pipeline.
+    """
+
+    found_mm: Array
+    truth_mm: Array
+    seen: npt.NDArray[np.bool_]
+    salient: npt.NDArray[np.bool_] | None
+
+    def errors_um(self) -> Array:
+        """Height errors of the markers on the block."""
+        block = self.seen & (self.truth_mm > 0.95 * self.truth_mm.max())
+        return np.asarray(1e3 * (self.found_mm - self.truth_mm)[block], np.float64)
+
+
+def measure_heights(runner: Runner, press: Sequence[SimulatedFrame]) -> Heights:
+    """Measure a press."""
+    rest_mm, points_mm, seen = np.empty((0, 3)), np.empty((0, 3)), np.empty(0, dtype=np.bool_)
     for frame in press:
         _, points_mm, seen = runner.process(frame)
         if frame.index == 0:
             rest_mm = points_mm
-    truth_mm = press[-1].indentation_mm
-    block = seen & (truth_mm > 0.95 * truth_mm.max())
-    return np.asarray(1e3 * ((rest_mm - points_mm)[block, 2] - truth_mm[block]), np.float64)
+    return Heights((rest_mm - points_mm)[:, 2], press[-1].indentation_mm, seen, runner.salient)
 
 
 def _targets(name: str, errors_um: Mapping[str, Sequence[Array]]) -> list[Target]:

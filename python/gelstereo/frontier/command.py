@@ -10,6 +10,7 @@ from pathlib import Path
 
 import cv2
 
+from gelstereo.cli.options import count
 from gelstereo.frontier.boards import measure_boards
 from gelstereo.frontier.centres import CONDITIONS, measure_centres
 from gelstereo.frontier.covariance import measure_covariance
@@ -58,13 +59,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="run neither callgrind nor the core's own timing program",
     )
-
-
-def count(text: str) -> int:
-    """A whole number from 1 on."""
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is no count; valid is a whole number from 1 on")
-    return int(text)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import platform
 import shutil
 import tempfile
 from collections.abc import Sequence
@@ -13,6 +12,7 @@ from gelstereo.frontier.scenes import CONDITIONS
 from gelstereo.frontier.sensing import Row
 from gelstereo.frontier.table import Table, Target
 from gelstereo.reports.markdown import ReportError, replace_between, table
+from gelstereo.reports.provenance import processor
 
 __all__ = ["LOCALIZATION_SECTIONS", "SECTIONS", "check_page", "row_tables", "write_page"]
 
@@ -67,7 +67,7 @@ def write_page(
         draft = Path(folder) / page.name
         shutil.copy(page, draft)
         said = (
-            f"All figures: {conditions}. Times: one thread, {_processor()}, {rounds} rounds in which all methods take "
+            f"All figures: {conditions}. Times: one thread, {processor()}, {rounds} rounds in which all methods take "
             f"turns; {_load()}."
         )
         replace_between(draft, "conditions", said)
@@ -94,17 +94,6 @@ def _line(row: Row) -> list[str]:
         "-" if row.instructions is None else f"{row.instructions * 1e-6:.2f}",
         f"{row.speed:.1f}",
     ]
-
-
-def _processor() -> str:
-    """Name the processor."""
-    try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()
 
 
 def _load() -> str:

@@ -39,12 +39,15 @@ class Runner:
         self._sorts = params.to_dict()["label"]["method"] == "foresight"
         #: Frames whose labels come from tracks because the sort refused.
         self.refusals = 0
+        #: Markers of the last frame that the native pipeline takes for the contact.
+        self.salient: npt.NDArray[np.bool_] | None = None
 
     def process(self, frame: SimulatedFrame) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
         """Give left pixels, points and which markers were seen."""
         if self._pipeline is not None:
             result = self._pipeline.process(frame.left, frame.right)
             self.refusals += self._sorts and "tracks" in (result.left.labels, result.right.labels)
+            self.salient = result.salient
             return result.left_px, result.points_mm, result.state == MarkerState.SEEN
         assert self._baseline is not None
         found = self._baseline.process(frame.left, frame.right)
