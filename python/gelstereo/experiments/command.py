@@ -17,6 +17,7 @@ EXAMPLES = """examples:
   gelstereo experiment boards --output out/boards                  Table I and Fig. 14 of the paper
   gelstereo experiment boards --output out/boards --resume         go on where it was interrupted
   gelstereo experiment objects --output out/objects --workers 4    Fig. 12, on four processes
+  gelstereo experiment insertion --output out/insertion --trials 1000 --workers 2
   gelstereo experiment boards --output out/boards --scheduler tcp://10.0.0.2:8786
 
 All write report.html into the output folder: one file with its figures inside, for reading without a network.
@@ -25,6 +26,11 @@ All write report.html into the output folder: one file with its figures inside, 
 #: Every experiment is a module with an `Experiment` of the name ``EXPERIMENT``.
 EXPERIMENTS = {
     "boards": ("gelstereo.experiments.boards", "height of boards pressed into the gel (Table I, Fig. 14)"),
+    "insertion": ("gelstereo.experiments.insertion", "grasp, localize, insert (Tables II and III, Fig. 15)"),
+    "insertion-physics": (
+        "gelstereo.experiments.insertion.physics_check",
+        "insertions judged by geometry against contact physics (extra physics)",
+    ),
 }
 
 

@@ -46,7 +46,7 @@ class Verdict:
     truth: Array
     refused: str | None
     found: Array
-    taught: tuple[Array, Array] | None
+    taught: tuple[Array, Array]
     room_mm: float
     chance: float
     free: tuple[str, ...]
@@ -79,8 +79,11 @@ def _verdict(part: str, method: str, record: Record, result: dict[str, Any]) -> 
     truth = np.array(record["t_sensor_object"])
     refused = result.get("refused")
     if refused is not None:
-        return Verdict(part, method, record["hold"], truth, refused, np.eye(4), None, -np.inf, 0.0, ())
-    taught = None if result["taught"] is None else tuple(np.array(pose) for pose in result["taught"])
+        nothing = np.eye(4)
+        return Verdict(
+            part, method, record["hold"], truth, refused, nothing, (nothing, nothing), -np.inf, 0.0, ()
+        )
+    taught = np.array(result["taught"][0]), np.array(result["taught"][1])
     found = np.array(result["t_sensor_object"])
     room, chance, free = result["room_mm"], result["chance"], tuple(result["free"])
     return Verdict(part, method, record["hold"], truth, None, found, taught, room, chance, free)
@@ -98,10 +101,7 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
 
 
 def allowed(chosen: Sequence[Verdict], angle: str, share: float = 1.0) -> float | None:
-    """Largest angle (a key of `Verdict.hold`) up to which at least this share of grasps goes in, rad; None if none does.
-
-    Only grasps count towards it whose other angles are small enough too, which is for the caller to choose.
-    """
+    """Largest angle (a key of `Verdict.hold`) up to which at least this share of grasps goes in, rad, or None."""
     order = sorted(chosen, key=lambda verdict: abs(verdict.hold[angle]))
     best, inserted = None, 0
     for count, verdict in enumerate(order, start=1):
@@ -133,7 +133,7 @@ def share_with(chosen: Sequence[Verdict], fits: dict[str, Fit], errors: RobotErr
 
 
 def break_even(share_at: Callable[[float], float], most: float, goal: float = PAPER_SHARE) -> float | None:
-    """Scale of errors at which the share falls to `goal`, by bisection; None if it is lower without any or never falls."""
+    """Scale of errors at which the share falls to `goal`, by bisection; None if it does not."""
     if share_at(0.0) < goal or share_at(most) > goal:
         return None
     low, high = 0.0, most
@@ -144,7 +144,7 @@ def break_even(share_at: Callable[[float], float], most: float, goal: float = PA
 
 
 def cause(fit: Fit, placed: Array) -> str:
-    """Say why a part does not go in: which part of its motion from the ideal would be enough by itself, and how large."""
+    """Say why a part does not go in: what of its motion from the ideal is enough by itself, and how large it is."""
     axis = placed[:3, 2]
     tilt_deg = float(np.rad2deg(np.arctan2(np.hypot(axis[0], axis[1]), axis[2])))
     turn_deg = float(np.rad2deg(np.arctan2(placed[1, 0] - placed[0, 1], placed[0, 0] + placed[1, 1])))

@@ -41,12 +41,12 @@ def object_covariance(found: Found, prior: Prior) -> Array:
 
     Along what the contact leaves free the prior is all that is known.
     """
-    to_centre = np.eye(4)
+    to_centre: Array = np.eye(4)
     to_centre[:3, 3] = -found.centre_mm
     known = np.diag(np.repeat([prior.rotation_rad**-2.0, prior.shift_mm**-2.0], 3))
     carry = adjoint(to_centre)
     sensor = np.linalg.inv(found.information + carry.T @ known @ carry)
-    back = adjoint(np.linalg.inv(found.t_sensor_object))
+    back = adjoint(np.asarray(np.linalg.inv(found.t_sensor_object)))
     return np.asarray(back @ sensor @ back.T)
 
 

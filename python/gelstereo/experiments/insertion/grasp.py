@@ -1,8 +1,8 @@
 """Parts in the middle of a gripper: how they may lie, what the sensor sees of them, and what is guessed at first.
 
-The part lies across the gel with its tip down, towards the sensor frame's +y, between two parallel fingers. Pitch is its
-turn within the gel's plane (from the nominal direction), roll its tilt out of that plane; both names are the paper's
-(Fig. 15, Rx and Ry of the sensor).
+The part lies across the gel with its tip down, towards the sensor frame's +y, between two parallel fingers. Pitch is
+its turn within the gel's plane (from the nominal direction), roll its tilt out of that plane; both names are the
+paper's (Fig. 15, Rx and Ry of the sensor).
 """
 
 from __future__ import annotations
@@ -71,7 +71,9 @@ GRASPED = {
         Grasped("peg_round", "a", parts.peg_round, (22.0, 28.0), (0.0,), np.pi, 10.0, 0.25),
         Grasped("peg_square", "b", parts.peg_square, (22.0, 28.0), _turns(0.0, 4), _SEATED, 10.0, 0.25),
         Grasped("peg_irregular", "c", parts.peg_irregular, (28.0, 32.0), (0.0,), 0.3, 10.0, 0.28),
-        Grasped("peg_hexagonal", "d", parts.peg_hexagonal, (22.0, 28.0), _turns(_FLAT, 6), _SEATED, 10.0, 0.25),
+        Grasped(
+            "peg_hexagonal", "d", parts.peg_hexagonal, (22.0, 28.0), _turns(_FLAT, 6), _SEATED, 10.0, 0.25
+        ),
         # Only one of its two wide sides fits the socket.
         Grasped("usb_plug", "e", parts.usb_plug, (21.0, 24.5), (_QUARTER,), _SEATED, 8.0, 0.28, trials=10),
     )
@@ -125,8 +127,13 @@ class Hold:
 
     @classmethod
     def nominal(cls, part: Grasped, ranges: GraspRanges) -> Hold:
-        """Lie in the middle, straight: the grasp that is taught."""
-        return cls(0.0, 0.0, part.faces_rad[0], 0.0, float(np.mean(part.held_mm)), float(np.mean(ranges.press_mm)))
+        """Lie in the middle, straight but for a little pitch: the grasp that is taught.
+
+        An edge that lies along a row of markers is known to a pitch only; one that crosses the rows, to a part of it.
+        """
+        return cls(
+            0.1, 0.0, part.faces_rad[0], 0.0, float(np.mean(part.held_mm)), float(np.mean(ranges.press_mm))
+        )
 
     @classmethod
     def drawn(cls, part: Grasped, ranges: GraspRanges, random: np.random.Generator) -> Hold:

@@ -35,8 +35,8 @@ _DAMPING_NMS_PER_RAD = 1e-3
 class Hand:
     """How the part is held, how it is driven, and how time is cut up.
 
-    The springs are of a contact of 100 mm2 on 5 mm of gel with a shear modulus of 70 kPa: G A / t across it, and that at
-    arm's length of 5 mm for turns. Every direction has the same, the stiffer ones too: the softest guess.
+    The springs are of a contact of 100 mm2 on 5 mm of gel with a shear modulus of 70 kPa: G A / t across it, and that
+    at an arm of 5 mm for turns. Every direction has the same, the stiffer ones too: the softest guess.
     """
 
     stiffness_n_per_mm: float = 1.4

@@ -1,10 +1,10 @@
 """Where a robot puts the part: ideal, or with errors of the coordinate transforms and of the motion.
 
-With X the part's true pose in the sensor and X̂ the one found, a robot that knows the sensor's pose in the hand and the
-hole brings the part to X̂⁻¹ X in the hole's frame. If it learned the hole from a grasp (true Y, found Ŷ), it repeats that
-grasp's pose, and the part comes to Y⁻¹ Ŷ X̂⁻¹ X. A sensor that sits otherwise in the hand than the robot believes, by ε,
-turns X̂⁻¹ X into X̂⁻¹ exp(ε) X; after teaching, into Y⁻¹ exp(-ε) Ŷ X̂⁻¹ exp(ε) X: only as far as the robot has to turn
-the part does it matter then, which is what the paper saw (section VI-B).
+A robot learned the hole from a grasp over it: the part's true pose in the sensor was Y, and Ŷ was found. Now the part
+is held at X and found at X̂. The robot moves so that what it finds would stand as it stood then, and brings the part to
+Y⁻¹ Ŷ X̂⁻¹ X in the hole's frame. A sensor that sits otherwise in the hand than the robot believes, by ε, makes that
+Y⁻¹ exp(-ε) Ŷ X̂⁻¹ exp(ε) X: it matters only as far as the robot has to turn the part, which is what the paper saw
+(section VI-B).
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class RobotErrors:
 def over_hole(
     t_sensor_object: Array,
     found: Array,
-    taught: tuple[Array, Array] | None,
+    taught: tuple[Array, Array],
     mount: Array | None = None,
     motion: Array | None = None,
     about_mm: Array | None = None,
@@ -63,7 +63,7 @@ def over_hole(
     t_sensor_object, found
         True and found pose in the sensor, (4, 4).
     taught
-        True and found pose of the grasp that taught the hole, or None when the robot knows it.
+        True and found pose of the grasp over the hole.
     mount, motion
         Errors, twists (ω, v): of the sensor's pose in the hand, in the sensor's frame about `about_mm`; and of the
         motion, in the hole's frame.
@@ -75,10 +75,9 @@ def over_hole(
         about = np.eye(4)
         about[:3, 3] = 0.0 if about_mm is None else about_mm
         slip = about @ np.asarray(se3_exp(mount)) @ np.linalg.inv(about)
-    placed = np.linalg.inv(found) @ slip @ t_sensor_object
-    if taught is not None:
-        truth, learned = taught
-        placed = np.linalg.inv(truth) @ np.linalg.inv(slip) @ learned @ placed
+    truth, learned = taught
+    goal = np.linalg.inv(truth) @ np.linalg.inv(slip) @ learned
+    placed = goal @ np.linalg.inv(found) @ slip @ t_sensor_object
     if motion is not None:
         placed = np.asarray(se3_exp(motion)) @ placed
     return np.asarray(placed)

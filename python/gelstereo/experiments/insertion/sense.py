@@ -36,9 +36,6 @@ class Method:
     preset: str
     #: Rung that registers.
     register: str
-    #: Whether it learns where the part must go from a grasp over the hole (section V-A: the template pose), as the
-    #: paper does, so that what is always wrong cancels; otherwise the drawings of part and hole tell.
-    teaches: bool = True
     #: Whether it tells which of several poses is the likeliest, and so may start from all guesses.
     tries_all: bool = False
 
@@ -52,7 +49,7 @@ METHODS = (
     Method("FilterReg, point to point", "paper", "filterreg_point"),
     Method("FilterReg, point to plane", "paper", "filterreg_plane"),
     Method("RANSAC + ICP", "paper", "ransac_icp"),
-    Method("surface search", "balanced", "surface_search", teaches=False, tries_all=True),
+    Method("surface search", "balanced", "surface_search", tries_all=True),
 )
 
 

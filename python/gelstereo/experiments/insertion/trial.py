@@ -106,9 +106,9 @@ def workplace(letter: str) -> Workplace:
 def run(configuration: Configuration, seed: int) -> Record:
     """Grasp a part somewhere, find it by every method, and see whether it would go in.
 
-    The record holds the grasp, the true pose, and by method the pose found, ``room_mm`` between part and walls (below 0 it
-    does not go in), the ``chance`` predicted from the covariance, and the free directions; or ``refused``, why there is
-    no pose.
+    The record holds the grasp, the true pose, and by method the pose found, ``room_mm`` between part and walls (below
+    0 it does not go in), the ``chance`` predicted from the covariance, and the free directions; or ``refused``, why
+    there is no pose.
     """
     place = workplace(configuration["part"])
     hold = Hold.drawn(place.part, RANGES, np.random.default_rng(seed))
@@ -130,16 +130,14 @@ def _judged(place: Workplace, method: Method, frame: Frame, t_sensor_object: Arr
     """What one method finds, and what comes of it with a robot that moves exactly."""
     try:
         found = place.find(method, frame)
-        taught = place.taught(method) if method.teaches else None
+        taught = place.taught(method)
     except RegisterError as error:
         return {"refused": str(error)}
-    t_hole_object = over_hole(t_sensor_object, found.t_sensor_object, taught and taught.pair)
-    covariance = object_covariance(found, PRIOR)
-    if taught is not None:
-        covariance = covariance + object_covariance(taught.found, PRIOR)
+    t_hole_object = over_hole(t_sensor_object, found.t_sensor_object, taught.pair)
+    covariance = object_covariance(found, PRIOR) + object_covariance(taught.found, PRIOR)
     return {
         "t_sensor_object": found.t_sensor_object.tolist(),
-        "taught": None if taught is None else [pose.tolist() for pose in taught.pair],
+        "taught": [pose.tolist() for pose in taught.pair],
         "error": np.asarray(se3_log(t_hole_object)).tolist(),
         "room_mm": place.fit.room_mm(t_hole_object),
         "chance": chance(place.hole, place.fit.end, covariance, seed),
