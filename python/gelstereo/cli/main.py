@@ -34,6 +34,7 @@ EXTRAS = {
     "matplotlib": "bench",
     "mcap": "recording",
     "lz4": "recording",
+    "mujoco": "physics",
 }
 
 EXAMPLES = """examples:

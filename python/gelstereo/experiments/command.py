@@ -17,6 +17,7 @@ EXAMPLES = """examples:
   gelstereo experiment boards --output out/boards                  Table I and Fig. 14 of the paper
   gelstereo experiment boards --output out/boards --resume         go on where it was interrupted
   gelstereo experiment objects --output out/objects --workers 4    Fig. 12, on four processes
+  gelstereo experiment insertion --output out/insertion --trials 1000 --workers 2
   gelstereo experiment boards --output out/boards --scheduler tcp://10.0.0.2:8786
 
 All write report.html into the output folder: one file with its figures inside, for reading without a network.
@@ -26,6 +27,11 @@ All write report.html into the output folder: one file with its figures inside, 
 EXPERIMENTS = {
     "boards": ("gelstereo.experiments.boards", "height of boards pressed into the gel (Table I, Fig. 14)"),
     "objects": ("gelstereo.experiments.objects", "objects pressed into the gel, and located (Fig. 12)"),
+    "insertion": ("gelstereo.experiments.insertion", "grasp, localize, insert (Tables II and III, Fig. 15)"),
+    "insertion-physics": (
+        "gelstereo.experiments.insertion.physics_check",
+        "insertions judged by geometry against contact physics (extra physics)",
+    ),
 }
 
 

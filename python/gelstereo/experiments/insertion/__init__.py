@@ -1,0 +1,42 @@
+"""Grasp, localize, align, insert (section V-A of the paper): Tables II and III, Fig. 15."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from gelstereo.experiments.batch import Trial, keyed_seed
+from gelstereo.experiments.experiment import Experiment
+from gelstereo.experiments.insertion.grasp import GRASPED
+from gelstereo.experiments.insertion.report import insertion_report
+from gelstereo.experiments.insertion.sense import METHODS
+from gelstereo.experiments.insertion.trial import run, sensor_scene
+
+__all__ = ["EXPERIMENT"]
+
+#: As often as the paper grasps a peg; the plug fewer times in proportion.
+_REPEATS = 36
+
+
+def inputs() -> dict[str, str]:
+    """The sensor's scene, and the settings of all methods."""
+    settings = {f"settings {method.name}": method.params().to_toml() for method in METHODS}
+    return {"scene": sensor_scene().to_toml(), **settings}
+
+
+def trials(repeats: int, seed: int) -> Sequence[Trial]:
+    """All grasps of all parts."""
+    return [
+        Trial({"part": letter, "grasp": grasp}, keyed_seed(seed, "insertion", letter, grasp))
+        for letter, part in GRASPED.items()
+        for grasp in range(1, -(-repeats * part.trials // _REPEATS) + 1)
+    ]
+
+
+EXPERIMENT = Experiment(
+    name="insertion",
+    repeats=_REPEATS,
+    inputs=inputs,
+    trials=trials,
+    run=run,
+    report=lambda t, r: insertion_report(t, r, inputs()),
+)

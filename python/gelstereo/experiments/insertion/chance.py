@@ -1,0 +1,62 @@
+"""Go or no-go: how probable it is that a part goes in, from the covariance of its pose alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gelstereo.experiments.insertion.hole import Hole, InsertedEnd
+from gelstereo.experiments.insertion.sense import Found
+from gelstereo.geometry import se3_exp
+
+__all__ = ["Prior", "adjoint", "chance", "object_covariance"]
+
+Array = npt.NDArray[np.float64]
+
+#: Poses drawn for one answer: it is then known to 0.02 where it matters most, at a half.
+SAMPLES = 512
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of a grasp before it is sensed: standard deviations about the middle of the contact."""
+
+    rotation_rad: float = 0.3
+    shift_mm: float = 2.0
+
+
+def adjoint(pose: Array) -> Array:
+    """Take twists (ω, v) through a pose, (6, 6): T exp(ξ) T⁻¹ = exp(Ad ξ)."""
+    rotation, (x, y, z) = pose[:3, :3], pose[:3, 3]
+    out = np.zeros((6, 6))
+    out[:3, :3] = out[3:, 3:] = rotation
+    out[3:, :3] = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ rotation
+    return out
+
+
+def object_covariance(found: Found, prior: Prior) -> Array:
+    """Covariance of a small motion (ω, v) of the part in its own frame, (6, 6): what was sensed, joined with the prior.
+
+    Along what the contact leaves free the prior is all that is known.
+    """
+    to_centre: Array = np.eye(4)
+    to_centre[:3, 3] = -found.centre_mm
+    known = np.diag(np.repeat([prior.rotation_rad**-2.0, prior.shift_mm**-2.0], 3))
+    carry = adjoint(to_centre)
+    sensor = np.linalg.inv(found.information + carry.T @ known @ carry)
+    back = adjoint(np.asarray(np.linalg.inv(found.t_sensor_object)))
+    return np.asarray(back @ sensor @ back.T)
+
+
+def chance(hole: Hole, end: InsertedEnd, covariance: Array, seed: int) -> float:
+    """Probability that a part goes in whose pose over the hole has this covariance, 0 to 1.
+
+    `covariance` is that of a motion (ω, v) in the hole's frame. The share of `SAMPLES` drawn poses that fit.
+    """
+    random = np.random.default_rng([seed, 71])
+    values, vectors = np.linalg.eigh(covariance)
+    drawn = random.normal(size=(SAMPLES, 6)) * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+    motions = np.stack([np.asarray(se3_exp(twist)) for twist in drawn])
+    return float(np.mean(hole.rooms_mm(end, motions) >= 0.0))

@@ -1,0 +1,120 @@
+"""A hole that fits a part's end, and whether the part at a pose goes in.
+
+The hole's frame is the part's own frame where it stands ideally inserted: z along the hole, into it. The hole is the
+part's inserted end, hulled and widened: upright walls, no chamfer, both rigid. A part that is lowered along z in the
+posture in which it arrived, without turning or shifting, goes in if and only if all of it that is below the mouth at
+the end lies between the walls: what was below the mouth before is a part of that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from gelstereo import Error
+
+if TYPE_CHECKING:
+    import trimesh
+
+__all__ = ["Hole", "InsertedEnd"]
+
+Array = npt.NDArray[np.float64]
+
+#: What is farther from the walls of its own hole meets them last.
+_NEAR_MM = 0.75
+
+
+@dataclass(frozen=True)
+class InsertedEnd:
+    """The part's surface, as far as a hole needs it, in the part's frame, mm."""
+
+    vertices_mm: Array
+    #: (E, 2) vertices that an edge joins.
+    edges: npt.NDArray[np.int64]
+
+    @classmethod
+    def of(cls, mesh: trimesh.Trimesh) -> InsertedEnd:
+        """Take the vertices and edges of a mesh whose end towards +z is inserted."""
+        return cls(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.edges_unique, np.int64))
+
+    def below(self, mouth_mm: float, t_hole_object: Array) -> Array:
+        """Points whose hull is that of the part beyond the plane z = `mouth_mm` of the hole's frame, (N, 3) mm.
+
+        They are the vertices there, and where edges pass the plane.
+        """
+        placed = self.vertices_mm @ t_hole_object[:3, :3].T + t_hole_object[:3, 3]
+        height = placed[:, 2] - mouth_mm
+        first, second = self.edges[(height[self.edges] > 0.0).sum(axis=1) == 1].T
+        share = height[first] / (height[first] - height[second])
+        crossings = placed[first] + share[:, None] * (placed[second] - placed[first])
+        return np.vstack([placed[height > 0.0], crossings])
+
+
+@dataclass(frozen=True)
+class Hole:
+    """Upright walls around a part's end."""
+
+    #: (K, 2) outward unit normals of the walls.
+    normals: Array
+    #: (K,) distances of the walls from the origin along them, mm.
+    offsets_mm: Array
+    #: Where the part's tip stands when it is in, and the mouth, z in the hole's frame, mm.
+    tip_mm: float
+    mouth_mm: float
+
+    @classmethod
+    def around(cls, end: InsertedEnd, depth_mm: float, clearance_mm: float) -> Hole:
+        """Make the hole for `depth_mm` of a part's end; `clearance_mm` is what its width has over the part's.
+
+        Raises
+        ------
+        Error
+            If the depth is not above 0 and below the part's length, or the clearance not above 0.
+        """
+        heights = end.vertices_mm[:, 2]
+        length_mm = float(np.ptp(heights))
+        if not 0.0 < depth_mm < length_mm:
+            raise Error(f"depth_mm is {depth_mm}; valid is above 0 and below the part's {length_mm:.3f} mm")
+        if not clearance_mm > 0.0:
+            raise Error(f"clearance_mm is {clearance_mm}; valid is above 0")
+        tip_mm = float(heights.max())
+        section = end.below(tip_mm - depth_mm, np.eye(4))[:, :2]
+        order = cv2.convexHull(section.astype(np.float32), returnPoints=False)[:, 0]
+        hull = section[order]
+        along = np.roll(hull, -1, axis=0) - hull
+        area = float(np.sum(hull[:, 0] * along[:, 1] - hull[:, 1] * along[:, 0]))
+        normals = np.sign(area) * np.column_stack([along[:, 1], -along[:, 0]])
+        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        offsets = np.max(section @ normals.T, axis=0) + 0.5 * clearance_mm
+        return cls(normals, offsets, tip_mm, tip_mm - depth_mm)
+
+    def room_mm(self, end: InsertedEnd, t_hole_object: Array) -> float:
+        """Least distance of the inserted part from the walls, mm; below 0 it does not go in.
+
+        The part is lowered until its tip is as deep as the hole: how high it stood before plays no part.
+        """
+        lowered = np.array(t_hole_object, np.float64)
+        placed = end.vertices_mm @ lowered[2, :3] + lowered[2, 3]
+        lowered[2, 3] += self.tip_mm - placed.max()
+        points = end.below(self.mouth_mm, lowered)[:, :2]
+        return float(np.min(self.offsets_mm - np.max(points @ self.normals.T, axis=0)))
+
+    def rooms_mm(self, end: InsertedEnd, motions: Array) -> Array:
+        """`room_mm` of many motions of the inserted part, (S, 4, 4), none of them large but about or along z; (S,) mm.
+
+        Only what lies near the walls when the part is in place is looked at: a motion that brings anything else to a
+        wall brings these through it.
+        """
+        points = end.below(self.mouth_mm, np.eye(4))
+        room = np.min(self.offsets_mm - points[:, :2] @ self.normals.T, axis=1)
+        near = points[room < _NEAR_MM]
+        moved = np.einsum("sij,nj->sni", motions[:, :2, :3], near) + motions[:, None, :2, 3]
+        rooms = [
+            offset - np.max(moved @ normal, axis=1)
+            for normal, offset in zip(self.normals, self.offsets_mm, strict=True)
+        ]
+        return np.asarray(np.min(rooms, axis=0))

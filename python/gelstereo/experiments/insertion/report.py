@@ -1,0 +1,236 @@
+"""The insertion's report: Tables II and III, go or no-go against what happened, robot errors, failures."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from gelstereo.experiments.batch import Trial
+from gelstereo.experiments.insertion import analysis, figures
+from gelstereo.experiments.insertion.analysis import LEAST_CHANCE, PAPER_SHARE, Verdict, wilson
+from gelstereo.experiments.insertion.grasp import GRASPED, Fit, fit_of
+from gelstereo.experiments.insertion.robot import RobotErrors
+from gelstereo.experiments.insertion.sense import METHODS
+from gelstereo.experiments.insertion.trial import RANGES
+from gelstereo.experiments.report import Report
+from gelstereo.experiments.store import Record
+from gelstereo.frontier.scenes import CONDITIONS
+from gelstereo.reports.html import Block, Figure, Grid, Heading, Paragraph
+
+__all__ = ["insertion_report"]
+
+#: Every way a robot errs by itself: name, one unit of it, the unit's name, and the most that is tried.
+ERRORS = (
+    ("sensor turned in the hand", RobotErrors(mount_rad=np.deg2rad(1.0)), "deg", 2.0),
+    ("sensor shifted in the hand", RobotErrors(mount_mm=1.0), "mm", 1.0),
+    ("motion turned", RobotErrors(motion_rad=np.deg2rad(1.0)), "deg", 0.6),
+    ("motion shifted", RobotErrors(motion_mm=1.0), "mm", 0.3),
+)
+
+_ASKED = (
+    "Is a grasped part located well enough to be inserted? Pegs (a) to (d) and a USB plug (e) lie in the middle of the "
+    "gripper, turned within the gel's plane (pitch) and tilted out of it (roll); the part is found from one contact, "
+    "the robot aligns it and lowers it straight into a hole that is less than 0.3 mm wider. The paper grasps each peg "
+    f"36 times and the plug 10 times; {100 * PAPER_SHARE:.1f} % go in with FilterReg (its Tables II and III, Fig. 15). "
+    "A part goes in if its mesh at the pose that the robot achieves lies within the hole's walls: both "
+    "are rigid, and nothing yields. Where contact cannot tell a direction that matters, a robot should refuse: the "
+    f"chance of success is predicted from the pose's covariance, and the robot goes ahead from {LEAST_CHANCE} on."
+)
+
+
+def insertion_report(trials: Sequence[Trial], records: Sequence[Record], inputs: Mapping[str, str]) -> Report:
+    """Make tables and figures of the records."""
+    found = analysis.verdicts(trials, records)
+    fits = {letter: fit_of(letter) for letter in dict.fromkeys(v.part for v in found)}
+    ours = [v for v in found if v.method == METHODS[-1].name]
+    findings: list[Block] = [
+        *_success(found, fits),
+        *_chances(ours, fits),
+        *_ranges(found, fits),
+        *_robots(ours, fits),
+        *_failures(found, fits),
+    ]
+    conditions = (
+        f"{CONDITIONS}; grasps drawn evenly: pitch within {RANGES.pitch_rad} rad, roll within {RANGES.roll_rad} rad, "
+        f"{RANGES.shift_mm} mm across, pressed {RANGES.press_mm[0]} to {RANGES.press_mm[1]} mm"
+    )
+    return Report("Grasp, localize, insert", _ASKED, conditions, findings, inputs)
+
+
+def _name(letter: str) -> str:
+    return f"({letter}) {GRASPED[letter].name.replace('_', ' ')}"
+
+
+def _of(found: Sequence[Verdict], letter: str | None = None, method: str | None = None) -> list[Verdict]:
+    return [v for v in found if letter in (None, v.part) and method in (None, v.method)]
+
+
+def _share(chosen: Sequence[Verdict]) -> str:
+    if not chosen:
+        return "-"
+    inserted = sum(v.inserted for v in chosen)
+    low, high = wilson(inserted, len(chosen))
+    return f"{100 * inserted / len(chosen):.1f} ({100 * low:.1f} to {100 * high:.1f})"
+
+
+def _success(found: Sequence[Verdict], fits: Mapping[str, Fit]) -> list[Block]:
+    """Table II."""
+    methods = [method.name for method in METHODS]
+    rows = [
+        [
+            _name(letter),
+            f"{GRASPED[letter].clearance_mm:.2f}",
+            str(len(_of(found, letter, methods[0]))),
+            *(_share(_of(found, letter, method)) for method in methods),
+        ]
+        for letter in fits
+    ]
+    every = [_share(_of(found, method=method)) for method in methods]
+    rows.append(["all", "", str(len(_of(found, method=methods[0]))), *every])
+    caption = "Insertions with a robot that moves exactly, per cent (95 % interval)"
+    return [
+        Heading("Success (Table II)"),
+        Paragraph(
+            "All methods learn the goal from a grasp over the hole, as in the paper, and start from the same guess: "
+            "along the patch, and otherwise as in that grasp. The paper's methods are given what the paper's sensing "
+            "gives: all markers deeper than 0.35 mm, half of which the gel's shoulder lifts beside the part."
+        ),
+        Grid(caption, ["part", "clearance mm", "grasps", *methods], rows),
+    ]
+
+
+def _chances(ours: Sequence[Verdict], fits: Mapping[str, Fit]) -> list[Block]:
+    """Go or no-go."""
+    rows = []
+    for letter in (*fits, None):
+        chosen = _of(ours, letter)
+        go, stay = [v for v in chosen if v.go], [v for v in chosen if not v.go]
+        reasons = Counter(_reason(v) for v in stay).most_common(2)
+        said = "; ".join(f"{text} ({count})" for text, count in reasons) or "-"
+        share = f"{100 * len(go) / len(chosen):.1f}" if chosen else "-"
+        rows.append(["all" if letter is None else _name(letter), share, _share(go), _share(stay), said])
+    curve = analysis.calibration(ours)
+    head = ["part", "go %", "of these go in, %", "of the others, %", "why not (how often)"]
+    return [
+        Heading("Go or no-go"),
+        Grid(f"{METHODS[-1].name}: go from a predicted chance of {LEAST_CHANCE} on", head, rows),
+        Figure(
+            "Predicted chance against the share that went in, with its 95 % interval; the line is right",
+            figures.calibration_curve(curve),
+            "svg",
+        ),
+    ]
+
+
+def _reason(verdict: Verdict) -> str:
+    """Why the robot refuses."""
+    if verdict.refused is not None:
+        return verdict.refused
+    return " and ".join(f"{_plain(free)} is free" for free in verdict.free) or "the pose is too uncertain"
+
+
+def _plain(free: str) -> str:
+    """A free direction without the place, so that equal ones are counted together."""
+    return free.partition(" through ")[0]
+
+
+def _ranges(found: Sequence[Verdict], fits: Mapping[str, Fit]) -> list[Block]:
+    """Table III."""
+    methods = [method.name for method in METHODS]
+    rows = [
+        [
+            _name(letter),
+            f"{GRASPED[letter].clearance_mm:.2f}",
+            *(
+                _range(_of(found, letter, method), angle)
+                for method in methods
+                for angle in ("pitch_rad", "roll_rad")
+            ),
+        ]
+        for letter in fits
+    ]
+    head = [
+        "part",
+        "clearance mm",
+        *(f"{method}, {angle}" for method in methods for angle in ("pitch", "roll")),
+    ]
+    return [
+        Heading("Allowable poses (Table III)"),
+        Paragraph(
+            f"The largest angle up to which at least {100 * PAPER_SHARE:.1f} % of the grasps go in, with a robot that "
+            "moves exactly; a dash where there is none."
+        ),
+        Grid("Allowable pitch and roll, rad", head, rows),
+    ]
+
+
+def _range(chosen: Sequence[Verdict], angle: str) -> str:
+    most = analysis.allowed(chosen, angle, PAPER_SHARE)
+    return "-" if most is None else f"±{most:.3f}"
+
+
+def _robots(ours: Sequence[Verdict], fits: dict[str, Fit]) -> list[Block]:
+    """Errors of the robot and of the coordinate transforms."""
+    go = [v for v in ours if v.go][:_MOST_SWEPT]
+    if not go:
+        return []
+    curves, rows = {}, []
+    for name, unit, unit_name, most in ERRORS:
+
+        def share_at(scale: float, unit: RobotErrors = unit) -> float:
+            return analysis.share_with(go, fits, unit.times(scale))
+
+        curves[f"{name}, {unit_name}"] = [(float(x), share_at(float(x))) for x in np.linspace(0.0, most, 9)]
+        found = analysis.break_even(share_at, most)
+        rows.append([name, f"{found:.3f} {unit_name}" if found is not None else "not reached"])
+    return [
+        Heading("What robot errors cost"),
+        Paragraph(
+            "Standard deviation of every component, one error at a time; those of the sensor's pose in the hand are "
+            "drawn once for each of eight robots, those of the motion for every trial. Grasps that our method dares. A "
+            "sensor that sits otherwise than the robot believes matters as far as the part must be turned: what the "
+            "grasp over the hole has in common cancels."
+        ),
+        Grid(
+            f"Where success falls to the paper's {100 * PAPER_SHARE:.1f} %",
+            ["error", "standard deviation"],
+            rows,
+        ),
+        Figure("Share that goes in over the error", figures.error_curves(curves, PAPER_SHARE), "svg"),
+    ]
+
+
+#: Grasps in the sweeps of robot errors.
+_MOST_SWEPT = 100
+
+
+def _failures(found: Sequence[Verdict], fits: Mapping[str, Fit]) -> list[Block]:
+    """Fig. 15: for every method and part the failure that is nearest to going in, and what share has its cause."""
+    blocks: list[Block] = [
+        Heading("Failures (Fig. 15)"),
+        Paragraph("Of every method and part the failure with the median distance from going in."),
+    ]
+    for method in METHODS:
+        failed = {
+            letter: sorted(
+                (v for v in _of(found, letter, method.name) if not v.inserted and v.refused is None),
+                key=lambda v: v.room_mm,
+            )
+            for letter in fits
+        }
+        shown = {letter: chosen[len(chosen) // 2] for letter, chosen in failed.items() if chosen}
+        if not shown:
+            continue
+        said = "; ".join(
+            f"{_name(letter)} with {v.hold['pitch_rad']:+.2f} rad pitch and {v.hold['roll_rad']:+.3f} rad roll: "
+            f"{analysis.cause(fits[letter], v.placed())}"
+            for letter, v in shown.items()
+        )
+        panels = {letter: (fits[letter], v.placed()) for letter, v in shown.items()}
+        caption = (
+            f"{method.name}: hole (grey), part at the mouth (blue) and at its tip (red), from above. {said}"
+        )
+        blocks += [Heading(method.name, 3), Figure(caption, figures.over_the_hole(panels), "svg")]
+    return blocks

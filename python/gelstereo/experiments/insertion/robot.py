@@ -1,0 +1,83 @@
+"""Where a robot puts the part: ideal, or with errors of the coordinate transforms and of the motion.
+
+A robot learned the hole from a grasp over it: the part's true pose in the sensor was Y, and Ŷ was found. Now the part
+is held at X and found at X̂. The robot moves so that what it finds would stand as it stood then, and brings the part to
+Y⁻¹ Ŷ X̂⁻¹ X in the hole's frame. A sensor that sits otherwise in the hand than the robot believes, by ε, makes that
+Y⁻¹ exp(-ε) Ŷ X̂⁻¹ exp(ε) X: it matters only as far as the robot has to turn the part, which is what the paper saw
+(section VI-B).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gelstereo.geometry import se3_exp
+
+__all__ = ["RobotErrors", "over_hole"]
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RobotErrors:
+    """Standard deviations, each of every component."""
+
+    #: Of the sensor's pose in the hand: drawn once for a robot.
+    mount_rad: float = 0.0
+    mount_mm: float = 0.0
+    #: Of each motion.
+    motion_rad: float = 0.0
+    motion_mm: float = 0.0
+
+    def times(self, scale: float) -> RobotErrors:
+        """All of them so many times as large."""
+        return RobotErrors(
+            self.mount_rad * scale, self.mount_mm * scale, self.motion_rad * scale, self.motion_mm * scale
+        )
+
+    def draw(self, robot: int, trial: int) -> tuple[Array, Array]:
+        """Mount's and motion's error, twists (ω, v), for a robot and one of its trials."""
+        mount = np.random.default_rng([robot, 83]).normal(size=6)
+        motion = np.random.default_rng([robot, trial, 89]).normal(size=6)
+        return (
+            mount * np.repeat([self.mount_rad, self.mount_mm], 3),
+            motion * np.repeat([self.motion_rad, self.motion_mm], 3),
+        )
+
+
+def over_hole(
+    t_sensor_object: Array,
+    found: Array,
+    taught: tuple[Array, Array],
+    mount: Array | None = None,
+    motion: Array | None = None,
+    about_mm: Array | None = None,
+) -> Array:
+    """Pose of the part in the hole's frame when the robot has aligned it; the identity is ideal.
+
+    Parameters
+    ----------
+    t_sensor_object, found
+        True and found pose in the sensor, (4, 4).
+    taught
+        True and found pose of the grasp over the hole.
+    mount, motion
+        Errors, twists (ω, v): of the sensor's pose in the hand, in the sensor's frame about `about_mm`; and of the
+        motion, in the hole's frame.
+    about_mm
+        Point of the sensor's frame that `mount` turns about; the frame's origin if left out.
+    """
+    slip = np.eye(4)
+    if mount is not None:
+        about = np.eye(4)
+        about[:3, 3] = 0.0 if about_mm is None else about_mm
+        slip = about @ np.asarray(se3_exp(mount)) @ np.linalg.inv(about)
+    truth, learned = taught
+    goal = np.linalg.inv(truth) @ np.linalg.inv(slip) @ learned
+    placed = goal @ np.linalg.inv(found) @ slip @ t_sensor_object
+    if motion is not None:
+        placed = np.asarray(se3_exp(motion)) @ placed
+    return np.asarray(placed)
