@@ -88,7 +88,7 @@ pub(crate) fn ellipse_bias_px(facts: &Facts<'_>) -> f64 {
     }
     let (optics, touch, rig) = (&facts.optics, &facts.touch, &facts.scene.rig);
     let pitch_mm = facts.least_pitch_mm();
-    let widened = 1.0 + 2.0 * facts.sideways_mm / pitch_mm;
+    let widened = 1.0 + facts.stretch;
     // Neighbours a pitch apart differ in height by no more than the part's steepness over their distance.
     let rise = touch.depth_mm.min(touch.steepness * widened * pitch_mm) / pitch_mm;
     let tilted = rise + optics.tilt * widened;

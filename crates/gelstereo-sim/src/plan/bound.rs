@@ -7,7 +7,7 @@ use crate::scene::{Gel, SceneError};
 /// are on. (So the bounds of several that are off add up: take them away one after the other.)
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Bound {
-    /// Of a dot's position in an image: the centroid of its outline.
+    /// Of a dot's position in an image: the centroid of its outline, for dots within the image.
     pub px: f64,
     /// Of a marker's position in space.
     pub um: f64,
@@ -42,5 +42,10 @@ pub(crate) trait Effect {
     /// The most that it moves a marker sideways: for effects on gel and print.
     fn sideways_mm(&self, _facts: &Facts<'_>) -> f64 {
         0.0
+    }
+
+    /// The most that it stretches the gel between two neighbours, as a share.
+    fn stretch(&self, facts: &Facts<'_>) -> f64 {
+        2.0 * self.sideways_mm(facts) / facts.least_pitch_mm()
     }
 }
