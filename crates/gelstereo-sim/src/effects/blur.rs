@@ -1,6 +1,8 @@
 //! Blur of the lens.
 
-use crate::scene::SceneError;
+use crate::plan::{Bound, Effect, Facts};
+use crate::render::FINE;
+use crate::scene::{Gel, SceneError};
 use alloc::vec::Vec;
 use gelstereo_core::math::{ceil, erf};
 
@@ -24,10 +26,29 @@ impl Default for Defocus {
     }
 }
 
-impl Defocus {
-    pub(super) fn validate(&self) -> Result<(), SceneError> {
+impl Effect for Defocus {
+    fn validate(&self, _gel: &Gel) -> Result<(), SceneError> {
         let sigma = self.sigma_px;
         SceneError::check((0.1..=20.0).contains(&sigma), "effects.defocus.sigma_px", sigma, "0.1 to 20 px")
+    }
+
+    fn bound(&self, facts: &Facts<'_>) -> Bound {
+        let [low, high] = facts.levels();
+        let smeared = facts.scene.effects.smears.is_some();
+        let range = if smeared { high.max(255.0) - low.min(0.0) } else { high - low };
+        Bound::of_levels(range * Blur::new(&self.on_canvas()).beyond_pixel())
+    }
+
+    fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
+        let taps = 2.0 * ceil(4.0 * self.sigma_px * FINE as f64) + 1.0;
+        facts.pixels() * (FINE * FINE) as f64 * (1.5 + 0.15 * taps)
+    }
+}
+
+impl Defocus {
+    /// The same blur on a canvas of finer pixels.
+    pub(crate) fn on_canvas(&self) -> Self {
+        Self { sigma_px: FINE as f64 * self.sigma_px }
     }
 }
 
@@ -57,6 +78,12 @@ impl Blur {
     pub(crate) fn remaining_sigma(&self) -> f32 {
         let beside: f32 = self.weights[1..].iter().map(|w| w * w).sum();
         self.weights[0] * self.weights[0] + 2.0 * beside
+    }
+
+    /// Share of a pixel's light that comes from other pixels, for a pixel of 2 by 2 of the canvas.
+    pub(crate) fn beyond_pixel(&self) -> f64 {
+        let within = f64::from(self.weights[0] + self.weights.get(1).copied().unwrap_or_default());
+        1.0 - within * within
     }
 
     pub(crate) fn apply(&mut self, image: &mut [f32], width: usize) {

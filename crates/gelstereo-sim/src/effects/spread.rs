@@ -2,7 +2,8 @@
 
 use super::check_decay;
 use crate::lattice::Lattice;
-use crate::scene::SceneError;
+use crate::plan::{Bound, Effect, Facts};
+use crate::scene::{Gel, SceneError};
 use alloc::vec::Vec;
 use gelstereo_core::math::{DVec2, sqrt};
 
@@ -34,13 +35,40 @@ impl Default for Spread {
     }
 }
 
-impl Spread {
-    pub(super) fn validate(&self) -> Result<(), SceneError> {
+impl Effect for Spread {
+    fn validate(&self, _gel: &Gel) -> Result<(), SceneError> {
         let strength = self.strength;
         SceneError::check((0.0..=1.0).contains(&strength), "effects.spread.strength", strength, "0 to 1")?;
         check_decay("effects.spread.decay_thicknesses", self.decay_thicknesses)
     }
 
+    fn bound(&self, facts: &Facts<'_>) -> Bound {
+        let sideways_mm = self.sideways_mm(facts);
+        facts.moved(sideways_mm, facts.height_mm(sideways_mm))
+    }
+
+    fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
+        facts.relaxation_ns(sqrt(0.3)) + facts.relaxation_ns(self.decay_thicknesses)
+    }
+
+    /// The gradient of p, which solves p / l² - Δp = s for heights s between 0 and the part's depth that fill no more than
+    /// the pressed area times that depth. It is at most depth / (2 l) whatever the footprint, and
+    /// depth √(2 A) / (π^1.5 l²) for an area A all on one side, the kernel K1(r / l) / (2 π l³) being below 1 / (2 π l² r).
+    fn sideways_mm(&self, facts: &Facts<'_>) -> f64 {
+        let (gel, touch) = (&facts.scene.gel, &facts.touch);
+        let length_mm = self.decay_thicknesses * gel.thickness_mm;
+        let reach = length_mm / gel.pitch_mm;
+        // On the lattice depth / (2 l) is depth / (pitch √(1 + 4 l²)) along each axis.
+        let anywhere = core::f64::consts::SQRT_2 / (gel.pitch_mm * sqrt(1.0 + 4.0 * reach * reach));
+        let pi = core::f64::consts::PI;
+        // Free borders mirror the heights: up to four copies at a corner.
+        let small = sqrt(2.0 * 4.0 * facts.pressed_mm2()) / (pi * sqrt(pi) * length_mm * length_mm);
+        let gradient = touch.depth_mm * anywhere.min(small);
+        self.strength * 1.5 / gel.thickness_mm * length_mm * length_mm * gradient
+    }
+}
+
+impl Spread {
     /// Adds the sideways motion under these heights; the two fields are scratch.
     pub(crate) fn push(
         &self,

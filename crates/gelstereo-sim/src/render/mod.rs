@@ -5,7 +5,7 @@ mod dot;
 pub(crate) use dot::Dot;
 pub use dot::Ellipse;
 
-use crate::effects::{Blur, Bridge, Defocus, Gain, Noise, SmearsOfView, Texture, UnevenLight};
+use crate::effects::{Blur, Bridge, Gain, Noise, SmearsOfView, Texture, UnevenLight};
 use crate::scene::Scene;
 use crate::simulator::{DotImage, Sight, Truth};
 use alloc::vec::Vec;
@@ -17,7 +17,7 @@ use gelstereo_core::math::DVec2;
 /// sampled first and blurred then lies up to 0.01 px off, for what is finer than a pixel has become something coarse.
 /// With half a pixel that is a fifth (a disc's spectrum falls with k^1.5, and the share of it that half a pixel lets pass
 /// is half as large where it folds).
-const FINE: usize = 2;
+pub(crate) const FINE: usize = 2;
 
 /// When an image is taken.
 #[derive(Clone, Copy, Debug)]
@@ -82,10 +82,7 @@ impl Renderer {
             dot_level,
             views: [view(0, "left", &scene.rig.left), view(1, "right", &scene.rig.right)],
             light: effects.uneven_light.clone(),
-            blur: effects
-                .defocus
-                .as_ref()
-                .map(|defocus| Blur::new(&Defocus { sigma_px: FINE as f64 * defocus.sigma_px })),
+            blur: effects.defocus.as_ref().map(|defocus| Blur::new(&defocus.on_canvas())),
             noise: effects.sensor_noise.as_ref().map(|noise| Noise::new(noise, scene.seed)),
             canvas: Vec::new(),
         }

@@ -60,6 +60,16 @@ pub enum SceneError {
         /// The time it must be later than.
         after_s: f64,
     },
+    /// An effect is switched on that the scene does not have.
+    NothingToSwitchOn {
+        /// Which.
+        effect: &'static str,
+    },
+    /// An effect is on auto, but the scene says neither what is asked of it nor how exact.
+    NothingAsked {
+        /// Which.
+        effect: &'static str,
+    },
     /// The indenter is a mesh file whose triangles were not handed over.
     MeshNeeded {
         /// The file.
@@ -97,6 +107,16 @@ impl core::fmt::Display for SceneError {
                 f,
                 "keyframe {keyframe} of {list} is at {time_s} s; valid is later than the one before ({after_s} s), at least \
                  0 and at most 86400 s"
+            ),
+            Self::NothingToSwitchOn { effect } => write!(
+                f,
+                "switches.{effect} is \"on\" but the scene has no {effect}; list it under [effects] (refraction and \
+                 lens_distortion: give the rig layers or a distortion)"
+            ),
+            Self::NothingAsked { effect } => write!(
+                f,
+                "switches.{effect} is \"auto\" but nothing is asked of the scene; add for example asked = {{ kind = \
+                 \"positions\", tolerance_px = 0.01 }}, or switch it on or off"
             ),
             Self::MeshNeeded { path } => {
                 write!(

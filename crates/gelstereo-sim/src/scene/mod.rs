@@ -6,7 +6,8 @@ mod presets;
 pub use crate::simulator::ContactState;
 pub use error::SceneError;
 
-use crate::effects::Effects;
+use crate::effects::{Effects, Optics};
+use crate::plan::{Asked, Switches};
 use crate::shapes::Shape;
 use alloc::vec::Vec;
 use gelstereo_core::camera::Camera;
@@ -33,6 +34,10 @@ pub struct Scene {
     pub indenter: Option<Shape>,
     /// Effects that act; absent ones cost nothing. Default: none.
     pub effects: Effects,
+    /// What is asked of it, and how exact; nothing means everything, exactly. Default: nothing.
+    pub asked: Option<Asked>,
+    /// How its effects are switched. Default: as `asked` says.
+    pub switches: Switches,
     /// Poses over time, interpolated; empty means that nothing touches. Default: empty.
     pub trajectory: Vec<Keyframe>,
     /// Motion of the gel before the cameras, `[[gel_motion]]` in a file, interpolated; empty means that it stands
@@ -49,6 +54,8 @@ impl Default for Scene {
             gel: Gel::default(),
             indenter: None,
             effects: Effects::default(),
+            asked: None,
+            switches: Switches::default(),
             trajectory: Vec::new(),
             gel_motion: Vec::new(),
         }
@@ -213,7 +220,15 @@ impl Scene {
             indenter.validate()?;
         }
         self.effects.validate(&self.gel)?;
+        self.check_switches()?;
         self.check_trajectory()
+    }
+
+    fn check_switches(&self) -> Result<(), SceneError> {
+        self.asked.as_ref().map_or(Ok(()), Asked::validate)?;
+        let listed = |effect: &str| self.effects.listed().any(|(name, _)| name == effect);
+        let own = |effect: &str| Optics::ALL.iter().any(|own| own.name() == effect && own.is_in(self));
+        self.switches.validate(self.asked.is_some(), |effect| listed(effect) || own(effect))
     }
 
     /// Both cameras must see the whole depth of the gel, and its surface must lie behind the rig's layers.
