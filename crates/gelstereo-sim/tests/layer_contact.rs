@@ -3,14 +3,18 @@
 
 use gelstereo_core::math::{hypot, sqrt};
 use gelstereo_sim::layer::closed::{FlatPunch, HalfSpace, Hertz};
-use gelstereo_sim::layer::{Grid, Layer, LayerContact, LayerError, Start};
+use gelstereo_sim::layer::{Grid, Layer, LayerContact, LayerError, Part, Start};
 use proptest::prelude::*;
 
 const NOTHING: f64 = f64::NEG_INFINITY;
 
 fn contact(thickness_mm: f64, poisson_ratio: f64, cells: usize, cell_mm: f64) -> LayerContact {
     let layer = Layer { thickness_mm, poisson_ratio };
-    LayerContact::new(layer, Grid { rows: cells, cols: cells, cell_mm }).unwrap()
+    LayerContact::new(layer, Grid { rows: cells, cols: cells, cell_mm }, 0.0).unwrap()
+}
+
+fn part(heights_mm: &[f64]) -> Part<'_> {
+    Part { heights_mm, carried_mm: None }
 }
 
 /// Distance of every cell from a point near the grid's middle, given in cells from it.
@@ -54,7 +58,7 @@ fn a_ball_on_a_thick_layer_is_hertz_within_1_percent() {
         let hertz = Hertz { half_space: HalfSpace { poisson_ratio }, radius_mm: 4.0, depth_mm: 0.25 };
         let r = distances(layer.grid(), [0.0; 2]);
         let heights = ball(&r, 4.0, 0.25);
-        let found = layer.press(&heights, 1e-9, Start::Afresh).unwrap();
+        let found = layer.press(part(&heights), 1e-9, Start::Afresh).unwrap();
         assert!(found.converged, "{found:?}");
         complements(&mut layer, &heights, 1e-8);
         // 25 cells along the contact's radius; a / h is 0.25 %.
@@ -86,7 +90,7 @@ fn a_flat_punch_on_a_thick_layer_is_boussinesq_within_1_percent() {
     let punch = FlatPunch { half_space: HalfSpace { poisson_ratio: 0.4 }, radius_mm: 1.0 };
     let r = distances(layer.grid(), [0.0; 2]);
     let heights: Vec<f64> = r.iter().map(|&r| if r < 1.0 { 0.1 } else { NOTHING }).collect();
-    assert!(layer.press(&heights, 1e-8, Start::Afresh).unwrap().converged);
+    assert!(layer.press(part(&heights), 1e-8, Start::Afresh).unwrap().converged);
     complements(&mut layer, &heights, 1e-7);
     // The pressure is infinite at the rim: cells there err by half a cell in 32.
     let ratio = force(&layer) / (0.1 * punch.stiffness_mm());
@@ -106,7 +110,7 @@ fn gel_rises_beside_the_contact() {
     let r = distances(layer.grid(), [0.0; 2]);
     let heights: Vec<f64> =
         r.iter().map(|&r| if r < 4.0 { 1.0 - 4.0 + sqrt(16.0 - r * r) } else { NOTHING }).collect();
-    assert!(layer.press(&heights, 1e-5, Start::Afresh).unwrap().converged);
+    assert!(layer.press(part(&heights), 1e-5, Start::Afresh).unwrap().converged);
     complements(&mut layer, &heights, 1e-4);
     let (mut into, mut aside) = (Vec::new(), [Vec::new(), Vec::new()]);
     layer.surface_mm(&mut into, &mut aside);
@@ -120,32 +124,35 @@ fn row_26_no_overlap_full_overlap_a_single_cell_and_release() {
     let mut layer = contact(5.0, 0.48, 40, 0.45);
     let cells = 1600;
     let far = vec![-0.2; cells];
-    let found = layer.press(&far, 1e-6, Start::Afresh).unwrap();
+    let found = layer.press(part(&far), 1e-6, Start::Afresh).unwrap();
     assert!(found.converged && layer.pressure().iter().all(|&p| p == 0.0), "no overlap");
-    assert!(layer.press(&vec![NOTHING; cells], 1e-6, Start::Afresh).unwrap().converged, "no part at all");
     assert!(
-        layer.press(&vec![0.0; cells], 1e-6, Start::Afresh).unwrap().converged,
+        layer.press(part(&vec![NOTHING; cells]), 1e-6, Start::Afresh).unwrap().converged,
+        "no part at all"
+    );
+    assert!(
+        layer.press(part(&vec![0.0; cells]), 1e-6, Start::Afresh).unwrap().converged,
         "touching without pressing"
     );
     assert!(layer.pressure().iter().all(|&p| p == 0.0));
 
     let mut single = far.clone();
     single[820] = 0.03;
-    assert!(layer.press(&single, 1e-9, Start::Afresh).unwrap().converged);
+    assert!(layer.press(part(&single), 1e-9, Start::Afresh).unwrap().converged);
     let loaded: Vec<usize> = (0..cells).filter(|&i| layer.pressure()[i] > 0.0).collect();
     assert_eq!(loaded, [820], "first touch");
     let first = layer.pressure()[820];
     single[820] = 0.06;
-    layer.press(&single, 1e-9, Start::Afresh).unwrap();
+    layer.press(part(&single), 1e-9, Start::Afresh).unwrap();
     // One cell is a spring.
     assert!((layer.pressure()[820] / first - 2.0).abs() < 1e-6);
 
     let full = vec![0.5; cells];
-    assert!(layer.press(&full, 1e-7, Start::Afresh).unwrap().converged);
+    assert!(layer.press(part(&full), 1e-7, Start::Afresh).unwrap().converged);
     assert!(layer.pressure().iter().all(|&p| p > 0.0), "the whole grid touches");
     complements(&mut layer, &full, 1e-6);
 
-    assert!(layer.press(&far, 1e-6, Start::Last).unwrap().converged);
+    assert!(layer.press(part(&far), 1e-6, Start::Last).unwrap().converged);
     assert!(layer.pressure().iter().all(|&p| p == 0.0), "released");
 }
 
@@ -154,22 +161,22 @@ fn bad_input_is_refused() {
     let grid = Grid { rows: 8, cols: 8, cell_mm: 0.5 };
     let layer = Layer { thickness_mm: 5.0, poisson_ratio: 0.5 };
     for bad in [-0.1, 0.51, f64::NAN] {
-        assert!(LayerContact::new(Layer { poisson_ratio: bad, ..layer }, grid).is_err());
+        assert!(LayerContact::new(Layer { poisson_ratio: bad, ..layer }, grid, 0.0).is_err());
     }
     for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-        assert!(LayerContact::new(Layer { thickness_mm: bad, ..layer }, grid).is_err());
+        assert!(LayerContact::new(Layer { thickness_mm: bad, ..layer }, grid, 0.0).is_err());
     }
     for bad in [Grid { rows: 0, ..grid }, Grid { cols: 257, ..grid }, Grid { cell_mm: 5.1, ..grid }] {
-        assert!(LayerContact::new(layer, bad).is_err());
+        assert!(LayerContact::new(layer, bad, 0.0).is_err());
     }
-    let mut contact = LayerContact::new(layer, grid).unwrap();
-    let short = contact.press(&[0.0; 63], 1e-6, Start::Afresh);
+    let mut contact = LayerContact::new(layer, grid, 0.0).unwrap();
+    let short = contact.press(part(&[0.0; 63]), 1e-6, Start::Afresh);
     assert_eq!(short.unwrap_err(), LayerError::Cells { found: 63, cells: 64 });
     for bad in [f64::NAN, f64::INFINITY, 5.01] {
-        assert!(contact.press(&[bad; 64], 1e-6, Start::Afresh).is_err());
+        assert!(contact.press(part(&[bad; 64]), 1e-6, Start::Afresh).is_err());
     }
     for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-        assert!(contact.press(&[0.1; 64], bad, Start::Afresh).is_err());
+        assert!(contact.press(part(&[0.1; 64]), bad, Start::Afresh).is_err());
     }
 }
 
@@ -196,13 +203,13 @@ proptest! {
         }
         let mut stream = gelstereo_core::math::random::Stream::new(1, "rough");
         heights.iter_mut().for_each(|height| *height -= rough * stream.uniform());
-        let found = layer.press(&heights, 1e-6, Start::Afresh).unwrap();
+        let found = layer.press(part(&heights), 1e-6, Start::Afresh).unwrap();
         prop_assert!(found.converged, "{found:?}");
         complements(&mut layer, &heights, 2e-6);
         let afresh = layer.pressure().to_vec();
-        let again = layer.press(&heights, 1e-6, Start::Last).unwrap();
+        let again = layer.press(part(&heights), 1e-6, Start::Last).unwrap();
         prop_assert!(again.converged && again.products <= found.products);
-        let once_more = layer.press(&heights, 1e-6, Start::Afresh).unwrap();
+        let once_more = layer.press(part(&heights), 1e-6, Start::Afresh).unwrap();
         prop_assert_eq!(once_more, found);
         prop_assert_eq!(layer.pressure(), &afresh[..]);
     }

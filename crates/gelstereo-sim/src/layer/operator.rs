@@ -11,7 +11,7 @@ pub(crate) struct Operator {
     pub(crate) plane: Plane,
     normal: Vec<f64>,
     cross: [Vec<f64>; 2],
-    /// Along x, along y, and from one to the other; empty without friction.
+    /// Along x, along y, and from one to the other.
     shear: [Vec<f64>; 3],
     /// At least the largest eigenvalue of the normal compliance, mm, and of the shear one.
     pub(crate) stiffest: [f64; 2],
@@ -27,11 +27,11 @@ pub(crate) struct Scratch {
 }
 
 impl Operator {
-    /// `rows` and `cols` are powers of two, at most `influence.side`.
-    pub(crate) fn new(influence: &Influence, rows: usize, cols: usize, friction: bool) -> Self {
+    /// Both sides are powers of two, at most `influence.side`.
+    pub(crate) fn new(influence: &Influence, [rows, cols]: [usize; 2]) -> Self {
         let plane = Plane::new(rows, cols);
         let kernels = Kernels { influence, plane: &plane, scratch: Scratch::default() };
-        kernels.operator(friction)
+        kernels.operator()
     }
 
     /// Motion into the layer under these pressures.
@@ -101,7 +101,7 @@ enum Part {
 }
 
 impl Kernels<'_> {
-    fn operator(mut self, friction: bool) -> Operator {
+    fn operator(mut self) -> Operator {
         let Influence { side, normal, cross, along, across } = self.influence;
         let even = |_: bool| 1.0;
         let odd = |negative: bool| if negative { -1.0 } else { 1.0 };
@@ -112,14 +112,11 @@ impl Kernels<'_> {
             self.spectrum(|r, c| cross[flat(r, c)], even, odd, Part::Imaginary),
             self.spectrum(|r, c| cross[turned(r, c)], odd, even, Part::Imaginary),
         ];
-        let mut shear = <[Vec<f64>; 3]>::default();
-        if friction {
-            shear = [
-                self.spectrum(|r, c| along[flat(r, c)], even, even, Part::Real),
-                self.spectrum(|r, c| along[turned(r, c)], even, even, Part::Real),
-                self.spectrum(|r, c| across[flat(r, c)], odd, odd, Part::Real),
-            ];
-        }
+        let shear = [
+            self.spectrum(|r, c| along[flat(r, c)], even, even, Part::Real),
+            self.spectrum(|r, c| along[turned(r, c)], even, even, Part::Real),
+            self.spectrum(|r, c| across[flat(r, c)], odd, odd, Part::Real),
+        ];
         let cells = (4 * self.plane.rows * self.plane.cols) as f64;
         let most = |spectrum: &[f64]| spectrum.iter().fold(0.0_f64, |most, &x| most.max(x.abs())) * cells;
         let stiffest = [most(&normal), most(&shear[0]).max(most(&shear[1])) + most(&shear[2])];

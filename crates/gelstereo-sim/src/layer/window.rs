@@ -48,10 +48,14 @@ impl Window {
         log(self.rows) * sizes[1] + log(self.cols)
     }
 
-    /// The window's part of a field over the grid, on an operator's cells; `beside` fills the rest of them.
+    /// The window's part of a field over the grid, on an operator's cells; `beside` fills the rest of them, and all of them if
+    /// the field is empty.
     pub(crate) fn cut(&self, field: &[f64], beside: f64, plane: &Plane, out: &mut Vec<f64>) {
         out.clear();
         out.resize(plane.rows * plane.cols, beside);
+        if field.is_empty() {
+            return;
+        }
         for row in 0..self.rows {
             let from = (self.row + row) * self.grid_cols + self.col;
             out[row * plane.cols..][..self.cols].copy_from_slice(&field[from..][..self.cols]);
@@ -63,6 +67,22 @@ impl Window {
         for row in 0..self.rows {
             let to = (self.row + row) * self.grid_cols + self.col;
             field[to..][..self.cols].copy_from_slice(&cut[row * plane.cols..][..self.cols]);
+        }
+    }
+
+    /// [`Self::paste`] onto a field of its own.
+    pub(crate) fn put(&self, cut: &[f64], plane: &Plane, field: &mut Vec<f64>) {
+        field.clear();
+        field.resize(self.rows * self.cols, 0.0);
+        self.paste(cut, plane, field);
+    }
+
+    /// Adds what [`Self::paste`] would write.
+    pub(crate) fn add(&self, cut: &[f64], plane: &Plane, field: &mut [f64]) {
+        for row in 0..self.rows {
+            let to = (self.row + row) * self.grid_cols + self.col;
+            let from = &cut[row * plane.cols..][..self.cols];
+            field[to..][..self.cols].iter_mut().zip(from).for_each(|(sum, x)| *sum += x);
         }
     }
 }
