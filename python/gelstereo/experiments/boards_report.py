@@ -25,6 +25,9 @@ _SENSORS = {
     "refraction": "Through 20 mm of air, 3 mm of acrylic and 5 mm of gel",
 }
 
+#: What tables of the summary are of.
+_PRESETS, _SALIENT = "presets, and the paper's pipeline in OpenCV", "salient points"
+
 _ASKED = (
     "How accurate is the point cloud? Boards with a block of 0.4 to 1.8 mm, in steps of 0.2 mm, are pressed until the "
     "plate around the block lies on the gel, several times each. Height error is how high the markers on the block "
@@ -40,7 +43,9 @@ def boards_report(trials: Sequence[Trial], records: Sequence[Record], inputs: Ma
         pairs = [(t, r) for t, r in zip(trials, records, strict=True) if t.configuration["sensor"] == sensor]
         if pairs:
             findings += _sensor_blocks(title, [t for t, _ in pairs], [r for _, r in pairs])
-    return Report("Boards of known height", _ASKED, CONDITIONS, findings, inputs)
+    grids = [block for block in findings if isinstance(block, Grid)]
+    summary = [grid for grid in grids if _PRESETS in grid.caption or _SALIENT in grid.caption]
+    return Report("Boards of known height", _ASKED, CONDITIONS, findings, inputs, summary)
 
 
 def _sensor_blocks(title: str, trials: Sequence[Trial], records: Sequence[Record]) -> list[Block]:
@@ -52,21 +57,9 @@ def _sensor_blocks(title: str, trials: Sequence[Trial], records: Sequence[Record
         {(m, r["methods"][m]["refused"]) for r in records for m in methods if "refused" in r["methods"][m]}
     )
     blocks: list[Block] = [Heading(title)]
-    for name, group in (
-        ("presets, and the paper's pipeline in OpenCV", whole),
-        ("rungs of single stages", rungs),
-    ):
-        chosen = {method: errors[method] for method in group}
-        blocks += [
-            Heading(name[0].upper() + name[1:], 3),
-            height_table(f"{title}, {name}", chosen),
-            Figure(
-                f"Height error by protrusion, {name}: quartiles, whiskers to 1.5 times their distance, dots beyond "
-                "(as Fig. 14). Every panel has its own scale.",
-                as_svg(box_plots(chosen, across=4, x_label="protrusion, mm", y_label="height error, um")),
-                "svg",
-            ),
-        ]
+    for name, group in ((_PRESETS, whole), ("rungs of single stages", rungs)):
+        if group:
+            blocks += _height_blocks(title, name, {method: errors[method] for method in group})
     blocks += [
         Heading("As the paper takes it", 3),
         Paragraph(
@@ -75,13 +68,27 @@ def _sensor_blocks(title: str, trials: Sequence[Trial], records: Sequence[Record
             "is higher than that, and their mean is lower than the block. Presets balanced and exact ask which "
             "points press; the height of those is the block's."
         ),
-        salient_table(
-            f"{title}, salient points", trials, records, [name for name in whole if name != BASELINE]
-        ),
+        salient_table(f"{title}, {_SALIENT}", trials, records, [name for name in whole if name != BASELINE]),
     ]
     if refused:
-        blocks.append(Grid("Refusals", ["method", "why"], [list(line) for line in refused], words=True))
+        blocks.append(
+            Grid(f"{title}, refusals", ["method", "why"], [list(line) for line in refused], words=True)
+        )
     return blocks
+
+
+def _height_blocks(title: str, name: str, errors: Mapping[str, Mapping[str, Sequence[float]]]) -> list[Block]:
+    """Table I and Fig. 14 of some methods."""
+    return [
+        Heading(name[0].upper() + name[1:], 3),
+        height_table(f"{title}, {name}", errors),
+        Figure(
+            f"{title}, {name}: height error by protrusion; quartiles, whiskers to 1.5 times their distance, dots "
+            "beyond (as Fig. 14). Every panel has its own scale.",
+            as_svg(box_plots(errors, across=4, x_label="protrusion, mm", y_label="height error, um")),
+            "svg",
+        ),
+    ]
 
 
 def errors_um(trials: Sequence[Trial], records: Sequence[Record]) -> dict[str, dict[str, list[float]]]:

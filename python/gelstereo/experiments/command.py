@@ -49,6 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     who = parser.add_mutually_exclusive_group()
     who.add_argument("--workers", type=count, default=1, metavar="N", help="processes (%(default)s)")
     who.add_argument("--scheduler", metavar="ADDRESS", help="a dask scheduler, whose workers run the trials")
+    parser.add_argument("--page", type=Path, metavar="FILE", help="Markdown page to fill the summary in")
     parser.add_argument("--resume", action="store_true", help="use the trials that the folder already holds")
 
 
@@ -72,6 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
                 scheduler_address=arguments.scheduler,
                 resume=arguments.resume,
                 progress=progress,
+                page=arguments.page,
             )
         except KeyboardInterrupt:
             if progress.done:

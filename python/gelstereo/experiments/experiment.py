@@ -8,7 +8,7 @@ from pathlib import Path
 
 from gelstereo import Error
 from gelstereo.experiments.batch import Progress, Run, Trial, run_batch
-from gelstereo.experiments.report import Report, write_report
+from gelstereo.experiments.report import Report, fill_page, write_report
 from gelstereo.experiments.store import Record, Store
 from gelstereo.reports.provenance import build_digest, digest_of
 
@@ -73,6 +73,7 @@ def carry_out(
     scheduler_address: str | None = None,
     resume: bool = False,
     progress: Progress | None = None,
+    page: Path | None = None,
 ) -> Outcome:
     """Run an experiment and write its report to ``report.html`` in a folder, beside the trials' records.
 
@@ -90,6 +91,8 @@ def carry_out(
         As :func:`gelstereo.experiments.batch.run_batch` takes them.
     resume
         Use trials that the folder already holds.
+    page
+        A Markdown page whose section of the experiment's name takes the summary.
 
     Raises
     ------
@@ -117,6 +120,8 @@ def carry_out(
             store=store,
             progress=progress,
         )
-        path = folder / "report.html"
-        digest = write_report(path, experiment.report(trials, records), seed=seed, trials=trials)
+        path, report = folder / "report.html", experiment.report(trials, records)
+        digest = write_report(path, report, seed=seed, trials=trials)
+        if page is not None:
+            fill_page(page, experiment.name, report, seed=seed, trials=trials)
     return Outcome(len(trials), path, digest)

@@ -39,6 +39,7 @@ def objects_report(
     meshes: Mapping[str, Callable[[], trimesh.Trimesh]],
 ) -> Report:
     """Make the table and the gallery of the records; `meshes` makes the objects by name."""
+    summary = summary_table(trials, records)
     findings: list[Block] = [
         Heading("All contacts"),
         Paragraph(
@@ -47,13 +48,13 @@ def objects_report(
             "contact determines; within tolerance is within 2 degrees and 0.3 mm, the paper's clearance. A contact "
             "with a flat or round face leaves directions free; which ones, each result says."
         ),
-        summary_table(trials, records),
+        summary,
     ]
     for trial, record in zip(trials, records, strict=True):
         if "picture" in record:
             name = str(trial.configuration["object"])
             findings += _gallery(name, record, meshes[name]())
-    return Report("Contact objects", _ASKED, CONDITIONS, findings, inputs)
+    return Report("Contact objects", _ASKED, CONDITIONS, findings, inputs, [summary])
 
 
 def summary_table(trials: Sequence[Trial], records: Sequence[Record]) -> Grid:

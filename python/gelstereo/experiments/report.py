@@ -9,9 +9,10 @@ from pathlib import Path
 
 from gelstereo.experiments.batch import Trial
 from gelstereo.reports.html import Block, Details, Grid, Heading, Paragraph, document
-from gelstereo.reports.provenance import build_digest, digest_of, machine, versions
+from gelstereo.reports.markdown import replace_between, table
+from gelstereo.reports.provenance import build_digest, digest_of, machine, processor, versions
 
-__all__ = ["Report", "write_report"]
+__all__ = ["Report", "fill_page", "write_report"]
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,8 @@ class Report:
         Tables and figures.
     inputs
         Scenes and settings that went in, as TOML, by name.
+    summary
+        The tables that the manual shows.
     """
 
     title: str
@@ -37,6 +40,7 @@ class Report:
     conditions: str
     findings: Sequence[Block]
     inputs: Mapping[str, str]
+    summary: Sequence[Grid] = ()
 
 
 def write_report(path: Path, report: Report, *, seed: int, trials: Sequence[Trial]) -> str:
@@ -63,6 +67,19 @@ def write_report(path: Path, report: Report, *, seed: int, trials: Sequence[Tria
     draft.write_text(text, encoding="utf-8")
     draft.replace(path)
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def fill_page(page: Path, name: str, report: Report, *, seed: int, trials: Sequence[Trial]) -> None:
+    """Put a report's summary between the lines ``<!-- begin name -->`` and ``<!-- end name -->`` of a Markdown page.
+
+    Raises
+    ------
+    ReportError
+        The page or its markers are missing.
+    """
+    said = f"{report.conditions[0].upper()}{report.conditions[1:]}; {len(trials)} trials, seed {seed}, {processor()}."
+    grids = [f"{grid.caption}:\n\n{table(grid.head, grid.rows)}" for grid in report.summary]
+    replace_between(page, name, "\n\n".join([said, *grids]))
 
 
 def _opening(report: Report) -> list[Block]:
