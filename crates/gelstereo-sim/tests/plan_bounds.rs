@@ -344,7 +344,7 @@ fn bounds_are_of_use() {
     let um = |bound: Bound| bound.um;
     let px = |bound: Bound| bound.px;
     let levels = |bound: Bound| bound.levels;
-    let factors: [(&str, fn(Bound) -> f64, f64); 12] = [
+    let factors: [(&str, fn(Bound) -> f64, f64); 13] = [
         ("shoulder", um, 10.0),
         ("spread", um, 20.0),
         ("drag", um, 5.0),
@@ -357,6 +357,7 @@ fn bounds_are_of_use() {
         ("sensor_noise", levels, 1.0),
         ("refraction", px, 1.5),
         ("lens_distortion", px, 4.0),
+        ("ellipse_bias", px, 600.0),
     ];
     for (name, scene) in typical() {
         let plan = Plan::of(&scene, None).unwrap();
