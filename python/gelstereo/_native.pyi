@@ -23,6 +23,9 @@ __all__ = [
     "FreeDirection",
     "ImageError",
     "LabelError",
+    "LayerContact",
+    "LayerError",
+    "LayerSolution",
     "Localization",
     "Markers",
     "MeshError",
@@ -85,6 +88,7 @@ class DetectError(Error): ...
 class FrameError(Error): ...
 class ImageError(Error): ...
 class LabelError(Error): ...
+class LayerError(Error): ...
 class MeshError(Error): ...
 class ParamsError(Error): ...
 class PoseError(Error): ...
@@ -549,6 +553,43 @@ def localize(
     covariance_mm2: npt.ArrayLike | None = None,
     params: Params | None = None,
 ) -> Localization: ...
+
+@final
+class LayerContact:
+    def __new__(
+        cls,
+        *,
+        thickness_mm: float,
+        poisson_ratio: float,
+        rows: int,
+        cols: int,
+        cell_mm: float,
+        friction: float = 0.0,
+    ) -> LayerContact: ...
+    def press(
+        self,
+        heights_mm: npt.ArrayLike,
+        carried_mm: npt.ArrayLike | None = None,
+        *,
+        tolerance_mm: float = 1e-6,
+        warm: bool = False,
+    ) -> LayerSolution: ...
+    def load(self, pressure: npt.ArrayLike, traction: npt.ArrayLike | None = None) -> LayerSolution: ...
+
+@final
+class LayerSolution:
+    @property
+    def pressure(self) -> _Floats: ...
+    @property
+    def traction(self) -> _Floats: ...
+    @property
+    def motion_mm(self) -> _Floats: ...
+    @property
+    def converged(self) -> bool: ...
+    @property
+    def products(self) -> int: ...
+    @property
+    def residual_mm(self) -> float: ...
 
 @final
 class Scene:

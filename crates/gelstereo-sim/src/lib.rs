@@ -13,6 +13,7 @@ extern crate alloc;
 
 pub mod effects;
 mod lattice;
+pub mod layer;
 pub mod plan;
 mod render;
 pub mod scene;
