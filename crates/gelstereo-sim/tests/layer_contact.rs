@@ -116,7 +116,6 @@ fn gel_rises_beside_the_contact() {
     layer.surface_mm(&mut into, &mut aside);
     let rise = into.iter().fold(0.0_f64, |most, &w| most.max(-w));
     assert!((0.02..0.1).contains(&rise), "{rise} mm");
-    println!("rise {rise}");
 }
 
 #[test]

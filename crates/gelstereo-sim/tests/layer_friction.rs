@@ -71,7 +71,6 @@ fn row_27_a_pulled_ball_is_cattaneo_and_mindlin() {
         let found = layer.press(part, 1e-8, Start::Last).unwrap();
         assert!(found.converged, "{share}: {found:?}");
         let [stuck, slips] = coulomb(&mut layer, [&pulled, &none], friction, 1e-6);
-        println!("{share}: stuck {stuck} slips {slips} {found:?}");
         let force = layer.traction()[0].iter().sum::<f64>() * cell * cell;
         let whole = friction * hertz.force_mm2();
         // 25 cells on the contact's radius, and a / h is 0.25 %.

@@ -41,7 +41,7 @@ impl Effect for Defocus {
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
         let taps = 2.0 * ceil(4.0 * self.sigma_px * FINE as f64) + 1.0;
-        facts.pixels() * (FINE * FINE) as f64 * (1.5 + 0.15 * taps)
+        facts.pixels() * (FINE * FINE) as f64 * (5.0 + taps)
     }
 }
 

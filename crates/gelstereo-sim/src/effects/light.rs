@@ -55,7 +55,7 @@ impl Effect for UnevenLight {
     }
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
-        0.4 * facts.pixels() * facts.fineness()
+        5.0 * facts.pixels() * facts.fineness()
     }
 }
 

@@ -1,13 +1,15 @@
 //! What a real gel, print and camera do beyond the rigid imprint; each effect acts only when a scene lists it.
 //!
 //! An effect that is absent costs nothing and draws no random number, so the others' bits do not depend on it:
-//! every stream is keyed by (seed, effect's name). On the gel: [`Shoulder`], [`Spread`], [`Drag`]. In the print:
+//! every stream is keyed by (seed, effect's name). On the gel: [`Shoulder`], [`Spread`], [`Drag`], or
+//! [`ElasticLayer`] in their place. In the print:
 //! [`Misprint`], [`Specks`]. On the images, in this order: [`Grain`], [`UnevenLight`], [`Smears`], [`Defocus`],
 //! [`SensorNoise`]. On the way: [`DroppedFrames`]. Lens distortion and refraction are the rig's own.
 
 mod blur;
 mod drag;
 mod drops;
+mod elastic_layer;
 mod grain;
 mod light;
 mod misprint;
@@ -21,6 +23,7 @@ mod spread;
 pub use blur::Defocus;
 pub use drag::Drag;
 pub use drops::DroppedFrames;
+pub use elastic_layer::ElasticLayer;
 pub use grain::Grain;
 pub use light::UnevenLight;
 pub use misprint::Misprint;
@@ -61,8 +64,9 @@ macro_rules! effects {
             /// Checks the effects that are listed.
             ///
             /// # Errors
-            /// [`SceneError::Invalid`] naming the setting, or [`SceneError::NoSuchMarker`].
+            /// [`SceneError::Invalid`] naming the setting, [`SceneError::NoSuchMarker`], or [`SceneError::TwoModels`].
             pub fn validate(&self, gel: &Gel) -> Result<(), SceneError> {
+                self.check_models()?;
                 self.listed().try_for_each(|(_, effect)| effect.validate(gel))
             }
 
@@ -122,6 +126,8 @@ effects! {
     spread: Spread,
     /// The surface follows the part's shear and twist.
     drag: Drag,
+    /// The gel deforms as an elastic layer: in place of shoulder, spread and drag.
+    elastic_layer: ElasticLayer,
     /// Dots beside their places, of other sizes, or merged.
     misprint: Misprint,
     /// Dirt on the gel.
@@ -141,6 +147,19 @@ effects! {
 }
 
 impl Effects {
+    /// The elastic layer does what three others approximate.
+    fn check_models(&self) -> Result<(), SceneError> {
+        let approximations = [
+            ("shoulder", self.shoulder.is_some()),
+            ("spread", self.spread.is_some()),
+            ("drag", self.drag.is_some()),
+        ];
+        match approximations.into_iter().find(|&(_, listed)| listed && self.elastic_layer.is_some()) {
+            Some((effect, _)) => Err(SceneError::TwoModels { effect }),
+            None => Ok(()),
+        }
+    }
+
     /// Those that act on the gel, with their defaults: what a grasp looks like to a perfect camera.
     #[must_use]
     pub fn of_gel() -> Self {

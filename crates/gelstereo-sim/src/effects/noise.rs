@@ -42,7 +42,7 @@ impl Effect for SensorNoise {
     }
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
-        0.8 * facts.pixels()
+        4.4 * facts.pixels()
     }
 }
 

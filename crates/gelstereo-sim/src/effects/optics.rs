@@ -58,10 +58,16 @@ impl Optics {
         Bound { px, um: 0.0, levels: facts.levels_of_outlines(px) }
     }
 
-    /// Estimated time per stereo frame; for the two that bend light a projection is what costs.
+    /// As [`crate::plan::Effect::cost_ns`]. A dot's outline takes six projections instead of one with its derivatives when
+    /// its own bias is on.
     pub(crate) fn cost_ns(self, facts: &Facts<'_>) -> f64 {
-        const PER_MARKER_NS: [f64; 3] = [4000.0, 150.0, 60.0];
-        PER_MARKER_NS[self as usize] * facts.markers()
+        let outlines = if facts.scene.switches.ellipse_bias == Some(Switch::Off) { 0.0 } else { 1.0 };
+        let per_marker = match self {
+            Self::Refraction => 1400.0 + 3500.0 * outlines,
+            Self::LensDistortion => 20.0 + 100.0 * outlines,
+            Self::EllipseBias => 280.0,
+        };
+        per_marker * facts.markers()
     }
 }
 

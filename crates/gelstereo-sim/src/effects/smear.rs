@@ -70,7 +70,7 @@ impl Effect for Smears {
         let area_px = |[a, b]: [f64; 2]| 4.0 * a * b;
         let listed: f64 = self.patches.iter().map(|patch| 2.0 * area_px(patch.half_size_px)).sum();
         let drawn = 2.0 * self.random as f64 * area_px(self.half_size_px);
-        8.0 * (listed + drawn).min(facts.pixels()) * facts.fineness()
+        25.0 * (listed + drawn).min(facts.pixels()) * facts.fineness()
     }
 }
 

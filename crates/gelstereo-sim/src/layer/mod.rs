@@ -12,12 +12,14 @@ mod fft;
 mod friction;
 mod influence;
 mod kernel;
+mod nodes;
 mod operator;
 mod window;
 
 pub use contact::Convergence;
 pub use error::LayerError;
 pub use kernel::{Compliance, Layer};
+pub(crate) use nodes::{Motion, Nodes, Places};
 
 use alloc::vec::Vec;
 use contact::Pressing;
@@ -120,17 +122,41 @@ impl LayerContact {
         let operators = (0..sizes[0] * sizes[1]).map(operator).collect();
         let none = || zeros(grid.rows * grid.cols);
         let (pressure, traction) = (none(), [none(), none()]);
-        Ok(Self {
-            layer,
-            grid,
-            friction,
-            influence,
-            operators,
-            sizes,
+        let work = Work::default();
+        let mut contact =
+            Self { layer, grid, friction, influence, operators, sizes, pressure, traction, work };
+        contact.warm_up();
+        Ok(contact)
+    }
+
+    /// Solves once over the largest window, so that no later solve allocates.
+    fn warm_up(&mut self) {
+        let Self { operators, work, .. } = self;
+        let Some(operator) = operators.last() else { return };
+        let cells = operator.plane.rows * operator.plane.cols;
+        let Work {
+            heights,
             pressure,
-            traction,
-            work: Work::default(),
-        })
+            traction: [qx, qy],
+            asked: [ax, ay],
+            bound,
+            lifted,
+            spread: [sx, sy],
+            ..
+        } = work;
+        for field in [heights, pressure, qx, qy, ax, ay, bound, lifted, sx, sy] {
+            field.clear();
+            field.resize(cells, 0.0);
+        }
+        work.heights[0] = 1e-3 * self.layer.thickness_mm;
+        let Work { heights, pressure, pressing, scratch, traction, asked, bound, spread, holding, .. } = work;
+        let tolerance_mm = 1e-3 * heights[0];
+        pressing.solve(operator, heights, tolerance_mm, pressure);
+        bound[0] = pressure[0];
+        asked[0][0] = heights[0];
+        holding.solve(operator, bound, asked, tolerance_mm, traction);
+        operator.spread(pressure, scratch, spread);
+        operator.lift(traction, scratch, &mut work.lifted);
     }
 
     /// Presses a part into the layer and carries it aside. A cell that touches ends within `tolerance_mm` of the part.

@@ -1,5 +1,6 @@
 //! What can be wrong with a scene.
 
+use crate::layer::LayerError;
 use alloc::string::String;
 use gelstereo_core::rig::RigError;
 
@@ -8,6 +9,8 @@ use gelstereo_core::rig::RigError;
 pub enum SceneError {
     /// The cameras are no rig.
     Rig(RigError),
+    /// The gel is no elastic layer.
+    Layer(LayerError),
     /// A number is outside its range.
     Invalid {
         /// Where it stands in the file, for example `gel.pitch_mm`.
@@ -43,6 +46,11 @@ pub enum SceneError {
         col: usize,
         /// Its distance behind the last interface.
         within_mm: f64,
+    },
+    /// The elastic layer is listed with an approximation of what it does.
+    TwoModels {
+        /// The approximation.
+        effect: &'static str,
     },
     /// Keyframes without an indenter.
     NothingMoves {
@@ -83,6 +91,7 @@ impl core::fmt::Display for SceneError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
             Self::Rig(error) => write!(f, "rig: {error}"),
+            Self::Layer(error) => write!(f, "effects.elastic_layer: {error}"),
             Self::Invalid { name, found, valid } => write!(f, "{name} is {found}; valid is {valid}"),
             Self::NoSuchMarker { row, col, rows, cols } => write!(
                 f,
@@ -98,6 +107,11 @@ impl core::fmt::Display for SceneError {
                 f,
                 "marker [{row}, {col}] is {within_mm} mm behind the last interface of rig.layers; valid is above 0: move \
                  gel.surface_mm away or make the layers thinner"
+            ),
+            Self::TwoModels { effect } => write!(
+                f,
+                "effects.{effect} approximates what effects.elastic_layer computes; remove one of them (the layer takes the \
+                 place of shoulder, spread and drag)"
             ),
             Self::NothingMoves { keyframes } => write!(
                 f,

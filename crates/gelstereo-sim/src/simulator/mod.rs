@@ -1,9 +1,11 @@
 //! From a scene to marker positions and images.
 
+mod layered;
 mod press;
 mod sheet;
 mod truth;
 
+use layered::Layered;
 pub use truth::{DotImage, OUT_OF_SIGHT_PX, Sight, Truth};
 
 use crate::effects::{Bridge, Drag, Print, Shoulder, Speck, Spread};
@@ -13,6 +15,7 @@ use crate::render::{Dot, Exposure, Renderer};
 use crate::scene::{Gel, Scene, SceneError};
 use crate::shapes::{MeshHeight, Shape};
 use crate::trajectory::Trajectory;
+use alloc::boxed::Box;
 use alloc::vec::Vec;
 use gelstereo_core::math::{DVec2, DVec3, Pose};
 use gelstereo_core::rig::Rig;
@@ -67,6 +70,8 @@ pub struct Simulator {
     /// The lattice where the gel is now.
     lattice: Lattice,
     surface_mm: f64,
+    /// The lattice's middle now.
+    centre_mm: DVec2,
     /// Markers where they are now when nothing touches.
     rest: Vec<DVec2>,
     print: Option<Print>,
@@ -75,6 +80,7 @@ pub struct Simulator {
     shoulder: Option<Shoulder>,
     spread: Option<Spread>,
     drag: Option<Drag>,
+    layered: Option<Box<Layered>>,
     /// Whether a disc's image has its centroid beside its centre's image.
     ellipse_bias: bool,
     trajectory: Trajectory,
@@ -131,6 +137,7 @@ impl Simulator {
             gel: gel.clone(),
             lattice,
             surface_mm: gel.surface_mm,
+            centre_mm,
             rest: Vec::new(),
             print: misprint.map(|misprint| Print::new(misprint, seed, gel.rows * gel.cols)),
             specks: effects.specks.as_ref().map_or_else(Vec::new, |specks| Speck::all(specks, seed, gel)),
@@ -138,6 +145,12 @@ impl Simulator {
             shoulder: effects.shoulder.clone(),
             spread: effects.spread.clone(),
             drag: effects.drag.clone(),
+            layered: effects
+                .elastic_layer
+                .as_ref()
+                .map(|layer| Layered::new(layer, gel))
+                .transpose()?
+                .map(Box::new),
             delivered: effects
                 .dropped_frames
                 .as_ref()
@@ -219,6 +232,7 @@ impl Simulator {
         self.scratch.motion.clear();
         self.scratch.motion.resize(self.rest.len(), DVec2::ZERO);
         match contact.filter(|contact| self.part.is_some() && contact.validate().is_ok()) {
+            Some(contact) if self.layered.is_some() => self.press_layer(contact),
             Some(contact) => self.press(contact),
             None => {
                 self.scratch.heights.clear();
