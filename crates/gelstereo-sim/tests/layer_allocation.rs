@@ -7,13 +7,18 @@ mod counting;
 use common::{press, simulator, with_effects};
 use counting::ALLOCATIONS;
 use gelstereo_core::math::{DVec2, DVec3};
-use gelstereo_sim::effects::ElasticLayer;
+use gelstereo_sim::effects::{ElasticLayer, LargeStrain, Relaxation};
 use gelstereo_sim::{ContactState, Effects, Keyframe, Shape, Truth};
 use std::sync::atomic::Ordering;
 
 #[test]
 fn row_35_frames_on_a_layer_allocate_nothing_after_the_first() {
-    let effects = Effects { elastic_layer: Some(ElasticLayer::default()), ..Effects::default() };
+    let effects = Effects {
+        elastic_layer: Some(ElasticLayer::default()),
+        relaxation: Some(Relaxation::default()),
+        large_strain: Some(LargeStrain::default()),
+        ..Effects::default()
+    };
     let mut scene = with_effects(Shape::Sphere { radius_mm: 4.0 }, effects);
     scene.trajectory = [(0.0, -0.5, 0.0), (0.1, 0.6, 0.1), (0.2, 1.5, 0.3)]
         .map(|(time_s, depth, shear)| Keyframe {

@@ -5,8 +5,8 @@ mod common;
 
 use common::{press, rest, rigid, simulator, truth, with_effects, xy};
 use gelstereo_core::math::{DVec2, DVec3};
-use gelstereo_sim::effects::{Drag, ElasticLayer, Misprint, Shoulder, Spread};
-use gelstereo_sim::{ContactState, Effects, Gel, Keyframe, Plan, Scene, SceneError, Shape, Truth};
+use gelstereo_sim::effects::{Drag, ElasticLayer, LargeStrain, Misprint, Relaxation, Shoulder, Spread};
+use gelstereo_sim::{ContactState, Effects, Gel, Keyframe, Plan, Scene, SceneError, Shape, Switch, Truth};
 use proptest::prelude::*;
 
 const SPHERE: Shape = Shape::Sphere { radius_mm: 4.0 };
@@ -173,7 +173,7 @@ proptest! {
     #[test]
     fn true_change_is_within_the_bound(
         shape in parts(), poisson_ratio in 0.0..=0.5_f64, friction in prop_oneof![Just(0.0), 0.1..3.0_f64],
-        depth in 0.1..1.2_f64, turn in -1.6..1.6_f64, x in -8.0..8.0_f64, shear in -0.4..0.4_f64, twist in -0.1..0.1_f64,
+        depth in 0.1..1.2_f64, turn in -1.6..1.6_f64, x in -8.0..8.0_f64, shear in -0.4..0.4_f64, twist in -0.1..0.1_f64, refined in any::<bool>(),
     ) {
         let gel = Gel { rows: 13, cols: 15, pitch_mm: 1.4, ..Gel::default() };
         let mut scene = Scene { gel, ..with_effects(shape.clone(), layered(poisson_ratio, friction)) };
@@ -183,18 +183,34 @@ proptest! {
             ..press(&scene, DVec3::new(0.0, turn, 0.3 * turn), DVec2::new(x, 0.3 * x), depth)
         };
         scene.trajectory = vec![Keyframe { time_s: 0.0, contact }];
-        let without = Scene { effects: Effects::default(), ..scene.clone() };
-        let (found, imprint) = (truth(&scene, Some(&contact)), truth(&without, Some(&contact)));
+        let mut names = vec!["elastic_layer"];
+        if refined {
+            scene.effects.relaxation = Some(Relaxation::default());
+            scene.effects.large_strain = Some(LargeStrain::default());
+            names.extend(["relaxation", "large_strain"]);
+        }
         let plan = Plan::of(&scene, None).unwrap();
-        let bound = plan.entries.iter().find(|entry| entry.effect == "elastic_layer").unwrap().bound;
-        let apart = |a: &[DVec3], b: &[DVec3]| a.iter().zip(b).map(|(a, b)| (*a - *b).length()).fold(0.0, f64::max);
-        let um = 1e3 * apart(&found.points_mm, &imprint.points_mm);
-        prop_assert!(um <= bound.um, "{um} um of {}", bound.um);
+        let found = truth(&scene, Some(&contact));
         let dots = |truth: &Truth| -> Vec<DVec2> {
             truth.left_dots.iter().chain(&truth.right_dots).map(|dot| dot.outline.centre_px).collect()
         };
-        let px = dots(&found).iter().zip(dots(&imprint)).map(|(a, b)| (*a - b).length()).fold(0.0, f64::max);
-        prop_assert!(px <= bound.px, "{px} px of {}", bound.px);
+        for name in names {
+            let mut without = scene.clone();
+            let switches = &mut without.switches;
+            let switch = match name {
+                "elastic_layer" => &mut switches.elastic_layer,
+                "relaxation" => &mut switches.relaxation,
+                _ => &mut switches.large_strain,
+            };
+            *switch = Some(Switch::Off);
+            let other = truth(&without, Some(&contact));
+            let bound = plan.entries.iter().find(|entry| entry.effect == name).unwrap().bound;
+            let apart = found.points_mm.iter().zip(&other.points_mm).map(|(a, b)| (*a - *b).length());
+            let um = 1e3 * apart.fold(0.0, f64::max);
+            prop_assert!(um <= bound.um, "{name}: {um} um of {}", bound.um);
+            let px = dots(&found).iter().zip(dots(&other)).map(|(a, b)| (*a - b).length()).fold(0.0, f64::max);
+            prop_assert!(px <= bound.px, "{name}: {px} px of {}", bound.px);
+        }
         prop_assert!(found.points_mm.iter().all(|point| point.is_finite()));
         prop_assert!(found.indentation_mm.iter().all(|&h| h <= 5.0 && h > -depth));
     }

@@ -2,7 +2,7 @@
 //!
 //! An effect that is absent costs nothing and draws no random number, so the others' bits do not depend on it:
 //! every stream is keyed by (seed, effect's name). On the gel: [`Shoulder`], [`Spread`], [`Drag`], or
-//! [`ElasticLayer`] in their place. In the print:
+//! [`ElasticLayer`] in their place, with [`Relaxation`] and [`LargeStrain`]. In the print:
 //! [`Misprint`], [`Specks`]. On the images, in this order: [`Grain`], [`UnevenLight`], [`Smears`], [`Defocus`],
 //! [`SensorNoise`]. On the way: [`DroppedFrames`]. Lens distortion and refraction are the rig's own.
 
@@ -11,10 +11,12 @@ mod drag;
 mod drops;
 mod elastic_layer;
 mod grain;
+mod large_strain;
 mod light;
 mod misprint;
 mod noise;
 mod optics;
+mod relaxation;
 mod shoulder;
 mod smear;
 mod specks;
@@ -25,9 +27,11 @@ pub use drag::Drag;
 pub use drops::DroppedFrames;
 pub use elastic_layer::ElasticLayer;
 pub use grain::Grain;
+pub use large_strain::LargeStrain;
 pub use light::UnevenLight;
 pub use misprint::Misprint;
 pub use noise::SensorNoise;
+pub use relaxation::Relaxation;
 pub use shoulder::Shoulder;
 pub use smear::{Patch, Smears, Views};
 pub use specks::Specks;
@@ -43,7 +47,7 @@ pub(crate) use optics::{Optics, ellipse_bias_px};
 pub(crate) use smear::SmearsOfView;
 pub(crate) use specks::Speck;
 
-use crate::plan::{Effect, Switch};
+use crate::plan::{Bound, Effect, Facts, Switch};
 use crate::scene::{Gel, SceneError};
 
 /// The one list of effects: fields of [`Effects`] and of [`Switches`], and what is done with each of them.
@@ -128,6 +132,10 @@ effects! {
     drag: Drag,
     /// The gel deforms as an elastic layer: in place of shoulder, spread and drag.
     elastic_layer: ElasticLayer,
+    /// The layer relaxes under load and creeps back.
+    relaxation: Relaxation,
+    /// The part meets the layer where that has moved to.
+    large_strain: LargeStrain,
     /// Dots beside their places, of other sizes, or merged.
     misprint: Misprint,
     /// Dirt on the gel.
@@ -155,7 +163,14 @@ impl Effects {
             ("drag", self.drag.is_some()),
         ];
         match approximations.into_iter().find(|&(_, listed)| listed && self.elastic_layer.is_some()) {
-            Some((effect, _)) => Err(SceneError::TwoModels { effect }),
+            Some((effect, _)) => return Err(SceneError::TwoModels { effect }),
+            None if self.elastic_layer.is_some() => return Ok(()),
+            None => {}
+        }
+        let refinements =
+            [("relaxation", self.relaxation.is_some()), ("large_strain", self.large_strain.is_some())];
+        match refinements.into_iter().find(|&(_, listed)| listed) {
+            Some((effect, _)) => Err(SceneError::NeedsLayer { effect }),
             None => Ok(()),
         }
     }
@@ -176,4 +191,18 @@ impl Effects {
 fn check_decay(name: &'static str, thicknesses: f64) -> Result<(), SceneError> {
     let ok = (0.01..=4.0).contains(&thicknesses);
     SceneError::check(ok, name, thicknesses, "0.01 to 4 gel thicknesses")
+}
+
+/// The most that a refinement of the elastic layer changes: from anything that a layer may do to anything else.
+fn within_layer(facts: &Facts<'_>) -> Bound {
+    let Some(layer) = &facts.scene.effects.elastic_layer else { return Bound::NONE };
+    facts.moved(2.0 * layer.sideways_mm(facts), 2.0 * facts.touch.depth_mm)
+}
+
+/// Cells of the elastic layer.
+fn cells_of_layer(facts: &Facts<'_>) -> f64 {
+    facts.scene.effects.elastic_layer.as_ref().map_or(0.0, |layer| {
+        let (_, grid, _) = layer.cells(&facts.scene.gel);
+        (grid.rows * grid.cols) as f64
+    })
 }

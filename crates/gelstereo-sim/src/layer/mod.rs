@@ -12,6 +12,7 @@ mod fft;
 mod friction;
 mod influence;
 mod kernel;
+mod memory;
 mod nodes;
 mod operator;
 mod window;
@@ -19,6 +20,8 @@ mod window;
 pub use contact::Convergence;
 pub use error::LayerError;
 pub use kernel::{Compliance, Layer};
+pub(crate) use memory::Memory;
+pub use memory::PronyTerm;
 pub(crate) use nodes::{Motion, Nodes, Places};
 
 use alloc::vec::Vec;
@@ -191,6 +194,12 @@ impl LayerContact {
             window.paste(cut, &operator.plane, field);
         }
         Ok(found)
+    }
+
+    /// Takes the part away.
+    pub(crate) fn release(&mut self) {
+        let Self { pressure, traction: [x, y], .. } = self;
+        [pressure, x, y].into_iter().for_each(|field| field.fill(0.0));
     }
 
     /// Puts these pressures, and tractions along x and y, on the surface in place of a contact, in units of Young's modulus.

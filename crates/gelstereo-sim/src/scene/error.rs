@@ -52,6 +52,11 @@ pub enum SceneError {
         /// The approximation.
         effect: &'static str,
     },
+    /// An effect refines the elastic layer, which is not listed.
+    NeedsLayer {
+        /// The effect.
+        effect: &'static str,
+    },
     /// Keyframes without an indenter.
     NothingMoves {
         /// Keyframes found.
@@ -112,6 +117,10 @@ impl core::fmt::Display for SceneError {
                 f,
                 "effects.{effect} approximates what effects.elastic_layer computes; remove one of them (the layer takes the \
                  place of shoulder, spread and drag)"
+            ),
+            Self::NeedsLayer { effect } => write!(
+                f,
+                "effects.{effect} refines effects.elastic_layer, which the scene does not list; add it or remove effects.{effect}"
             ),
             Self::NothingMoves { keyframes } => write!(
                 f,

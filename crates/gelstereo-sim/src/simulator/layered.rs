@@ -2,8 +2,8 @@
 
 use super::Simulator;
 use crate::effects::{ElasticLayer, Grip};
-use crate::layer::{self, LayerContact, Motion, Nodes, Places, Start};
-use crate::scene::{Gel, SceneError};
+use crate::layer::{self, LayerContact, Memory, Motion, Nodes, Places, Start};
+use crate::scene::{Scene, SceneError};
 use crate::simulator::ContactState;
 use alloc::vec::Vec;
 use gelstereo_core::math::DVec2;
@@ -15,35 +15,55 @@ pub(super) struct Layered {
     places: Places,
     nodes: Nodes,
     sticks: bool,
-    /// Where the cells' gel would be if it stuck to the part, sensor x and y.
+    /// Solves with the cells where they have moved to.
+    rounds: usize,
+    memory: Option<Memory>,
+    /// Cells' gel at rest, and where it is looked for, sensor x and y.
+    rest: Vec<DVec2>,
     at: Vec<DVec2>,
     heights: Vec<f64>,
-    /// How far the part carries them, along the lattice's axes.
+    /// How far the part carries it, along the lattice's axes.
     carried: [Vec<f64>; 2],
+    /// Motion of the cells under the tractions.
+    into: Vec<f64>,
+    aside: [Vec<f64>; 2],
     motion: Motion,
 }
 
 impl Layered {
-    pub(super) fn new(effect: &ElasticLayer, gel: &Gel) -> Result<Self, SceneError> {
+    /// The layer of a scene that has one.
+    pub(super) fn of(scene: &Scene) -> Result<Option<Self>, SceneError> {
+        let (gel, effects) = (&scene.gel, &scene.effects);
+        let Some(effect) = &effects.elastic_layer else { return Ok(None) };
         let (layer, grid, places) = effect.cells(gel);
         let contact = LayerContact::new(layer, grid, effect.friction).map_err(SceneError::Layer)?;
         let nodes = Nodes::new(&contact, places);
-        Ok(Self {
+        let cells = grid.rows * grid.cols;
+        let memory =
+            effects.relaxation.as_ref().map(|gel| Memory::new(&gel.terms, 1.0 / scene.frame_rate_hz, cells));
+        let none = || Vec::with_capacity(cells);
+        Ok(Some(Self {
             contact,
             places,
             nodes,
             sticks: effect.friction > 0.0,
-            at: Vec::new(),
-            heights: Vec::new(),
-            carried: Default::default(),
+            rounds: effects.large_strain.as_ref().map_or(0, |effect| effect.rounds),
+            memory,
+            rest: Vec::with_capacity(cells),
+            at: Vec::with_capacity(cells),
+            heights: none(),
+            carried: [none(), none()],
+            into: none(),
+            aside: [none(), none()],
             motion: Motion::default(),
-        })
+        }))
     }
 
     /// Puts every cell where it is when it stands still or, with a grip, moves with the part.
     fn place(&mut self, middle_mm: DVec2, axes: [DVec2; 2], grip: Option<&Grip>) {
         let grid = self.contact.grid();
         let from_middle = |i: usize, n: usize| (i as f64 - 0.5 * (n as f64 - 1.0)) * grid.cell_mm;
+        self.rest.clear();
         self.at.clear();
         self.carried.iter_mut().for_each(Vec::clear);
         for row in 0..grid.rows {
@@ -51,6 +71,7 @@ impl Layered {
             for col in 0..grid.cols {
                 let rest = down + axes[0] * from_middle(col, grid.cols);
                 let carried = grip.map_or(DVec2::ZERO, |grip| grip.motion_mm(rest));
+                self.rest.push(rest);
                 self.at.push(rest + carried);
                 for (axis, carried_mm) in axes.iter().zip(&mut self.carried) {
                     carried_mm.push(carried.dot(*axis));
@@ -58,23 +79,107 @@ impl Layered {
             }
         }
     }
+
+    /// Puts every cell where the last solve has moved it; the farthest that one in contact went from where it was.
+    fn replace(&mut self, axes: [DVec2; 2]) -> f64 {
+        self.contact.surface_mm(&mut self.into, &mut self.aside);
+        let remembered = self.memory.as_ref().map(Memory::remembered);
+        let mut farthest = 0.0_f64;
+        for (cell, at) in self.at.iter_mut().enumerate() {
+            let own = |axis: usize| remembered.map_or(0.0, |fields| fields[1 + axis][cell]);
+            let [along, across] = [0, 1].map(|axis| self.aside[axis][cell] + own(axis));
+            let now = self.rest[cell] + axes[0] * along + axes[1] * across;
+            if self.contact.pressure()[cell] > 0.0 {
+                farthest = farthest.max((now - *at).length());
+            }
+            *at = now;
+        }
+        farthest
+    }
+
+    /// Solves for the part's heights, from which what is remembered is taken off.
+    fn solve(&mut self, start: Start) {
+        let Self { contact, heights, carried, memory, .. } = self;
+        if let Some(memory) = memory {
+            let [into, along, across] = memory.remembered();
+            // The support plate is as far away as it was.
+            let most = contact.layer().thickness_mm;
+            heights.iter_mut().zip(into).for_each(|(height, own)| *height = (*height - own).min(most));
+            for (carried, own) in carried.iter_mut().zip([along, across]) {
+                carried.iter_mut().zip(own).for_each(|(carried, own)| *carried -= own);
+            }
+        }
+        let [x, y] = &*carried;
+        let part = layer::Part { heights_mm: heights, carried_mm: self.sticks.then_some([x, y]) };
+        // Numbers of a valid scene are valid here; a solve that gives up leaves what it has.
+        let _ = contact.press(part, ElasticLayer::TOLERANCE_MM, start);
+        if let Some(memory) = memory {
+            let [_, along, across] = memory.remembered();
+            for (carried, own) in carried.iter_mut().zip([along, across]) {
+                carried.iter_mut().zip(own).for_each(|(carried, own)| *carried += own);
+            }
+        }
+    }
+
+    /// Adds to the markers' motion what their cells remember.
+    fn recall(&mut self) {
+        let Some(memory) = &self.memory else { return };
+        let [x, y] = &mut self.motion.aside;
+        for (motion, own) in [&mut self.motion.into, x, y].into_iter().zip(memory.remembered()) {
+            motion.iter_mut().enumerate().for_each(|(marker, u)| *u += own[self.places.cell(marker)]);
+        }
+    }
 }
 
 impl Simulator {
-    /// [`Self::press`] on the elastic layer.
-    pub(super) fn press_layer(&mut self, contact: &ContactState) {
+    /// [`Self::press`] on the elastic layer, in a frame.
+    pub(super) fn press_layer(&mut self, contact: Option<&ContactState>, frame: u64) {
         let Some(mut layered) = self.layered.take() else { return };
-        let grip = layered.sticks.then(|| self.grip(contact));
-        layered.place(self.centre_mm, self.lattice.axes, grip.as_ref());
-        self.heights(contact, &layered.at, &mut layered.heights);
-        let Layered { contact: solver, heights, carried: [x, y], .. } = &mut *layered;
-        let part = layer::Part { heights_mm: heights, carried_mm: grip.is_some().then_some([x, y]) };
-        // Numbers of a valid scene are valid here; a solve that gives up leaves what it has.
-        let _ = solver.press(part, ElasticLayer::TOLERANCE_MM, Start::Afresh);
+        self.remember(&mut layered, frame);
+        self.deform(&mut layered, contact);
         layered.nodes.motion(&layered.contact, &mut layered.motion);
+        layered.recall();
         self.follow(&layered.motion);
         self.meet(contact, &layered);
         self.layered = Some(layered);
+    }
+
+    /// Brings the memory to what it is before a frame of the trajectory.
+    fn remember(&mut self, layered: &mut Layered, frame: u64) {
+        let frames = |layered: &Layered| layered.memory.as_ref().map_or(frame, Memory::frames);
+        if frames(layered) > frame {
+            layered.memory.iter_mut().for_each(Memory::forget);
+        }
+        let now_s = self.trajectory.time_s(frame);
+        while frames(layered) < frame {
+            let time_s = self.trajectory.time_s(frames(layered));
+            self.settle(time_s);
+            let contact = self.trajectory.contact(time_s).filter(|_| self.part.is_some());
+            self.deform(layered, contact.as_ref());
+            layered.contact.surface_mm(&mut layered.into, &mut layered.aside);
+            let [x, y] = &layered.aside;
+            layered.memory.iter_mut().for_each(|memory| memory.add([&layered.into, x, y]));
+        }
+        self.settle(now_s);
+    }
+
+    /// Solves the contact.
+    fn deform(&mut self, layered: &mut Layered, contact: Option<&ContactState>) {
+        let Some(contact) = contact else {
+            layered.contact.release();
+            return;
+        };
+        let grip = layered.sticks.then(|| self.grip(contact));
+        layered.place(self.centre_mm, self.lattice.axes, grip.as_ref());
+        self.heights(contact, &layered.at, &mut layered.heights);
+        layered.solve(Start::Afresh);
+        for _round in 0..layered.rounds {
+            if layered.replace(self.lattice.axes) <= ElasticLayer::TOLERANCE_MM {
+                break;
+            }
+            self.heights(contact, &layered.at, &mut layered.heights);
+            layered.solve(Start::Last);
+        }
     }
 
     /// Moves markers as the surface does where they were printed.
@@ -97,13 +202,17 @@ impl Simulator {
     }
 
     /// Markers that the part touches lie on it, where they are now; no other one lies within it.
-    fn meet(&mut self, contact: &ContactState, layered: &Layered) {
+    fn meet(&mut self, contact: Option<&ContactState>, layered: &Layered) {
         let Self { scratch, rest, .. } = self;
+        scratch.stuck.clear();
+        let Some(contact) = contact else {
+            scratch.stuck.resize(rest.len(), false);
+            return;
+        };
         scratch.places.clear();
         scratch.places.extend(rest.iter().zip(&scratch.motion).map(|(&rest, &u)| rest + u));
         self.touch(contact);
         let scratch = &mut self.scratch;
-        scratch.stuck.clear();
         for (marker, (height, &obstacle)) in scratch.heights.iter_mut().zip(&scratch.obstacle).enumerate() {
             let pressed = layered.contact.pressure()[layered.places.cell(marker)] > 0.0;
             let touches = obstacle > *height || (pressed && obstacle > f64::NEG_INFINITY);
@@ -112,5 +221,39 @@ impl Simulator {
             }
             scratch.stuck.push(touches);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::effects::{Effects, LargeStrain};
+    use crate::shapes::Shape;
+    use crate::simulator::Truth;
+    use gelstereo_core::math::{DVec3, Pose};
+
+    /// How far the layer's solution is from the part where the cells have moved to, at most.
+    fn off_the_part(large_strain: Option<LargeStrain>) -> f64 {
+        let elastic_layer =
+            Some(ElasticLayer { poisson_ratio: 0.5, friction: 0.0, ..ElasticLayer::default() });
+        let effects = Effects { elastic_layer, large_strain, ..Effects::default() };
+        let indenter = Some(Shape::Sphere { radius_mm: 3.0 });
+        let mut simulator = Simulator::new(&Scene { effects, indenter, ..Scene::default() }, None).unwrap();
+        let contact =
+            ContactState::pressed(Pose { translation_mm: DVec3::new(4.1, 0.2, 30.2), ..Pose::IDENTITY });
+        simulator.truth(Some(&contact), &mut Truth::default());
+        let mut layered = simulator.layered.take().unwrap();
+        layered.replace(simulator.lattice.axes);
+        simulator.heights(&contact, &layered.at, &mut layered.heights);
+        let touching = (0..layered.at.len()).filter(|&cell| layered.contact.pressure()[cell] > 0.0);
+        touching.map(|cell| (layered.heights[cell] - layered.into[cell]).abs()).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn the_part_meets_the_gel_where_it_has_moved_to() {
+        let (small, large) = (off_the_part(None), off_the_part(Some(LargeStrain::default())));
+        assert!(small > 0.02, "{small} mm");
+        // The contact's tolerance, and the last round's motion along a slope of one.
+        assert!(large < 3.0 * ElasticLayer::TOLERANCE_MM, "{large} mm");
     }
 }

@@ -145,12 +145,7 @@ impl Simulator {
             shoulder: effects.shoulder.clone(),
             spread: effects.spread.clone(),
             drag: effects.drag.clone(),
-            layered: effects
-                .elastic_layer
-                .as_ref()
-                .map(|layer| Layered::new(layer, gel))
-                .transpose()?
-                .map(Box::new),
+            layered: Layered::of(scene)?.map(Box::new),
             delivered: effects
                 .dropped_frames
                 .as_ref()
@@ -231,8 +226,9 @@ impl Simulator {
         self.settle(time_s);
         self.scratch.motion.clear();
         self.scratch.motion.resize(self.rest.len(), DVec2::ZERO);
-        match contact.filter(|contact| self.part.is_some() && contact.validate().is_ok()) {
-            Some(contact) if self.layered.is_some() => self.press_layer(contact),
+        let contact = contact.filter(|contact| self.part.is_some() && contact.validate().is_ok());
+        match contact {
+            _ if self.layered.is_some() => self.press_layer(contact, frame),
             Some(contact) => self.press(contact),
             None => {
                 self.scratch.heights.clear();

@@ -1,0 +1,110 @@
+//! A gel that relaxes and creeps back.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::{press, rest, simulator, with_effects};
+use gelstereo_core::math::{DVec2, DVec3, exp};
+use gelstereo_sim::effects::{ElasticLayer, LargeStrain, Relaxation};
+use gelstereo_sim::layer::PronyTerm;
+use gelstereo_sim::{ContactState, Effects, Keyframe, Scene, SceneError, Shape, Truth};
+
+const SPHERE: Shape = Shape::Sphere { radius_mm: 4.0 };
+
+fn gel(terms: &[PronyTerm]) -> Effects {
+    let elastic_layer = Some(ElasticLayer { friction: 0.5, cells_per_pitch: 1, ..ElasticLayer::default() });
+    Effects { elastic_layer, relaxation: Some(Relaxation { terms: terms.to_vec() }), ..Effects::default() }
+}
+
+/// Pressed at once, held for a second, let go at once, at 50 frames a second.
+fn held(effects: Effects) -> Scene {
+    let mut scene = Scene { frame_rate_hz: 50.0, ..with_effects(SPHERE, effects) };
+    scene.trajectory = [(0.0, 1.0), (1.0, 1.0), (1.02, -1.0), (1.5, -1.0)]
+        .map(|(time_s, depth)| Keyframe {
+            time_s,
+            contact: ContactState {
+                shear_mm: [0.1, 0.0],
+                ..press(&scene, DVec3::ZERO, DVec2::new(0.1, 0.0), depth)
+            },
+        })
+        .into();
+    scene
+}
+
+fn moments(scene: &Scene) -> Vec<Truth> {
+    let mut simulator = simulator(scene);
+    (0..simulator.frames())
+        .map(|frame| {
+            let mut truth = Truth::default();
+            simulator.moment(simulator.contact(frame).as_ref(), frame as u64, &mut truth);
+            truth
+        })
+        .collect()
+}
+
+/// Free gel of one Prony term creeps back as e^(-(1 - g) t / τ), everywhere and in every direction.
+#[test]
+fn an_imprint_creeps_back_as_the_standard_solid() {
+    let term = PronyTerm { share: 0.4, time_s: 0.25 };
+    let (truths, still) = (moments(&held(gel(&[term]))), rest(&held(gel(&[term]))));
+    let motion = |frame: usize, i: usize| truths[frame].points_mm[i] - still.points_mm[i];
+    let deepest = (0..625).max_by(|&a, &b| motion(52, b).z.total_cmp(&motion(52, a).z)).unwrap();
+    // Let go within a frame, 0.4 of the imprint is left but for what that frame took.
+    let left = motion(52, deepest).z / motion(50, deepest).z;
+    assert!((0.36..0.4).contains(&left), "{left}");
+    assert!(truths[52].in_contact.iter().all(|&touches| !touches));
+    for frame in 53..75 {
+        // Linear steps of a share a = dt / τ err by a² / 12 of their exponent: 0.053 * 5e-4.
+        let expected = exp(-(1.0 - term.share) * 0.02 / term.time_s);
+        let ratio = motion(frame, deepest).length() / motion(frame - 1, deepest).length();
+        assert!((ratio - expected).abs() < 5e-5, "{frame}: {ratio} {expected}");
+    }
+}
+
+/// Held long enough, it lies as if it were elastic; while it is pressed it lies on the part.
+#[test]
+fn what_is_held_is_elastic_in_the_end() {
+    let slow = moments(&held(gel(&[PronyTerm { share: 0.4, time_s: 0.05 }])));
+    let elastic = moments(&held(Effects { relaxation: None, ..gel(&[]) }));
+    for i in 0..625 {
+        let off = (slow[50].points_mm[i] - elastic[50].points_mm[i]).length();
+        // e^(-(1 - g) 20) is 6e-6; both solves end within 1e-4 mm.
+        assert!(off < 5e-4, "marker {i}: {off}");
+    }
+}
+
+/// Frames out of order have the bits of frames in order.
+#[test]
+fn memory_does_not_depend_on_the_order_of_frames() {
+    let scene = held(gel(&Relaxation::default().terms));
+    let ordered = moments(&scene);
+    let mut simulator = simulator(&scene);
+    for frame in [60, 3, 52, 51, 52] {
+        let mut truth = Truth::default();
+        simulator.moment(simulator.contact(frame).as_ref(), frame as u64, &mut truth);
+        assert_eq!(truth, ordered[frame], "{frame}");
+    }
+}
+
+#[test]
+fn refinements_need_the_layer_and_sensible_numbers() {
+    let alone = Effects { relaxation: Some(Relaxation::default()), ..Effects::default() };
+    let error = with_effects(SPHERE, alone).validate().unwrap_err();
+    assert_eq!(error, SceneError::NeedsLayer { effect: "relaxation" });
+    let alone = Effects { large_strain: Some(LargeStrain::default()), ..Effects::default() };
+    let error = with_effects(SPHERE, alone).validate().unwrap_err();
+    assert_eq!(error, SceneError::NeedsLayer { effect: "large_strain" });
+    let term = |share, time_s| PronyTerm { share, time_s };
+    for bad in [
+        vec![],
+        vec![term(1.0, 1.0)],
+        vec![term(-0.1, 1.0)],
+        vec![term(0.1, 0.0)],
+        vec![term(0.1, f64::NAN)],
+        vec![term(0.6, 1.0), term(0.6, 2.0)],
+    ] {
+        assert!(with_effects(SPHERE, gel(&bad)).validate().is_err(), "{bad:?}");
+    }
+    let rounds = Effects { large_strain: Some(LargeStrain { rounds: 0 }), ..gel(&[term(0.1, 1.0)]) };
+    assert!(with_effects(SPHERE, rounds).validate().is_err());
+}
