@@ -89,15 +89,16 @@ def report(trials: Sequence[Trial], records: Sequence[Record], given: Mapping[st
         mine = [r for t, r in zip(trials, records, strict=True) if t.configuration["part"] == letter]
         rows.append([f"({letter}) {GRASPED[letter].name.replace('_', ' ')}", *_row(mine, letter)])
     head = ["part", "geometry: in %", *(f"{name}: of those in / of the others, %" for name in _HANDS)]
+    verdicts = Grid("Share of poses that go in (95 % interval)", head, rows)
     findings: list[Block] = [
         Heading("Geometry and physics"),
         Paragraph(
             "Of the poses that geometry lets in all should go in; of the others, those that a chamfer and a yielding "
             "hand still bring in are what geometry leaves out."
         ),
-        Grid("Share of poses that go in (95 % interval)", head, rows),
+        verdicts,
     ]
-    return Report("Insertion by contact physics", _ASKED, _CONDITIONS, findings, given)
+    return Report("Insertion by contact physics", _ASKED, _CONDITIONS, findings, given, [verdicts])
 
 
 def _row(records: Sequence[Record], letter: str) -> list[str]:

@@ -56,7 +56,8 @@ def insertion_report(trials: Sequence[Trial], records: Sequence[Record], inputs:
         f"{CONDITIONS}; grasps drawn evenly: pitch within {RANGES.pitch_rad} rad, roll within {RANGES.roll_rad} rad, "
         f"{RANGES.shift_mm} mm across, pressed {RANGES.press_mm[0]} to {RANGES.press_mm[1]} mm"
     )
-    return Report("Grasp, localize, insert", _ASKED, conditions, findings, inputs)
+    summary = [block for block in findings if isinstance(block, Grid)]
+    return Report("Grasp, localize, insert", _ASKED, conditions, findings, inputs, summary)
 
 
 def _name(letter: str) -> str:
