@@ -15,7 +15,8 @@ import trimesh
 from chessboards import TrueRig, write_pairs
 from gelstereo import simulate
 from gelstereo.cli import main
-from gelstereo.cli.main import COMMANDS, _module
+from gelstereo.cli.extras import module_of
+from gelstereo.cli.main import COMMANDS
 
 SCENES = Path(__file__).parents[1] / "scenes"
 PRESS = """
@@ -38,7 +39,7 @@ PEG = {
 
 def examples(command: str) -> list[list[str]]:
     """Words after `gelstereo`, of every example; what follows two spaces explains it."""
-    lines = [line.strip() for line in _module(command, COMMANDS[command][0]).EXAMPLES.splitlines()]
+    lines = [line.strip() for line in module_of(command, COMMANDS[command][0]).EXAMPLES.splitlines()]
     found = [re.split(r"\s{2,}", line)[0] for line in lines if line.startswith("gelstereo ")]
     assert found
     return [shlex.split(line)[1:] for line in found]

@@ -117,6 +117,30 @@ def test_a_scheduler_without_workers_is_named(monkeypatch: pytest.MonkeyPatch) -
         run_batch(draw, TRIALS, scheduler_address=local.scheduler_address)
 
 
+def test_a_cluster_that_goes_away_is_told_of_and_what_it_did_is_kept(
+    tmp_path: Path, expected: list[Record], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(batch, "_CLUSTER_TIMEOUT_S", 2.0)
+    with (
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=False, protocol="tcp://", dashboard_address=":0"
+        ) as local,
+        Store(tmp_path, {}) as store,
+        pytest.raises(BatchError, match=r"the cluster at .* gave trials up"),
+    ):
+        run_batch(
+            slowly,
+            TRIALS,
+            scheduler_address=local.scheduler_address,
+            store=store,
+            progress=lambda done, total: local.close() if done == 2 else None,
+        )
+    with Store(tmp_path, {}, resume=True) as store:
+        assert len(store.records) >= 2
+        assert run_batch(draw, TRIALS, store=store) == expected
+
+
 def test_a_worker_of_another_build_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(BatchError, match="another build of gelstereo"):
         batch._run_chunk(draw, [(0, TRIALS[0])], "0" * 64)

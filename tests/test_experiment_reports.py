@@ -142,7 +142,7 @@ def test_boards_are_the_papers_and_all_methods_measure_them() -> None:
     assert sorted(set(heights)) == list(BOARDS_MM) == pytest.approx(np.arange(0.4, 1.81, 0.2))
     assert all(heights.count(height) == 2 * 5 for height in BOARDS_MM)  # two sensors, five presses
     names = list(boards.methods())
-    assert {f"preset {preset}" for preset in ("paper", "fast", "balanced", "exact")} < set(names)
+    assert {f"preset {preset}" for preset in Params.presets()} < set(names)
     assert BASELINE in names
     for rung in RUNGS:
         if rung.stage in ("detect", "label", "points"):
@@ -378,7 +378,17 @@ def test_a_command_that_is_killed_goes_on_where_it_was(tmp_path: Path) -> None:
     assert f"{kept} of 16 trials are kept in {tmp_path / 'run'}; --resume goes on" in said
 
 
-def test_errors_of_the_command_help(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_errors_of_the_command_help(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.delitem(sys.modules, "gelstereo.experiments.boards")
+    monkeypatch.delitem(sys.modules, "gelstereo.experiments.boards_report")
+    monkeypatch.delitem(sys.modules, "gelstereo.experiments.figures")
+    assert main(["experiment", "boards", "--output", str(tmp_path)]) == 2
+    expected = "`gelstereo experiment boards` needs matplotlib, which is not installed: pip install 'gelstereo[bench]'"
+    assert expected in capsys.readouterr().err
+    monkeypatch.undo()
     (tmp_path / "records.jsonl").write_text("{}\n")
     for words, expected in (
         (["--seed", "-1"], "valid is 0 to"),

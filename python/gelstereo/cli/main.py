@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import sys
 from collections.abc import Sequence
 from types import ModuleType
 
 import gelstereo
 from gelstereo import Error
+from gelstereo.cli.extras import module_of
 
 #: Every command is a module with ``EXAMPLES``, ``add_arguments(parser)`` and ``run(arguments) -> int``.
 COMMANDS = {
@@ -25,16 +25,6 @@ COMMANDS = {
     "view": ("gelstereo.cli.view", "a recording or a folder of stereo images to a picture"),
     "experiment": ("gelstereo.experiments.command", "the paper's experiments, simulated, with a report each"),
     "frontier": ("gelstereo.frontier.command", "measure every method and write docs/accuracy-vs-time.md"),
-}
-
-#: The extra of the package that brings a module.
-EXTRAS = {
-    "cascadio": "step",
-    "scipy": "bench",
-    "matplotlib": "bench",
-    "mcap": "recording",
-    "lz4": "recording",
-    "mujoco": "physics",
 }
 
 EXAMPLES = """examples:
@@ -93,7 +83,7 @@ def _parser(words: Sequence[str]) -> tuple[argparse.ArgumentParser, dict[str, Mo
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     modules = {}
     for name, (module_name, summary) in COMMANDS.items():
-        module = _module(name, module_name) if name in words[:1] else None
+        module = module_of(f"gelstereo {name}", module_name) if name in words[:1] else None
         command = commands.add_parser(
             name,
             help=summary,
@@ -105,13 +95,3 @@ def _parser(words: Sequence[str]) -> tuple[argparse.ArgumentParser, dict[str, Mo
             module.add_arguments(command)
             modules[name] = module
     return parser, modules
-
-
-def _module(name: str, module_name: str) -> ModuleType:
-    try:
-        return importlib.import_module(module_name)
-    except ModuleNotFoundError as error:
-        missing = (error.name or "a package").partition(".")[0]
-        extra = EXTRAS.get(missing)
-        remedy = f": pip install 'gelstereo[{extra}]'" if extra else ""
-        raise Error(f"`gelstereo {name}` needs {missing}, which is not installed{remedy}") from error

@@ -11,6 +11,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 from urllib.parse import urlsplit
@@ -245,7 +246,7 @@ def _check_address(address: str) -> None:
 
 def _on_cluster(run: Run, chunks: _Chunks, address: str) -> Iterator[_Result]:
     try:
-        from distributed import Client, as_completed
+        from distributed import Client, KilledWorker, as_completed
     except ModuleNotFoundError as error:
         raise BatchError(
             "a scheduler's address needs dask.distributed, which is not installed: pip install 'gelstereo[batch]'"
@@ -262,14 +263,21 @@ def _on_cluster(run: Run, chunks: _Chunks, address: str) -> Iterator[_Result]:
             raise BatchError(
                 f"the scheduler at {address} has no workers; start some: dask worker {address}"
             ) from error
-        build = build_digest()
-        waiting, running = iter(chunks), as_completed(loop=client.loop)
-        while True:
-            places = sum(client.nthreads().values())
-            chunks.share_among(places)
-            # Twice as many as can run, so that nobody waits for this program.
-            while running.count() < 2 * places and (chunk := next(waiting, None)) is not None:
-                running.add(client.submit(_run_chunk, run, chunk, build, pure=False))
-            if running.count() == 0:
-                return
-            yield next(running).result()
+        try:
+            yield from _tasks(client, as_completed(loop=client.loop), run, chunks)
+        except (CancelledError, KilledWorker, OSError) as error:
+            raise BatchError(f"the cluster at {address} gave trials up: {error}") from error
+
+
+def _tasks(client: Any, running: Any, run: Run, chunks: _Chunks) -> Iterator[_Result]:
+    """Results as they come; `running` is dask's ``as_completed``."""
+    build, waiting = build_digest(), iter(chunks)
+    while True:
+        places = max(sum(client.nthreads().values()), 1)
+        chunks.share_among(places)
+        # Twice as many as can run, so that nobody waits for this program.
+        while running.count() < 2 * places and (chunk := next(waiting, None)) is not None:
+            running.add(client.submit(_run_chunk, run, chunk, build, pure=False))
+        if running.count() == 0:
+            return
+        yield next(running).result()

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import sys
 from pathlib import Path
 
+from gelstereo.cli.extras import module_of
 from gelstereo.cli.options import count
 from gelstereo.cli.progress import Counter
 from gelstereo.experiments.experiment import Experiment, carry_out
@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def experiment_of(name: str) -> Experiment:
     """The experiment of a name."""
-    found: Experiment = importlib.import_module(EXPERIMENTS[name][0]).EXPERIMENT
+    found: Experiment = module_of(f"gelstereo experiment {name}", EXPERIMENTS[name][0]).EXPERIMENT
     return found
 
 

@@ -100,7 +100,7 @@ def _evidence(report: Report, seed: int, trials: Sequence[Trial]) -> list[Block]
     made = [
         *([name, text] for name, text in versions().items()),
         ["build of gelstereo", build_digest()],
-        ["machine", machine()],
+        ["written on", machine()],
         ["seed", str(seed)],
         ["trials", str(len(trials))],
     ]
