@@ -3,10 +3,14 @@
 //! ```text
 //! rung detect   params.toml image.pgm image.pgm
 //! rung frame    params.toml rig.toml left0.pgm right0.pgm left1.pgm right1.pgm ...
+//! rung frames   params.toml rig.toml left0.pgm right0.pgm left1.pgm right1.pgm ...
+//! rung afresh   params.toml rig.toml left0.pgm right0.pgm
 //! rung register params.toml template.txt patch.txt guess.txt
 //! ```
 //!
-//! All input but the last piece warms up; only the last runs inside [`measured`], which `--toggle-collect` names.
+//! All input but the last piece warms up; only the last runs inside [`measured`], which `--toggle-collect` names. `frames`
+//! measures all frames but the first, there and back twice, one by one: `--dump-after` gives each its own count. `afresh`
+//! measures a frame of which nothing is known.
 //! Text files hold numbers separated by white space: x y z nx ny nz per template point after one line with the
 //! spacing, x y z per patch point, and the rows of the guess.
 #![allow(clippy::print_stdout, reason = "it is a program")]
@@ -15,6 +19,7 @@
 mod pgm;
 
 use gelstereo_core::detect::{Detector, Markers};
+use gelstereo_core::image::GrayView;
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::params::Params;
 use gelstereo_core::pipeline::{Frame, Pipeline};
@@ -26,12 +31,14 @@ use std::fs;
 fn main() -> Outcome<()> {
     let words: Vec<String> = std::env::args().skip(1).collect();
     let [stage, params, files @ ..] = words.as_slice() else {
-        return Err("usage: rung detect|frame|register params.toml FILES".into());
+        return Err("usage: rung detect|frame|frames|afresh|register params.toml FILES".into());
     };
     let params: Params = toml::from_str(&fs::read_to_string(params)?)?;
     let outcome = match stage.as_str() {
         "detect" => detect(&params, files)?,
         "frame" => frame(&params, files)?,
+        "frames" => frames(&params, files)?,
+        "afresh" => afresh(&params, files)?,
         "register" => register(&params, files)?,
         other => return Err(format!("no stage {other}").into()),
     };
@@ -58,18 +65,49 @@ fn detect(params: &Params, files: &[String]) -> Outcome<String> {
 }
 
 fn frame(params: &Params, files: &[String]) -> Outcome<String> {
-    let (rig, files) = files.split_first().ok_or("no rig")?;
-    let rig: Rig = toml::from_str(&fs::read_to_string(rig)?)?;
-    let images = files.iter().map(|path| Pgm::read(path)).collect::<Outcome<Vec<_>>>()?;
-    let (mut pipeline, mut out) = (Pipeline::new(&rig, params)?, Frame::default());
-    let pairs: Vec<&[Pgm]> = images.chunks_exact(2).collect();
-    let (last, warm_up) = pairs.split_last().ok_or("no images")?;
-    for pair in warm_up {
-        pipeline.process(pair[0].view()?, pair[1].view()?, &mut out)?;
+    let (mut pipeline, images) = pipeline(params, files)?;
+    let (pairs, mut out) = (pairs(&images)?, Frame::default());
+    let (&[left, right], warm_up) = pairs.split_last().ok_or("no images")?;
+    for &[left, right] in warm_up {
+        pipeline.process(left, right, &mut out)?;
     }
-    let (left, right) = (last[0].view()?, last[1].view()?);
     measured(|| pipeline.process(left, right, &mut out))?;
     Ok(format!("digest {:016x}", out.digest()))
+}
+
+fn frames(params: &Params, files: &[String]) -> Outcome<String> {
+    let (mut pipeline, images) = pipeline(params, files)?;
+    let (pairs, mut out) = (pairs(&images)?, Frame::default());
+    let (&[left, right], later) = pairs.split_first().ok_or("no images")?;
+    pipeline.process(left, right, &mut out)?;
+    for &[left, right] in later.iter().chain(pairs.iter().rev().skip(1)).cycle().take(4 * later.len()) {
+        measured(|| pipeline.process(left, right, &mut out))?;
+    }
+    Ok(format!("digest {:016x}", out.digest()))
+}
+
+fn afresh(params: &Params, files: &[String]) -> Outcome<String> {
+    let (mut pipeline, images) = pipeline(params, files)?;
+    let (pairs, mut out) = (pairs(&images)?, Frame::default());
+    let &[left, right] = pairs.first().ok_or("no images")?;
+    pipeline.process(left, right, &mut out)?;
+    measured(|| {
+        pipeline.reset();
+        pipeline.process(left, right, &mut out)
+    })?;
+    Ok(format!("digest {:016x}", out.digest()))
+}
+
+/// For the rig of the first file; the others are images.
+fn pipeline(params: &Params, files: &[String]) -> Outcome<(Pipeline, Vec<Pgm>)> {
+    let (rig, files) = files.split_first().ok_or("no rig")?;
+    let rig: Rig = toml::from_str(&fs::read_to_string(rig)?)?;
+    let images = files.iter().map(|path| Pgm::read(path)).collect::<Outcome<_>>()?;
+    Ok((Pipeline::new(&rig, params)?, images))
+}
+
+fn pairs(images: &[Pgm]) -> Outcome<Vec<[GrayView<'_>; 2]>> {
+    images.chunks_exact(2).map(|pair| Ok([pair[0].view()?, pair[1].view()?])).collect()
 }
 
 fn register(params: &Params, files: &[String]) -> Outcome<String> {

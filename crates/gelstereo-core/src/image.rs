@@ -130,6 +130,16 @@ impl<'a> GrayView<'a> {
         Self::new(&self.data[y * self.stride + x..], width, height, self.stride)
     }
 
+    /// Whether the brightest value is at least so many levels above the darkest: most images show it in a few rows.
+    pub(crate) fn spans(&self, levels: u8) -> bool {
+        let (mut low, mut high) = (u8::MAX, 0);
+        (0..self.height).map(|y| self.row(y)).any(|row| {
+            low = row.iter().fold(low, |low, &v| low.min(v));
+            high = row.iter().fold(high, |high, &v| high.max(v));
+            high - low >= levels
+        })
+    }
+
     /// The darkest and brightest value.
     #[must_use]
     pub fn range(&self) -> (u8, u8) {

@@ -71,11 +71,22 @@ impl Blocks {
     /// Turns the columns read so far into blocks.
     fn close(&mut self) {
         let Columns { sum, darkest, rows } = &self.columns;
-        for (sum, darkest) in sum.chunks(BLOCK_PX).zip(darkest.chunks(BLOCK_PX)) {
-            let area = (sum.len() * rows) as u64;
-            let total: u64 = sum.iter().map(|&s| u64::from(s)).sum();
-            self.mean.push(((total << FRACTION_BITS) + area / 2) / area);
-            self.darkest.push(darkest.iter().fold(u8::MAX, |low, &level| low.min(level)));
+        let mean = |total: u32, area: u32| u64::from(((total << FRACTION_BITS) + area / 2) / area);
+        let (whole_sums, last_sum) = sum.as_chunks::<BLOCK_PX>();
+        let (whole_darkest, last_darkest) = darkest.as_chunks::<BLOCK_PX>();
+        let totals = whole_sums.iter().map(|sum| sum.iter().map(|&s| u32::from(s)).sum());
+        if *rows == BLOCK_PX {
+            const AREA: u32 = (BLOCK_PX * BLOCK_PX) as u32;
+            self.mean.extend(totals.map(|total| mean(total, AREA)));
+        } else {
+            self.mean.extend(totals.map(|total| mean(total, (BLOCK_PX * rows) as u32)));
+        }
+        let least = |levels: &[u8]| levels.iter().fold(u8::MAX, |low, &level| low.min(level));
+        self.darkest.extend(whole_darkest.iter().map(|levels| least(levels)));
+        if !last_sum.is_empty() {
+            let total = last_sum.iter().map(|&s| u32::from(s)).sum();
+            self.mean.push(mean(total, (last_sum.len() * rows) as u32));
+            self.darkest.push(least(last_darkest));
         }
         let width = sum.len();
         self.columns.clear(width);
@@ -131,7 +142,6 @@ impl BoxSums {
     pub fn run(&mut self, values: &[u64], cols: usize, radius: usize) -> &[u64] {
         let (rows, reach) = (values.len() / cols.max(1), radius as isize);
         let row = |y: isize| &values[reflect101(y, rows) * cols..][..cols];
-        self.out.clear();
         self.out.resize(values.len(), 0);
         self.columns.clear();
         self.columns.resize(cols, 0);
@@ -155,13 +165,26 @@ impl BoxSums {
 
 /// Running sums over `radius` elements to both sides, mirrored at the ends.
 fn sum_along(line: &[u64], radius: usize, out: &mut [u64]) {
-    let reach = radius as isize;
+    let (len, reach) = (line.len(), radius as isize);
     // Folding an index divides; few need it.
-    let at = |x: isize| line.get(x as usize).copied().unwrap_or_else(|| line[reflect101(x, line.len())]);
-    let mut sum: u64 = (-reach..reach).map(at).sum();
-    for (x, out) in (0_isize..).zip(out) {
-        sum += at(x + reach);
+    let mirrored = |x: isize| line.get(x as usize).copied().unwrap_or_else(|| line[reflect101(x, len)]);
+    let mut sum: u64 = (-reach..reach).map(mirrored).sum();
+    let first = radius.min(len);
+    let last = len.saturating_sub(radius).max(first);
+    let near_ends = |out: &mut [u64], from: usize, sum: &mut u64| {
+        for (x, out) in (from as isize..).zip(out) {
+            *sum += mirrored(x + reach);
+            *out = *sum;
+            *sum -= mirrored(x - reach);
+        }
+    };
+    near_ends(&mut out[..first], 0, &mut sum);
+    for ((out, &ahead), &behind) in
+        out[first..last].iter_mut().zip(&line[(first + radius).min(len)..]).zip(line)
+    {
+        sum += ahead;
         *out = sum;
-        sum -= at(x - reach);
+        sum -= behind;
     }
+    near_ends(&mut out[last..], last, &mut sum);
 }

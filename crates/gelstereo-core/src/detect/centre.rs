@@ -31,33 +31,13 @@ const LEVEL_BITS: u32 = 12;
 pub struct GreyCentre {
     /// First and last column of the grown component, row by row from `MARGIN_PX` above its top.
     spans: Vec<(i64, i64)>,
-    columns: Columns,
-}
-
-/// Column by column of the window.
-#[derive(Clone, Debug, Default)]
-struct Columns {
-    /// The plane's level in the row that is being read.
-    plane: Vec<i32>,
-    /// Weights of the rows read so far.
-    weight: Vec<u32>,
-}
-
-impl Columns {
-    fn reserve(&mut self, width: usize) {
-        self.plane.clear();
-        self.plane.reserve(width);
-        self.weight.clear();
-        self.weight.reserve(width);
-    }
 }
 
 impl GreyCentre {
-    /// Forgets the last component and makes room for the tallest and widest that there can be.
-    pub fn reserve(&mut self, (width, height): (usize, usize)) {
+    /// Makes room for the tallest component that there can be in an image of this height.
+    pub fn reserve(&mut self, height: usize) {
         self.spans.clear();
         self.spans.reserve(height + 2 * MARGIN_PX as usize);
-        self.columns.reserve(width);
     }
 
     /// The centre of a component with these runs. Falls back to [`binary`] where too little of the surround lies
@@ -70,7 +50,7 @@ impl GreyCentre {
         runs: impl Iterator<Item = &'a Run> + Clone,
         polarity: Polarity,
     ) -> DVec2 {
-        self.reserve((image.width(), image.height()));
+        self.reserve(image.height());
         self.grow(blob, runs.clone());
         let window = Window::new(image, blob, &self.spans);
         let Some(surround) = window.surround() else {
@@ -82,7 +62,7 @@ impl GreyCentre {
         if low >= high {
             return binary(blob);
         }
-        let moments = window.moments(&surround, (low, high), polarity, &mut self.columns);
+        let moments = window.moments(&surround, (low, high), polarity);
         let Some((weight, moment_u, moment_v)) = moments.filter(|&(weight, ..)| weight > 0) else {
             return binary(blob);
         };
@@ -164,8 +144,11 @@ impl<'a> Window<'a> {
         runs: impl Iterator<Item = &'r Run>,
         polarity: Polarity,
     ) -> i64 {
-        let row = |run: &Run| &self.image.row(run.y as usize)[run.start as usize..run.end as usize];
-        let levels: i64 = runs.flat_map(row).map(|&level| i64::from(level)).sum();
+        let mut levels = 0;
+        for run in runs {
+            let row = &self.image.row(run.y as usize)[run.start as usize..run.end as usize];
+            levels += row.iter().map(|&level| i64::from(level)).sum::<i64>();
+        }
         let area = i64::from(blob.area_px2);
         let (u, v) = (2 * blob.sum_x as i64 - area * self.ends.0, 2 * blob.sum_y as i64 - area * self.ends.1);
         let plane = surround.level * area + surround.per_u * u + surround.per_v * v;
@@ -177,42 +160,35 @@ impl<'a> Window<'a> {
     fn moments(
         &self,
         surround: &Plane,
-        band: (i64, i64),
+        (low, high): (i64, i64),
         polarity: Polarity,
-        columns: &mut Columns,
     ) -> Option<(i64, i64, i64)> {
         let left = self.spans.iter().map(|span| span.0).min()?.max(0);
         let right = self.spans.iter().map(|span| span.1).max()?.min(self.image.width() as i64 - 1);
         let bottom = self.top + self.spans.len() as i64 - 1;
-        let sign = sign(polarity);
         // A plane is largest in a corner. Half of the range is left for the image's levels.
         let corner = |x: i64, y: i64| surround.at(self.u(x), self.v(y)).abs() < i64::from(i32::MAX / 2);
         let bounded = [left, right].iter().all(|&x| corner(x, self.top) && corner(x, bottom));
-        let (low, high) = (i32::try_from(band.0).ok()?, i32::try_from(band.1).ok()?);
-        // A column of weights must fit 32 bits.
+        let (low, high) = (i32::try_from(low).ok()?, i32::try_from(high).ok()?);
+        // With weights of a column below 2^32, all moments stay below 2^63.
         let tall = i64::from(high - low) * self.spans.len() as i64 > i64::from(u32::MAX);
         if !bounded || tall {
             return None;
         }
-        columns.weight.clear();
-        columns.weight.resize((right - left + 1) as usize, 0);
-        columns.plane.clear();
-        columns
-            .plane
-            .extend((left..=right).map(|x| (sign * surround.at(self.u(x), self.v(self.top))) as i32));
-        let step = (2 * sign * surround.per_v) as i32;
-        let mut at = self.top;
-        let mut moment_v = 0;
-        for (y, first, last, levels) in self.rows() {
-            let down = (y - at) as i32 * step;
-            at = y;
-            let part = (first - left) as usize..=(last - left) as usize;
-            columns.plane.iter_mut().for_each(|plane| *plane += down);
-            let (plane, weight) = (&columns.plane[part.clone()], &mut columns.weight[part]);
-            moment_v += weigh(levels, plane, weight, (low, high), sign as i32) * self.v(y);
+        let sign = sign(polarity);
+        let (per_x, level) = ((2 * sign * surround.per_u) as i32, (sign as i32) << LEVEL_BITS);
+        let (mut weight, mut moment_u, mut moment_v) = (0, 0, 0);
+        for (y, first, _, levels) in self.rows() {
+            let mut plane = (sign * surround.at(self.u(first), self.v(y))) as i32;
+            let weighted = summed(levels, |grey| {
+                let contrast = plane.wrapping_sub(level.wrapping_mul(i32::from(grey)));
+                plane = plane.wrapping_add(per_x);
+                i64::from(contrast.max(low).min(high)) - i64::from(low)
+            });
+            weight += weighted.0;
+            moment_u += weighted.0 * self.u(first) + 2 * weighted.1;
+            moment_v += weighted.0 * self.v(y);
         }
-        let weight = columns.weight.iter().map(|&w| i64::from(w)).sum();
-        let moment_u = (left..).zip(&columns.weight).map(|(x, &w)| i64::from(w) * self.u(x)).sum();
         Some((weight, moment_u, moment_v))
     }
 
@@ -221,26 +197,23 @@ impl<'a> Window<'a> {
         let bottom = self.top + self.spans.len() as i64 - 1;
         let mut s = [0_i64; 9]; // 1, u, v, uu, uv, vv, g, gu, gv
         for (y, first, last, levels) in self.rows() {
-            let mut row = [0_i64; 5]; // 1, u, uu, g, gu
-            let mut add = |x: i64, level: u8| {
-                let (u, g) = (self.u(x), i64::from(level));
-                for (sum, term) in row.iter_mut().zip([1, u, u * u, g, g * u]) {
-                    *sum += term;
-                }
-            };
             let span = self.spans[(y - self.top) as usize];
-            if y == self.top || y == bottom {
-                (first..).zip(levels).for_each(|(x, &level)| add(x, level));
+            let (u_first, v) = (self.u(first), self.v(y));
+            let [n, u, uu, g, gu] = if y == self.top || y == bottom {
+                let (n, middle) = (last + 1 - first, first + last - self.ends.0);
+                let (g, along) = summed(levels, i64::from);
+                // Over u = middle - (n - 1), middle - (n - 3), ..., middle + (n - 1).
+                let uu = n * middle * middle + n * (n * n - 1) / 3;
+                [n, n * middle, uu, g, g * u_first + 2 * along]
             } else {
                 // The span's ends, if they lie within the image.
-                if first == span.0 {
-                    add(first, levels[0]);
-                }
-                if last == span.1 && last > first {
-                    add(last, levels[levels.len() - 1]);
-                }
-            }
-            let ([n, u, uu, g, gu], v) = (row, self.v(y));
+                let end = |x: i64, lies: bool| {
+                    let (n, u, g) = (i64::from(lies), self.u(x), i64::from(levels[(x - first) as usize]));
+                    [n, n * u, n * u * u, n * g, n * g * u]
+                };
+                let (one, other) = (end(first, first == span.0), end(last, last == span.1 && last > first));
+                core::array::from_fn(|i| one[i] + other[i])
+            };
             for (sum, term) in s.iter_mut().zip([n, u, v * n, uu, v * u, v * v * n, g, gu, v * g]) {
                 *sum += term;
             }
@@ -256,31 +229,16 @@ impl<'a> Window<'a> {
     }
 }
 
-/// Adds the weights of a row's pixels to their columns, and returns their sum.
-fn weigh(levels: &[u8], plane: &[i32], columns: &mut [u32], (low, high): (i32, i32), sign: i32) -> i64 {
-    let weight = |plane: i32, level: u8| {
-        let contrast = plane.wrapping_sub(sign.wrapping_mul(i32::from(level) << LEVEL_BITS));
-        contrast.max(low).min(high).wrapping_sub(low) as u32
-    };
-    let mut sum = 0;
-    // Rows are short: four at a time, without the preparations of a longer loop.
-    let (wholes, rest) = columns.as_chunks_mut::<4>();
-    let (levels, rest_levels) = levels.as_chunks::<4>();
-    let (plane, rest_plane) = plane.as_chunks::<4>();
-    for ((columns, plane), levels) in wholes.iter_mut().zip(plane).zip(levels) {
-        let weights: [u32; 4] = core::array::from_fn(|n| weight(plane[n], levels[n]));
-        for (column, weight) in columns.iter_mut().zip(weights) {
-            *column = column.wrapping_add(weight);
-        }
-        // A column of at least five such weights fits 32 bits (see `moments`), so that four do.
-        sum += u64::from(weights.iter().fold(0, |sum: u32, &weight| sum.wrapping_add(weight)));
+/// Sum of the values of a row's pixels, and of the values times columns from the first one on.
+#[inline]
+fn summed(levels: &[u8], mut value: impl FnMut(u8) -> i64) -> (i64, i64) {
+    let (mut sum, mut sums) = (0, 0);
+    for &level in levels {
+        sum += value(level);
+        sums += sum;
     }
-    for ((column, &plane), &level) in rest.iter_mut().zip(rest_plane).zip(rest_levels) {
-        let weight = weight(plane, level);
-        *column = column.wrapping_add(weight);
-        sum += u64::from(weight);
-    }
-    sum as i64
+    // The first value is in all of the sums, the last one in one.
+    (sum, levels.len() as i64 * sum - sums)
 }
 
 /// Of the contrast of dark markers on a bright gel.

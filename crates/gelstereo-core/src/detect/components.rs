@@ -166,9 +166,11 @@ impl Components {
     /// The components of the rows pushed, but for those that are left out.
     pub fn finish(&mut self) -> &[Blob] {
         for index in 0..self.runs.len() {
-            let root = self.root(index as u32) as usize;
-            let Run { start, end, .. } = self.runs[index];
-            self.runs[root].next += end - start;
+            let Run { start, end, parent, .. } = self.runs[index];
+            // Parents stand earlier, or are the run itself, and know their root by now.
+            let root = self.runs[parent as usize].parent;
+            self.runs[index].parent = root;
+            self.runs[root as usize].next += end - start;
         }
         for index in 0..self.runs.len() {
             // Runs before this one know their blob already.
@@ -226,19 +228,22 @@ impl Components {
         core::iter::successors(at(blob.first_run), move |run| at(run.next))
     }
 
-    /// Eight pixels at a time: most of a mask is empty.
+    /// 64 pixels at a time: most of a mask is empty.
     fn push_runs(&mut self, row: &[u8], y: u32) {
-        let (words, rest) = row.as_chunks::<8>();
-        let mut last = [0; 8];
+        let (wholes, rest) = row.as_chunks::<64>();
+        let mut last = [0; 64];
         last[..rest.len()].copy_from_slice(rest);
         // The column at which the open run starts.
         let mut open = None;
-        for (x, word) in (0_u32..).step_by(8).zip(words.iter().chain([&last])) {
-            if open.is_none() && *word == [0; 8] {
+        for (x, pixels) in (0_u32..).step_by(64).zip(wholes.iter().chain((!rest.is_empty()).then_some(&last)))
+        {
+            if open.is_none() && pixels.iter().fold(0, |any, &pixel| any | pixel) == 0 {
                 continue;
             }
-            let set = bits(*word);
-            let mut edges = (set ^ (set << 1) ^ u32::from(open.is_some())) & 0xff;
+            let (words, _) = pixels.as_chunks::<8>();
+            let set =
+                (0..).step_by(8).zip(words).fold(0, |set, (at, &word)| set | u64::from(bits(word)) << at);
+            let mut edges = set ^ (set << 1 | u64::from(open.is_some()));
             while edges != 0 {
                 let at = x + edges.trailing_zeros();
                 edges &= edges - 1;

@@ -17,6 +17,11 @@ const EDGE_PX: f64 = 2.5;
 /// Room for a marker beside its expected position, beyond its edge, pixels to both sides together.
 const SLACK_PX: f64 = 3.0;
 
+/// Smaller markers, which stand closer together, have less of both: weights end where a fifth of the contrast is left
+/// ([`BAND`]), within a pixel of the outline.
+const SMALL_RADIUS_PX: f64 = 1.8;
+const SMALL_EDGE_AND_SLACK_PX: (f64, f64) = (1.25, 2.0);
+
 /// A centre farther from the window's middle is looked at again, from a window around it.
 const OFF_PX: f64 = 1.0;
 
@@ -62,7 +67,8 @@ impl Kind {
     #[must_use]
     pub fn of(usual_area_px2: f64) -> Option<Self> {
         let radius_px = crate::math::sqrt(usual_area_px2.max(0.0) * core::f64::consts::FRAC_1_PI);
-        let side_px = crate::math::floor(2.0 * (radius_px + EDGE_PX) + SLACK_PX);
+        let (edge_px, slack_px) = edge_and_slack_px(radius_px);
+        let side_px = crate::math::floor(2.0 * (radius_px + edge_px) + slack_px);
         if !(usual_area_px2 > 0.0 && side_px <= MOST_SIDE_PX as f64) {
             return None;
         }
@@ -74,7 +80,8 @@ impl Kind {
     /// Whether a window about one marker ends before its neighbours' edges when they stand a pitch away.
     #[must_use]
     pub fn fits(&self, pitch_px: f64) -> bool {
-        self.side_px as f64 <= 2.0 * (pitch_px - self.radius_px) - EDGE_PX
+        let (edge_px, _) = edge_and_slack_px(self.radius_px);
+        self.side_px as f64 <= 2.0 * (pitch_px - self.radius_px) - edge_px
     }
 
     /// Whether windows are at most 16 pixels wide.
@@ -95,6 +102,10 @@ impl Kind {
     const fn corner_px(&self) -> usize {
         if self.side_px < 15 { 2 } else { self.side_px / 5 }
     }
+}
+
+fn edge_and_slack_px(radius_px: f64) -> (f64, f64) {
+    if radius_px < SMALL_RADIUS_PX { SMALL_EDGE_AND_SLACK_PX } else { (EDGE_PX, SLACK_PX) }
 }
 
 /// A marker in a window.

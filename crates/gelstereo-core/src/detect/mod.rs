@@ -210,7 +210,7 @@ impl Detector {
             let every = rows_between(size_px.1);
             let noise = meter.run_rows(image, every, |rows, near| components.cover(rows, near));
             matched.prepare(image, noise.unwrap_or_default(), out);
-            grey_centre.reserve((image.width(), image.height()));
+            grey_centre.reserve(image.height());
             for (k, blob) in whole.filter(in_range).enumerate() {
                 if !matched.replace(image, k, out) {
                     out.centres_px[k] = grey_centre.run(image, blob, components.runs(blob), params.polarity);
@@ -237,12 +237,12 @@ impl Detector {
         if width.min(height) < least {
             return Err(DetectError::TooSmall { width, height, least });
         }
-        let (low, high) = image.range();
         let threshold_levels = match self.params.threshold {
             Threshold::Fixed => self.params.threshold_levels,
             Threshold::Auto => threshold::LEAST_LEVELS,
         };
-        if high - low < threshold_levels {
+        if !image.spans(threshold_levels) {
+            let (low, high) = image.range();
             return Err(DetectError::Flat { low, high, threshold_levels });
         }
         Ok(())

@@ -156,7 +156,7 @@ impl Detector {
         let size_px = (image.width(), image.height());
         let noise = self.meter.run(image, &self.mask, rows_between(size_px.1));
         self.matched.prepare(image, noise.unwrap_or_default(), markers);
-        self.grey_centre.reserve((image.width(), image.height()));
+        self.grey_centre.reserve(image.height());
         for k in 0..markers.centres_px.len() {
             if self.matched.replace(image, k, markers) {
                 continue;

@@ -62,7 +62,8 @@ impl Thresholds {
         self.squares.extend(blocks.depths(DEPTH_BITS).map(|d| d * d));
         self.cubes.clear();
         self.cubes.extend(blocks.depths(DEPTH_BITS).map(|d| d * d * d));
-        let mean = |cubes: u64, squares: u64| cubes as f64 / (squares.max(1) as f64 * unit);
+        // As signed numbers, which processors turn into floating point at once; sums stay far below 2^63.
+        let mean = |cubes: u64, squares: u64| cubes as i64 as f64 / (squares.max(1) as i64 as f64 * unit);
         let whole = mean(self.cubes.iter().sum(), self.squares.iter().sum());
         let near = radius + WIDER_BLOCKS;
         let squares = self.square_sums.run(&self.squares, self.cols, near);

@@ -74,7 +74,7 @@ impl Detector {
         out: &mut Found,
     ) {
         self.glances.reserve(positions, kind, size_px);
-        self.grey_centre.reserve(size_px);
+        self.grey_centre.reserve(size_px.1);
         out.markers.reserve(positions, 0);
         out.sights.reserve(positions);
     }

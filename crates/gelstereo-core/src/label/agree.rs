@@ -2,7 +2,7 @@
 
 use super::canvas::{Canvas, STEPS};
 use super::found::Place;
-use super::predict::predict;
+use super::predict::{predict, predict_at};
 use crate::math::{DVec2, sqrt};
 use crate::track::grid::Grid;
 use alloc::vec::Vec;
@@ -270,8 +270,13 @@ fn among<'a>(list: &'a [u32], canvas: &'a Canvas) -> impl Iterator<Item = (usize
 
 /// Distance of a detection from where its neighbours say, in steps to the nearest of them.
 fn off(points: &[DVec2], canvas: &Canvas, m: usize, place: Place) -> f64 {
-    let Some(predicted) = predict(canvas, points, place) else { return 0.0 };
-    let near = STEPS.into_iter().filter_map(|step| canvas.position(points, place.step(step)));
-    let step2 = near.map(|p| p.distance_squared(points[m])).fold(f64::INFINITY, f64::min);
+    let Some(cell) = canvas.cell(place) else { return 0.0 };
+    let Some(predicted) = predict_at(canvas, points, cell) else { return 0.0 };
+    let mut step2 = f64::INFINITY;
+    for (rows, cols) in STEPS {
+        if let Some(near) = canvas.at_offset(cell, rows, cols) {
+            step2 = step2.min(points[near].distance_squared(points[m]));
+        }
+    }
     sqrt(predicted.at.distance_squared(points[m]) / step2)
 }

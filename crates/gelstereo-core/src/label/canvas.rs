@@ -46,10 +46,10 @@ impl Canvas {
         self.order.reserve(2 * most);
     }
 
-    /// Forgets everything and makes room for so many detections.
-    pub fn start(&mut self, detections: usize) {
+    /// Forgets everything and makes room for so many detections, in rows and columns of up to `longest`.
+    pub fn start(&mut self, detections: usize, longest: usize) {
         self.clear();
-        let half = self.half_side(detections);
+        let half = self.half_side(detections).min(longest);
         self.make_room(half);
         self.half = half as i32;
         self.places.resize(detections, None);

@@ -5,7 +5,7 @@ use super::agree::{Agreement, placed};
 use super::canvas::{Canvas, STEPS};
 use super::extent::{View, mean_steps, upright_turns};
 use super::found::{FoundLattice, Place};
-use super::predict::predict;
+use super::predict::{predict, predict_at};
 use super::seed::{Around, Seed, neighbour_distance, seed_at};
 use crate::detect::Markers;
 use crate::math::{DVec2, round, sqrt};
@@ -20,6 +20,10 @@ const MOST_DETECTIONS: usize = 1 << 20;
 
 /// Largest share of detections that may lose their place again: beyond it nothing is certain.
 const MOST_DROPPED: f64 = 0.1;
+
+/// Steps of a lattice are hardly ever shorter than this share of the distance of neighbours: the farthest two markers are then
+/// fewer steps apart.
+const SHORTEST_STEP: f64 = 0.5;
 
 /// Seeds looked at before the best is taken, and before all are looked at.
 const SEED_SAMPLE: usize = 48;
@@ -62,6 +66,8 @@ pub struct LatticeFinder {
     grid: Grid,
     canvas: Canvas,
     near_px: f64,
+    /// Most places of a row or column.
+    longest: usize,
     /// Area of each detection, or empty.
     areas_px2: Vec<u32>,
     distances: Vec<f64>,
@@ -166,8 +172,9 @@ impl LatticeFinder {
     /// Grows from one seed after another until one lattice holds most of the detections or enough were tried; keeps the
     /// largest.
     fn place_all(&mut self, points: &[DVec2]) -> Option<()> {
-        let spacing_px = self.sort_into_grid(points)?;
+        let (spread_px, spacing_px) = self.sort_into_grid(points)?;
         self.near_px = neighbour_distance(points, &self.grid, spacing_px, NEAR_SAMPLE, &mut self.distances)?;
+        self.longest = (spread_px / (SHORTEST_STEP * self.near_px)) as usize + 1;
         self.best.clear();
         self.best.resize(points.len(), None);
         let (mut most, mut start, mut needed) = (0, 0, Around::All);
@@ -178,7 +185,7 @@ impl LatticeFinder {
                 seed = self.next_seed(points, &mut start, needed);
             }
             let Some(seed) = seed else { break };
-            self.canvas.start(points.len());
+            self.canvas.start(points.len(), self.longest);
             self.grow(points, &seed);
             self.agreement.prune(points, &self.grid, self.near_px, &mut self.canvas);
             let count = placed(&self.canvas).count();
@@ -207,7 +214,7 @@ impl LatticeFinder {
     }
 
     fn put_turned(&mut self, turns: u8) {
-        self.canvas.start(self.best.len());
+        self.canvas.start(self.best.len(), self.longest);
         for (m, place) in self.best.iter().enumerate() {
             if let Some(place) = *place {
                 self.canvas.put(place.turned(turns), m, [DVec2::ZERO; 2]);
@@ -215,14 +222,15 @@ impl LatticeFinder {
         }
     }
 
-    /// Leaves the detections in the grid; the side of the square that each would have to itself.
-    fn sort_into_grid(&mut self, points: &[DVec2]) -> Option<f64> {
+    /// Leaves the detections in the grid; the diagonal of their bounding box, and the side of the square that each would have to
+    /// itself.
+    fn sort_into_grid(&mut self, points: &[DVec2]) -> Option<(f64, f64)> {
         let first = *points.first()?;
         let (low, high) = points.iter().fold((first, first), |(l, h), &p| (l.min(p), h.max(p)));
         let spread = high - low;
         let side = sqrt(spread.x.max(1e-3) * spread.y.max(1e-3) / points.len() as f64);
         self.grid.build(points, side);
-        Some(side)
+        Some((spread.length(), side))
     }
 
     /// The most regular of the next few seeds; `start` says where in the list to go on.
@@ -303,10 +311,11 @@ impl LatticeFinder {
         let Some(place) = self.canvas.places[from] else { return };
         for step in STEPS {
             let to = place.step(step);
-            if self.canvas.at(to).is_some() {
+            let Some(cell) = self.canvas.cell(to) else { continue };
+            if self.canvas.at_offset(cell, 0, 0).is_some() {
                 continue;
             }
-            let Some(predicted) = predict(&self.canvas, points, to) else { continue };
+            let Some(predicted) = predict_at(&self.canvas, points, cell) else { continue };
             let length = predicted.at.distance(points[from]);
             let agree = predicted.spread2 < MOST_SPREAD2 * length * length;
             if predicted.sources >= sources && agree {

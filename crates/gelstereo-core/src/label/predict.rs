@@ -23,14 +23,12 @@ struct Mean {
 }
 
 impl Mean {
-    fn add(&mut self, p: Option<DVec2>, origin: DVec2) {
-        if let Some(p) = p {
-            // About a point nearby, so that the squares lose no digits.
-            let p = p - origin;
-            self.sum += p;
-            self.sum2 += p.length_squared();
-            self.count += 1;
-        }
+    fn add(&mut self, p: DVec2, origin: DVec2) {
+        // About a point nearby, so that the squares lose no digits.
+        let p = p - origin;
+        self.sum += p;
+        self.sum2 += p.length_squared();
+        self.count += 1;
     }
 
     fn prediction(&self, origin: DVec2) -> Option<Prediction> {
@@ -44,23 +42,33 @@ impl Mean {
 /// From the four nearest places and the four corners of the cells around: the middle of opposite neighbours where there
 /// are any, as it follows curved rows best, otherwise straight on and across cells.
 pub(super) fn predict(canvas: &Canvas, points: &[DVec2], place: Place) -> Option<Prediction> {
-    let cell = canvas.cell(place)?;
-    let at = |rows: i32, cols: i32| canvas.seen_from(points, cell, rows, cols);
-    let near = STEPS.map(|(dr, dc)| at(dr, dc));
-    let origin = near.iter().flatten().next().copied()?;
+    predict_at(canvas, points, canvas.cell(place)?)
+}
+
+/// As [`predict`], of a place's cell.
+pub(super) fn predict_at(canvas: &Canvas, points: &[DVec2], cell: usize) -> Option<Prediction> {
+    let at = |rows: i32, cols: i32| canvas.at_offset(cell, rows, cols);
+    let [right, down, left, up] = [at(0, 1), at(1, 0), at(0, -1), at(-1, 0)];
+    let origin = points[right.or(down).or(left).or(up)?];
     let mut between = Mean::default();
-    between.add(near[0].zip(near[2]).map(|(a, b)| (a + b) * 0.5), origin);
-    between.add(near[1].zip(near[3]).map(|(a, b)| (a + b) * 0.5), origin);
+    for (one, other) in [(right, left), (down, up)] {
+        if let (Some(one), Some(other)) = (one, other) {
+            between.add((points[one] + points[other]) * 0.5, origin);
+        }
+    }
     if between.count > 0 {
         return between.prediction(origin);
     }
+    let near = [right, down, left, up, right];
     let mut beyond = Mean::default();
-    for (k, (dr, dc)) in STEPS.into_iter().enumerate() {
+    for k in 0..4 {
         let Some(here) = near[k] else { continue };
-        beyond.add(at(2 * dr, 2 * dc).map(|before| here * 2.0 - before), origin);
-        let (next, (er, ec)) = (near[(k + 1) % 4], STEPS[(k + 1) % 4]);
-        if let Some(next) = next {
-            beyond.add(at(dr + er, dc + ec).map(|corner| here + next - corner), origin);
+        let (here, (dr, dc), (er, ec)) = (points[here], STEPS[k], STEPS[(k + 1) % 4]);
+        if let Some(before) = at(2 * dr, 2 * dc) {
+            beyond.add(here * 2.0 - points[before], origin);
+        }
+        if let (Some(next), Some(corner)) = (near[k + 1], at(dr + er, dc + ec)) {
+            beyond.add(here + points[next] - points[corner], origin);
         }
     }
     beyond.prediction(origin)

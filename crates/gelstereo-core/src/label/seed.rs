@@ -31,7 +31,9 @@ pub(super) fn neighbour_distance(
 ) -> Option<f64> {
     scratch.clear();
     for n in (0..points.len()).step_by(points.len().div_ceil(sample).max(1)) {
-        let nearest = grid.nearest(points, points[n], 3.0 * spacing_px, |m| m != n);
+        // Hardly ever farther than in an even spread.
+        let within = |radius_px: f64| grid.nearest(points, points[n], radius_px, |m| m != n);
+        let nearest = within(1.5 * spacing_px).or_else(|| within(3.0 * spacing_px));
         scratch.extend(nearest.map(|m| points[n].distance(points[m])));
     }
     median(scratch).filter(|&d| d > 0.0 && d.is_finite())

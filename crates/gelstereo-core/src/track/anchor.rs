@@ -1,6 +1,7 @@
 //! By how many whole pitches a lattice has moved, told by its border.
 
 use super::canvas::{Canvas, NONE};
+use super::grid::Grid;
 use crate::math::DVec2;
 use alloc::vec::Vec;
 
@@ -32,13 +33,22 @@ pub(super) enum Expectation {
 ///
 /// Every detection counts, whether it was matched or not: whether it is this marker or another one, or two in one, it is no
 /// empty gel. Matches alone would be biased, since a border row in poor sight is matched less easily where it is not expected.
+///
+/// Linear in the places: a sum over a shifted lattice is a difference of sums from the first place on, and what is missing or
+/// misprinted is little.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Anchor {
     taken: Vec<bool>,
     present: Vec<u8>,
-    visible: Vec<u8>,
+    /// How many are present above and to the left of each place, itself not counted; a row and a column more than places.
+    before: Vec<u32>,
     expected: Vec<u8>,
-    unprinted: Vec<u8>,
+    /// Cost of each shift, rows first.
+    costs: Vec<u32>,
+    /// Places about the view that a detection may lie at, and where they are.
+    places: Vec<u32>,
+    places_px: Vec<DVec2>,
+    grid: Grid,
 }
 
 /// Whether a marker at a position is whole in the image.
@@ -92,18 +102,32 @@ pub(super) struct Anchored {
 }
 
 impl Anchor {
-    /// Makes room for a lattice with so many places on its canvas, and for so many detections.
-    pub fn reserve(&mut self, markers: usize, sites: usize, detections: usize) {
+    /// Makes room for a lattice with so many rows and columns on a canvas with up to so many rings, and for so many detections.
+    pub fn reserve(
+        &mut self,
+        (rows, cols): (usize, usize),
+        rings: usize,
+        detections: usize,
+        (size_px, pitch_px): ((usize, usize), f64),
+    ) {
+        let (height, width) = (rows + 2 * rings, cols + 2 * rings);
         self.taken.clear();
         self.taken.reserve(detections);
-        for list in [&mut self.present, &mut self.visible] {
+        for (list, most) in [(&mut self.present, height * width), (&mut self.expected, rows * cols)] {
             list.clear();
-            list.reserve(sites);
+            list.reserve(most);
         }
-        for list in [&mut self.expected, &mut self.unprinted] {
+        for (list, most) in [
+            (&mut self.before, (height + 1) * (width + 1)),
+            (&mut self.costs, (2 * rings + 1) * (2 * rings + 1)),
+            (&mut self.places, height * width),
+        ] {
             list.clear();
-            list.reserve(markers);
+            list.reserve(most);
         }
+        self.places_px.clear();
+        self.places_px.reserve(height * width);
+        self.grid.reserve(height * width, size_px, pitch_px);
     }
 
     /// The cheapest shift of at most the canvas's rings along rows and columns.
@@ -115,25 +139,15 @@ impl Anchor {
         size_px: (usize, usize),
         pitch_px: f64,
     ) -> Anchored {
-        let in_view = in_view(size_px, pitch_px);
-        let fill = |list: &mut Vec<u8>, values: &mut dyn Iterator<Item = bool>| {
-            list.clear();
-            list.extend(values.map(u8::from));
-        };
-        fill(&mut self.present, &mut canvas.found.iter().map(|&m| m != NONE));
-        self.add_unmatched(canvas, detected_px, pitch_px);
-        fill(
-            &mut self.visible,
-            &mut (0..canvas.found.len()).map(|s| canvas.located[s] && in_view(canvas.position_px(s))),
-        );
-        fill(&mut self.expected, &mut expectations.clone().map(|e| e == Expectation::Present));
-        fill(&mut self.unprinted, &mut expectations.map(|e| e == Expectation::Absent));
+        self.present.clear();
+        self.present.extend(canvas.found.iter().map(|&m| u8::from(m != NONE)));
+        self.add_unmatched(canvas, detected_px, (size_px, pitch_px));
+        self.add_up_costs(canvas, expectations, in_view(size_px, pitch_px));
         let most = canvas.rings as isize;
         // With what a jump costs and without: both must give the same answer.
         let mut ranks = [Rank::default(); 2];
-        let all = self.present.iter().map(|&p| u32::from(p)).sum();
-        for shift in (-most..=most).flat_map(|row| (-most..=most).map(move |col| [row, col])) {
-            let cost = self.cost(canvas, shift, all);
+        let shifts = (-most..=most).flat_map(|row| (-most..=most).map(move |col| [row, col]));
+        for (shift, &cost) in shifts.zip(&self.costs) {
             ranks[0].add(cost, shift);
             ranks[1].add(cost + surprise(canvas, shift, pitch_px), shift);
         }
@@ -148,44 +162,99 @@ impl Anchor {
     }
 
     /// Something is present where a detection without a place lies.
-    fn add_unmatched(&mut self, canvas: &Canvas, detected_px: &[DVec2], pitch_px: f64) {
-        self.taken.clear();
-        self.taken.resize(detected_px.len(), false);
+    fn add_unmatched(
+        &mut self,
+        canvas: &Canvas,
+        detected_px: &[DVec2],
+        (size_px, pitch_px): ((usize, usize), f64),
+    ) {
+        let Self { taken, present, places, places_px, grid, .. } = self;
+        taken.clear();
+        taken.resize(detected_px.len(), false);
         for &m in canvas.found.iter().filter(|&&m| m != NONE) {
-            self.taken[m as usize] = true;
+            taken[m as usize] = true;
+        }
+        if !taken.contains(&false) {
+            return;
         }
         let reach_px = AT_PLACE * pitch_px;
-        for (&at, _) in detected_px.iter().zip(&self.taken).filter(|&(_, &taken)| !taken) {
-            let mut nearest = (reach_px * reach_px, None);
-            for site in (0..canvas.found.len()).filter(|&s| canvas.located[s]) {
-                let distance2 = canvas.position_px(site).distance_squared(at);
-                if distance2 < nearest.0 {
-                    nearest = (distance2, Some(site));
-                }
+        // Detections lie within the image.
+        let last_px = DVec2::new(size_px.0 as f64, size_px.1 as f64) + reach_px;
+        let about_view = |p: DVec2| p.cmpge(DVec2::splat(-reach_px)).all() && p.cmple(last_px).all();
+        places.clear();
+        places_px.clear();
+        for site in (0..canvas.found.len()).filter(|&s| canvas.located[s]) {
+            let at_px = canvas.position_px(site);
+            if about_view(at_px) {
+                places.push(site as u32);
+                places_px.push(at_px);
             }
-            if let Some(site) = nearest.1 {
-                self.present[site] = 1;
+        }
+        grid.build(places_px, pitch_px);
+        for (&at, _) in detected_px.iter().zip(taken).filter(|(_, taken)| !**taken) {
+            if let Some(place) = grid.nearest(places_px, at, reach_px, |_| true) {
+                present[places[place] as usize] = 1;
             }
         }
     }
 
-    /// Of a shift, among `all` detections of the canvas.
-    fn cost(&self, canvas: &Canvas, shift: [isize; 2], all: u32) -> u32 {
-        let (rows, cols, width) = (canvas.rows, canvas.cols, canvas.width());
-        let (mut missing, mut inside, mut misprinted) = (0, 0, 0);
-        for row in 0..rows {
-            let first = (row as isize + canvas.rings as isize + shift[0]) as usize * width
-                + (canvas.rings as isize + shift[1]) as usize;
-            let (present, visible) = (&self.present[first..][..cols], &self.visible[first..][..cols]);
-            let (expected, unprinted) =
-                (&self.expected[row * cols..][..cols], &self.unprinted[row * cols..][..cols]);
-            for ((&p, &v), (&e, &u)) in present.iter().zip(visible).zip(expected.iter().zip(unprinted)) {
-                missing += u32::from(e & v & (1 - p));
-                misprinted += u32::from(u & p);
-                inside += u32::from(p);
+    /// Of all shifts, rows first: 1 for each marker that is missing, [`STRAY`] for each detection that is none of the lattice's or
+    /// where none was printed.
+    fn add_up_costs(
+        &mut self,
+        canvas: &Canvas,
+        expectations: impl Iterator<Item = Expectation> + Clone,
+        in_view: impl Fn(DVec2) -> bool,
+    ) {
+        let (rows, cols, rings) = (canvas.rows, canvas.cols, canvas.rings);
+        let (width, side) = (canvas.width(), 2 * rings + 1);
+        self.sum_up_present(width);
+        self.expected.clear();
+        self.expected.extend(expectations.clone().map(|e| u8::from(e == Expectation::Present)));
+        // Places from the first one on, above and to the left of a corner of the shifted lattice.
+        let before = |row: usize, col: usize| self.before[row * (width + 1) + col];
+        let all = before(rows + 2 * rings, width);
+        self.costs.clear();
+        for (row, col) in (0..side).flat_map(|row| (0..side).map(move |col| (row, col))) {
+            let inside = before(row + rows, col + cols) + before(row, col)
+                - before(row, col + cols)
+                - before(row + rows, col);
+            self.costs.push(STRAY * (all - inside));
+        }
+        // Which shifts bring a marker to a place: from the last marker's to the first one's.
+        let shifts = |at: usize, markers: usize| (at + 1).saturating_sub(markers)..(at + 1).min(side);
+        for site in (0..self.present.len()).filter(|&s| self.present[s] == 0) {
+            if !(canvas.located[site] && in_view(canvas.position_px(site))) {
+                continue;
+            }
+            let (row, col) = (site / width, site % width);
+            for down in shifts(row, rows) {
+                for right in shifts(col, cols) {
+                    let expected = self.expected[(row - down) * cols + col - right];
+                    self.costs[down * side + right] += u32::from(expected);
+                }
             }
         }
-        missing + STRAY * (all - inside + misprinted)
+        for (n, _) in expectations.enumerate().filter(|&(_, e)| e == Expectation::Absent) {
+            for (shift, cost) in self.costs.iter_mut().enumerate() {
+                let (row, col) = (n / cols + shift / side, n % cols + shift % side);
+                *cost += STRAY * u32::from(self.present[row * width + col]);
+            }
+        }
+    }
+
+    fn sum_up_present(&mut self, width: usize) {
+        self.before.clear();
+        self.before.resize(width + 1, 0);
+        for row in self.present.chunks_exact(width) {
+            let above = self.before.len() - width;
+            self.before.push(0);
+            let mut sum = 0;
+            for (col, &present) in row.iter().enumerate() {
+                sum += u32::from(present);
+                self.before.push(self.before[above + col] + sum);
+            }
+        }
     }
 
     /// Detections on the outermost ring: where there are some, the lattice may go on beyond.

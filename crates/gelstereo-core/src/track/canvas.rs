@@ -10,6 +10,9 @@ pub(super) const NONE: u32 = u32::MAX;
 /// Steps to the eight places around one: rows down, columns to the right.
 const AROUND: [[isize; 2]; 8] = [[-1, -1], [-1, 0], [-1, 1], [0, -1], [0, 1], [1, -1], [1, 0], [1, 1]];
 
+/// So many places away lie those whose values suggest that of a place.
+pub(super) const SUGGESTED_FROM: usize = 2;
+
 /// Values that the surround of a place suggests.
 #[derive(Clone, Copy, Debug, Default)]
 struct Suggestions {
@@ -175,22 +178,36 @@ impl Canvas {
         let mut out = Suggestions::default();
         let (width, height) = (self.width() as isize, (self.rows + 2 * self.rings) as isize);
         let (row, col) = (site as isize / width, site as isize % width);
-        let residual = |steps: isize, [down, right]: [isize; 2]| {
+        let found = |steps: isize, [down, right]: [isize; 2]| {
             let (r, c) = (row + steps * down, col + steps * right);
+            let inside = r >= 0 && c >= 0 && r < height && c < width;
             let other = (r * width + c) as usize;
-            let inside = (0..height).contains(&r) && (0..width).contains(&c);
-            (inside && self.found[other] != NONE).then(|| value(other))
+            (inside && self.found[other] != NONE).then_some(other)
         };
-        let near = AROUND.map(|direction| residual(1, direction));
-        for (k, first) in near.iter().enumerate().filter_map(|(k, near)| Some((k, (*near)?))) {
+        let mut near = [None; 8];
+        for (near, direction) in near.iter_mut().zip(AROUND) {
+            *near = found(1, direction);
+        }
+        for k in 0..8 {
+            let Some(first) = near[k].map(&value) else { continue };
             if let (true, Some(opposite)) = (k < 4, near[7 - k]) {
-                out.push((first + opposite) * 0.5);
+                out.push((first + value(opposite)) * 0.5);
             }
-            if let Some(second) = residual(2, AROUND[k]) {
-                out.push(first * 2.0 - second);
+            if let Some(second) = found(2, AROUND[k]) {
+                out.push(first * 2.0 - value(second));
             }
         }
         out
+    }
+
+    /// Whether all that a place's surround suggests as its residual, if anything, lies closer to it than `most_px`: then so does
+    /// what the surround suggests together.
+    pub fn is_as_suggested(&self, site: usize, most_px: f64) -> bool {
+        let suggested = self.suggestions(site, |s| self.residual_px[s]);
+        let here = self.residual_px[site];
+        let (xs, ys) = (&suggested.x[..suggested.count], &suggested.y[..suggested.count]);
+        let off = |values: &[f64], at: f64| values.iter().fold(0.0_f64, |off, x| off.max((x - at).abs()));
+        suggested.count > 0 && DVec2::new(off(xs, here.x), off(ys, here.y)).length() <= most_px
     }
 
     /// The residual that the matched places around one suggest.

@@ -106,7 +106,8 @@ impl CheckedTracker {
         self.expected_px.clone_from(&self.rest_px);
         self.matching.reserve(sites, most_detections, self.size_px, self.pitch_px);
         self.relabel.reserve(self.size_px, most_detections, self.rows.max(self.cols));
-        self.anchor.reserve(markers, sites, most_detections);
+        let (lattice, rings) = ((self.rows, self.cols), RINGS[RINGS.len() - 1]);
+        self.anchor.reserve(lattice, rings, most_detections, (self.size_px, self.pitch_px));
         self.carry.reserve(markers);
         self.canvas.lay(&self.rest_px, self.rows, self.cols, RINGS[RINGS.len() - 1]);
         for (n, detection) in rest.detection.iter().enumerate() {

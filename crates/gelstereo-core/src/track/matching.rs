@@ -1,7 +1,8 @@
 //! Which detection belongs to which place of the lattice, up to a shift by whole pitches.
 
-use super::canvas::{Canvas, NONE};
+use super::canvas::{Canvas, NONE, SUGGESTED_FROM};
 use super::grid::Grid;
+use super::near;
 use crate::math::DVec2;
 use alloc::vec::Vec;
 
@@ -133,7 +134,7 @@ impl Matching {
             // What lies beyond the gate when all have moved nearly as far.
             if self.taken.contains(&false) {
                 self.grow(canvas, detected_px, before.pitch_px);
-                while self.weed(canvas, before) {}
+                self.weed(canvas, before);
             }
             return true;
         }
@@ -176,7 +177,7 @@ impl Matching {
         self.settle(canvas, detected_px, pitch_px);
         // With a place for every detection and a detection for every place, no speck and no merged pair is among them.
         if !self.is_complete(canvas) {
-            while self.weed(canvas, before) {}
+            self.weed(canvas, before);
         }
         // What weeding cut off may have slipped as a whole.
         let alike = moved_alike(canvas, pitch_px).is_some();
@@ -313,38 +314,59 @@ impl Matching {
         self.taken.len() == markers && (0..canvas.found.len()).filter(found).count() == markers
     }
 
-    /// Drops detections that stand alone against their neighbours: specks, and merged pairs. Whether there were any.
-    fn weed(&mut self, canvas: &mut Canvas, before: Before<'_>) -> bool {
-        let pitch_px = before.pitch_px;
-        self.claimants.clear();
-        for (site, &m) in canvas.found.iter().enumerate().filter(|&(_, &m)| m != NONE) {
-            let alone = canvas.suggested(site).is_none_or(|around| {
-                let hidden = before.missed(canvas, site).map_or(HIDDEN_FRAMES, |m| m.min(HIDDEN_FRAMES));
-                let most_px = if around.count < SUPPORT {
-                    LONE * pitch_px
-                } else {
-                    let most_px = (LONE + LONE_HIDDEN * f64::from(hidden)) * pitch_px;
-                    most_px + 2.0 * around.spread_px
-                };
-                let most_px = most_px.min(LONE_MOST * canvas.step_px(site));
-                canvas.residual_px[site].distance(around.middle_px) > most_px
-            });
-            let bent = |between: DVec2| canvas.position_px(site).distance(between) > BENT * pitch_px;
-            let beside = canvas.around(site).filter(|&s| canvas.found[s] != NONE).count();
-            let hidden = !before.is_fresh(canvas, site);
-            let alone = alone
-                || beside < if hidden { BESIDE_HIDDEN } else { BESIDE }
-                || (hidden && canvas.between_px(site).is_some_and(bent));
-            if alone {
-                self.claimants.push((site as u32, m));
+    /// Drops detections that stand alone against their neighbours: specks, and merged pairs; until none does.
+    fn weed(&mut self, canvas: &mut Canvas, before: Before<'_>) {
+        let suspects = &mut self.known;
+        suspects.clear();
+        suspects.resize(canvas.found.len(), true);
+        loop {
+            self.claimants.clear();
+            for (site, &m) in canvas.found.iter().enumerate() {
+                if m != NONE && suspects[site] && stands_alone(canvas, before, site) {
+                    self.claimants.push((site as u32, m));
+                }
+            }
+            if self.claimants.is_empty() {
+                return;
+            }
+            // What is dropped is missed by those who look at it, at most two places away.
+            suspects.fill(false);
+            for &(site, m) in &self.claimants {
+                self.taken[m as usize] = false;
+                canvas.found[site as usize] = NONE;
+                for near in near(site as usize, canvas.width(), canvas.found.len(), SUGGESTED_FROM) {
+                    suspects[near] = true;
+                }
             }
         }
-        for &(site, m) in &self.claimants {
-            self.taken[m as usize] = false;
-            canvas.found[site as usize] = NONE;
-        }
-        !self.claimants.is_empty()
     }
+}
+
+/// Whether a match differs from what its neighbours suggest, or has too few of them.
+fn stands_alone(canvas: &Canvas, before: Before<'_>, site: usize) -> bool {
+    let pitch_px = before.pitch_px;
+    let nearest_px = LONE_MOST * canvas.step_px(site);
+    let differs = || {
+        canvas.suggested(site).is_none_or(|around| {
+            let hidden = before.missed(canvas, site).map_or(HIDDEN_FRAMES, |m| m.min(HIDDEN_FRAMES));
+            let most_px = if around.count < SUPPORT {
+                LONE * pitch_px
+            } else {
+                let most_px = (LONE + LONE_HIDDEN * f64::from(hidden)) * pitch_px;
+                most_px + 2.0 * around.spread_px
+            };
+            canvas.residual_px[site].distance(around.middle_px) > most_px.min(nearest_px)
+        })
+    };
+    // What all suggest alike needs no medians.
+    if !canvas.is_as_suggested(site, nearest_px.min(LONE * pitch_px)) && differs() {
+        return true;
+    }
+    let bent = |between: DVec2| canvas.position_px(site).distance(between) > BENT * pitch_px;
+    let beside = canvas.around(site).filter(|&s| canvas.found[s] != NONE).count();
+    let hidden = !before.is_fresh(canvas, site);
+    beside < if hidden { BESIDE_HIDDEN } else { BESIDE }
+        || (hidden && canvas.between_px(site).is_some_and(bent))
 }
 
 /// Whether two neighbours have slipped against each other: their motions differ too much, or a marker does not stand between
