@@ -13,9 +13,7 @@ SEARCH = Params().replace({"register.method": "surface_search"})
 
 @pytest.fixture(scope="module")
 def template() -> Template:
-    return Template.from_mesh(trimesh.creation.box((8.0, 6.0, 30.0)), units="mm").with_grid(
-        cell_mm=0.4, reach_mm=4.0
-    )
+    return Template.from_mesh(trimesh.creation.box((8.0, 6.0, 30.0)), units="mm")
 
 
 def corner(noise_mm: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -62,7 +60,7 @@ def test_a_far_guess_finds_a_corner_with_every_marker(template: Template) -> Non
 def test_what_the_surface_methods_refuse(template: Template) -> None:
     truth, salient, _ = corner(0.0)
     bare = Template.from_points(template.points_mm, template.normals, 0.25)
-    with pytest.raises(RegisterError, match="no surface with a grid"):
+    with pytest.raises(RegisterError, match="no surface; make it from a mesh"):
         localize(salient, bare, t_sensor_object=truth, params=SEARCH)
     with pytest.raises(RegisterError, match="covariances"):
         localize(salient, template, t_sensor_object=truth, covariance_mm2=np.eye(3)[None], params=SEARCH)

@@ -1,13 +1,14 @@
 //! The surface of a part as registration sees it.
 
 use super::blocks::{self, Block};
+use super::copies;
 use super::error::TemplateError;
 use super::sample;
 use super::surface::Relief;
 use super::symmetry::Symmetry;
 use super::tree::Tree;
 use crate::digest::Digest;
-use crate::math::{DVec3, sqrt};
+use crate::math::{DVec3, Pose, sqrt};
 use crate::surface::{Field, Solid, TriangleMesh};
 use alloc::vec::Vec;
 
@@ -89,6 +90,7 @@ impl Template {
 
     /// Samples a mesh evenly: on average one point for every `spacing_mm`² of its area, no two points of faces that
     /// look the same way (within 60 degrees) closer than 0.81 of the spacing. The same seed gives the same points.
+    /// With the exact surface, and the field of distances that the surface rungs of registration need.
     ///
     /// # Errors
     /// [`TemplateError::TooFew`] or [`TemplateError::TooMany`] when the spacing does not suit the mesh's area,
@@ -97,7 +99,8 @@ impl Template {
         let (points_mm, normals) = sample::evenly(mesh, spacing_mm, seed)?;
         let solid = Solid::new(mesh).map_err(TemplateError::Solid)?;
         let relief = Some(Relief::new(&solid));
-        Ok(Self { solid: Some(solid), relief, ..Self::new(&points_mm, &normals, spacing_mm)? })
+        let bare = Self { solid: Some(solid), relief, ..Self::new(&points_mm, &normals, spacing_mm)? };
+        Ok(bare.with_field(Self::DEFAULT_CELL_MM, Self::DEFAULT_REACH_MM))
     }
 
     /// The exact surface, for a template that was made from a mesh.
@@ -106,7 +109,7 @@ impl Template {
         self.solid.as_ref()
     }
 
-    /// With distances on a grid around the exact surface ([`Field::new`]), for screening many poses; unchanged
+    /// With distances on another grid around the exact surface ([`Field::new`]) than [`Self::from_mesh`] makes; unchanged
     /// without a surface, or if the numbers make no grid.
     #[must_use]
     pub fn with_field(mut self, cell_mm: f64, reach_mm: f64) -> Self {
@@ -121,7 +124,7 @@ impl Template {
         Self { field: None, ..self }
     }
 
-    /// Distances on a grid, if [`Self::with_field`] has made them.
+    /// Distances on a grid; of points, and after [`Self::without_field`], none.
     #[must_use]
     pub const fn field(&self) -> Option<&Field> {
         self.field.as_ref()
@@ -132,7 +135,8 @@ impl Template {
         self.relief.as_ref()
     }
 
-    /// With these symmetries instead of those it has: declared ones, or [`Symmetry::of`] it.
+    /// With these symmetries instead of those it has: declared ones, or [`Symmetry::of`] it. Registration then answers
+    /// with the copy that is nearest to the guess.
     #[must_use]
     pub fn with_symmetries(mut self, symmetries: Vec<Symmetry>) -> Self {
         self.symmetries = symmetries;
@@ -143,6 +147,12 @@ impl Template {
     #[must_use]
     pub fn symmetries(&self) -> &[Symmetry] {
         &self.symmetries
+    }
+
+    /// Of the poses that show the part alike, by its symmetries, the one nearest to another: the least turn away.
+    #[must_use]
+    pub fn nearest_copy(&self, t_sensor_object: &Pose, other: &Pose) -> Pose {
+        copies::nearest(&self.symmetries, t_sensor_object, other)
     }
 
     /// Points, object frame.

@@ -10,6 +10,7 @@ mod contact;
 mod evidence;
 mod fit;
 mod noise;
+mod odds;
 mod part;
 mod polish;
 mod relief;
