@@ -20,6 +20,7 @@ mod rigid;
 mod sample;
 mod soft;
 mod surface;
+mod surfels;
 mod symmetry;
 mod template;
 mod tree;

@@ -5,6 +5,7 @@ use super::copies;
 use super::error::TemplateError;
 use super::sample;
 use super::surface::Relief;
+use super::surfels::surfels;
 use super::symmetry::Symmetry;
 use super::tree::Tree;
 use crate::digest::Digest;
@@ -37,19 +38,22 @@ pub struct Template {
     pub(super) field: Option<Field>,
     pub(super) symmetries: Vec<Symmetry>,
     pub(super) relief: Option<Relief>,
+    /// Whether the surface is a mesh's, and not made of the points.
+    is_exact: bool,
 }
 
 impl Template {
-    /// From points and outward normals (normalised here), and the typical distance of neighbouring points.
+    /// From points and outward normals (normalised here), and the typical distance of neighbouring points. The surface
+    /// rungs of registration take the points for small squares in their tangent planes.
     ///
     /// # Errors
     /// [`TemplateError`].
     pub fn new(points_mm: &[DVec3], normals: &[DVec3], spacing_mm: f64) -> Result<Self, TemplateError> {
         check(points_mm, normals, spacing_mm)?;
-        Ok(Self::build(points_mm.to_vec(), unit(normals)?, spacing_mm))
+        Ok(Self::build(points_mm.to_vec(), unit(normals)?, spacing_mm).with_surfels())
     }
 
-    /// As [`Self::new`], of normals that were normalised before and keep their bits.
+    /// As [`Self::new`], of normals that were normalised before and keep their bits, and without a surface.
     pub(super) fn with_unit_normals(
         points_mm: Vec<DVec3>,
         normals: Vec<DVec3>,
@@ -77,7 +81,22 @@ impl Template {
             relief: None,
             field: None,
             symmetries: Vec::new(),
+            is_exact: false,
         }
+    }
+
+    /// With a surface of the points, for the surface rungs of registration.
+    pub(super) fn with_surfels(self) -> Self {
+        let made = surfels(&self.points_mm, &self.normals, &self.curvatures_per_mm, self.spacing_mm);
+        let Some((solid, relief)) = made else { return self };
+        let bare = Self { solid: Some(solid), relief: Some(relief), ..self };
+        bare.with_field(Self::DEFAULT_CELL_MM, Self::DEFAULT_REACH_MM)
+    }
+
+    /// With the exact surface, and none that was made of the points.
+    pub(super) fn with_solid(self, solid: Solid) -> Self {
+        let relief = Some(Relief::new(&solid));
+        Self { solid: Some(solid), relief, field: None, is_exact: true, ..self }
     }
 
     /// Spacing for a part that a hand holds: a quarter of the lattice's pitch, rounded. Default of all who sample one.
@@ -98,15 +117,15 @@ impl Template {
     pub fn from_mesh(mesh: &TriangleMesh, spacing_mm: f64, seed: u64) -> Result<Self, TemplateError> {
         let (points_mm, normals) = sample::evenly(mesh, spacing_mm, seed)?;
         let solid = Solid::new(mesh).map_err(TemplateError::Solid)?;
-        let relief = Some(Relief::new(&solid));
-        let bare = Self { solid: Some(solid), relief, ..Self::new(&points_mm, &normals, spacing_mm)? };
+        check(&points_mm, &normals, spacing_mm)?;
+        let bare = Self::build(points_mm, unit(&normals)?, spacing_mm).with_solid(solid);
         Ok(bare.with_field(Self::DEFAULT_CELL_MM, Self::DEFAULT_REACH_MM))
     }
 
     /// The exact surface, for a template that was made from a mesh.
     #[must_use]
-    pub const fn solid(&self) -> Option<&Solid> {
-        self.solid.as_ref()
+    pub fn solid(&self) -> Option<&Solid> {
+        self.solid.as_ref().filter(|_| self.is_exact)
     }
 
     /// With distances on another grid around the exact surface ([`Field::new`]) than [`Self::from_mesh`] makes; unchanged
@@ -126,13 +145,14 @@ impl Template {
 
     /// Distances on a grid; of points, and after [`Self::without_field`], none.
     #[must_use]
-    pub const fn field(&self) -> Option<&Field> {
-        self.field.as_ref()
+    pub fn field(&self) -> Option<&Field> {
+        self.field.as_ref().filter(|_| self.is_exact)
     }
 
-    /// Normals of the smooth surface that the triangles stand for.
-    pub(super) const fn relief(&self) -> Option<&Relief> {
-        self.relief.as_ref()
+    /// The surface that can be touched, its field of distances and its smooth normals: the mesh's, or what the points
+    /// stand for.
+    pub(super) fn touchable(&self) -> Option<(&Solid, &Field, &Relief)> {
+        Some((self.solid.as_ref()?, self.field.as_ref()?, self.relief.as_ref()?))
     }
 
     /// With these symmetries instead of those it has: declared ones, or [`Symmetry::of`] it. Registration then answers
@@ -214,8 +234,8 @@ impl Template {
             .f64s(self.points_mm.iter().flat_map(numbers))
             .f64s(self.normals.iter().flat_map(numbers))
             .f64s([self.spacing_mm]);
-        let solid = self.solid.as_ref().map_or(points, |solid| points.u64(solid.digest()));
-        self.field.as_ref().map_or(solid, |field| solid.u64(field.digest())).value()
+        let solid = self.solid().map_or(points, |solid| points.u64(solid.digest()));
+        self.field().map_or(solid, |field| solid.u64(field.digest())).value()
     }
 }
 
