@@ -13,9 +13,7 @@ SEARCH = Params().replace({"register.method": "surface_search"})
 
 @pytest.fixture(scope="module")
 def template() -> Template:
-    return Template.from_mesh(trimesh.creation.box((8.0, 6.0, 30.0)), units="mm").with_grid(
-        cell_mm=0.4, reach_mm=4.0
-    )
+    return Template.from_mesh(trimesh.creation.box((8.0, 6.0, 30.0)), units="mm")
 
 
 def corner(noise_mm: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -61,10 +59,17 @@ def test_a_far_guess_finds_a_corner_with_every_marker(template: Template) -> Non
 
 def test_what_the_surface_methods_refuse(template: Template) -> None:
     truth, salient, _ = corner(0.0)
-    bare = Template.from_points(template.points_mm, template.normals, 0.25)
-    with pytest.raises(RegisterError, match="no surface with a grid"):
-        localize(salient, bare, t_sensor_object=truth, params=SEARCH)
     with pytest.raises(RegisterError, match="covariances"):
         localize(salient, template, t_sensor_object=truth, covariance_mm2=np.eye(3)[None], params=SEARCH)
     with pytest.raises(ShapeError, match=r"valid is \(N, 3, 3\)"):
         localize(salient, template, t_sensor_object=truth, covariance_mm2=np.eye(3), params=SEARCH)
+
+
+def test_a_template_of_points_is_as_good_as_its_mesh(template: Template) -> None:
+    truth, salient, everything = corner(0.02)
+    guess = truth @ se3_exp([0.1, -0.1, 0.1, 0.5, -0.5, 0.4])
+    scan = Template.from_points(template.points_mm, template.normals, template.spacing_mm)
+    assert scan.surface is None
+    found = localize(salient, scan, t_sensor_object=guess, all_points_mm=everything, params=SEARCH)
+    error = np.array(se3_log(np.linalg.inv(found.t_sensor_object) @ truth))
+    assert np.linalg.norm(error[:3]) < np.deg2rad(2.0) and found.log_odds > 0

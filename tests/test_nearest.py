@@ -122,8 +122,12 @@ def test_the_grid_is_near_the_exact_distance() -> None:
     error = distances[known] - true[known]
     assert np.abs(error).max() < 0.87 * 0.5 and np.sqrt(np.mean(error**2)) < 0.02
     assert np.isnan(gradients[~known]).all()
+    # A template of a mesh has a grid of its own.
+    own, _ = exact.grid_distance(points)
+    assert np.nanmax(np.abs(own - true)) < 0.87 * 0.4
+    bare = Template.from_points(exact.points_mm, exact.normals, 1.0)
     with pytest.raises(TemplateError, match="has no grid"):
-        exact.grid_distance(points)
+        bare.grid_distance(points)
     with pytest.raises(TemplateError, match="a reach of 2 to 1000 cells"):
         exact.with_grid(cell_mm=1.0, reach_mm=1.0)
 

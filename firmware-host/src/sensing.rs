@@ -5,7 +5,7 @@ use gelstereo_core::image::ImageError;
 use gelstereo_core::math::linalg::{Symmetric, eigen};
 use gelstereo_core::math::{DMat3, DQuat, DVec3, Pose, so3};
 use gelstereo_core::params::Params;
-use gelstereo_core::pipeline::{Frame, Pipeline, PipelineError};
+use gelstereo_core::pipeline::{Frame, Pipeline, PipelineError, Touch};
 use gelstereo_core::register::{RegisterError, Registrar, Registration, Template};
 use gelstereo_core::rig::Rig;
 use serde::{Deserialize, Serialize};
@@ -68,7 +68,7 @@ pub struct Sensing {
     registrar: Registrar,
     template: Template,
     frame: Frame,
-    patch_mm: Vec<DVec3>,
+    touch: Touch,
 }
 
 impl Sensing {
@@ -82,7 +82,7 @@ impl Sensing {
             registrar: Registrar::new(&params.register),
             template,
             frame: Frame::default(),
-            patch_mm: Vec::new(),
+            touch: Touch::default(),
         })
     }
 
@@ -116,10 +116,9 @@ impl Sensing {
                     rotation: DQuat::from_array(*rotation_xyzw),
                     translation_mm: DVec3::from_array(*translation_mm),
                 };
-                self.frame.patch_points_mm(&mut self.patch_mm);
                 return self
                     .registrar
-                    .run(&self.patch_mm, &self.template, &guess)
+                    .register(&self.touch.of(&self.frame), &self.template, &guess)
                     .map(Some)
                     .map_err(SensingError::Register);
             }

@@ -7,6 +7,7 @@
 
 use gelstereo_core::math::DVec3;
 use gelstereo_core::math::random::Stream;
+use gelstereo_core::register::Template;
 use gelstereo_core::surface::{Facing, Field, Solid, TriangleMesh};
 use std::error::Error;
 use std::time::Instant;
@@ -69,7 +70,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let solid = Solid::new(&mesh)?;
     println!("{} triangles in {:?}", mesh.triangles().len(), start.elapsed());
     let start = Instant::now();
-    let field = Field::new(&solid, Field::DEFAULT_CELL_MM, Field::DEFAULT_REACH_MM).ok_or("no grid")?;
+    let field = Field::new(&solid, Template::DEFAULT_CELL_MM, Template::DEFAULT_REACH_MM).ok_or("no grid")?;
     println!("grid of {} bytes in {:?}", field.bytes(), start.elapsed());
     let grid = |q: &Query| field.distance(q.point).map_or(0.0, |(distance, gradient)| distance + gradient.x);
     let cold = |q: &Query| solid.closest(q.point).distance_mm;

@@ -9,7 +9,7 @@ use contact_patch::{Contact, Shape};
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::params::{RegisterMethod, RegisterParams};
-use gelstereo_core::register::{Registrar, Template};
+use gelstereo_core::register::{Contact as Patch, Localizer, Registrar, Standing, Symmetry, Template};
 use gelstereo_core::surface::Facing;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -61,6 +61,35 @@ fn a_second_run_allocates_nothing() {
         assert!(first > 0, "the counter counts");
         registrar.run(&contact.points_mm, &template, &guess).unwrap();
         assert_eq!(ALLOCATIONS.get() - before - first, 0, "{method:?}");
+    }
+}
+
+#[test]
+fn a_followed_part_allocates_nothing_whether_held_or_lost() {
+    let shape = Shape::Cuboid { half_mm: DVec3::new(3.0, 4.0, 5.0) };
+    // A box has three axes of two turns each.
+    let template = shape.template(0.5);
+    let symmetries = Symmetry::of(&template, 0.02);
+    assert_eq!(symmetries.len(), 3);
+    let template = template.with_symmetries(symmetries);
+    let mut random = Stream::new(2, "followed");
+    let press = Contact::press(&shape, Pose::exp(DVec3::X * 0.1, DVec3::ZERO), 1.2, 0.03, &mut random);
+    let guess = press.guess(0.02, 0.2, &mut random);
+    // No part looks like this.
+    let noise: Vec<DVec3> = press.points_mm.iter().map(|&p| p + DVec3::Z * 1.5 * random.uniform()).collect();
+    for method in [RegisterMethod::SurfaceTrack, RegisterMethod::SurfaceClose] {
+        let settings = RegisterParams { method, ..Default::default() };
+        let mut localizer = Localizer::new(&settings, &guess);
+        let mut round = |localizer: &mut Localizer| {
+            [&press.points_mm, &press.points_mm, &noise, &press.points_mm]
+                .map(|points| localizer.run(&Patch::new(points), &template).unwrap().standing)
+        };
+        let first = round(&mut localizer);
+        assert_eq!(first, [Standing::Found, Standing::Followed, Standing::Lost, Standing::Found]);
+        let before = ALLOCATIONS.get();
+        let second = round(&mut localizer);
+        assert_eq!(ALLOCATIONS.get(), before, "{method:?}");
+        assert_eq!(second[1..], first[1..]);
     }
 }
 

@@ -343,12 +343,17 @@ fn a_template_of_a_mesh_keeps_its_exact_surface() {
 }
 
 #[test]
-fn a_template_keeps_distances_on_a_grid_if_it_is_asked_to() {
+fn a_template_of_a_mesh_keeps_distances_on_a_grid_and_others_if_it_is_asked_to() {
     let mesh = contact_patch::cuboid(DVec3::new(3.0, 4.0, 5.0));
-    let bare = Template::from_mesh(&mesh, 0.3, 1).unwrap();
+    let whole = Template::from_mesh(&mesh, 0.3, 1).unwrap();
+    let field = whole.field().unwrap();
+    assert_eq!((field.cell_mm(), field.reach_mm()), (Template::DEFAULT_CELL_MM, Template::DEFAULT_REACH_MM));
+    let bare = whole.clone().without_field();
     let template = bare.clone().with_field(0.25, 1.0);
     let (distance_mm, gradient) = template.field().unwrap().distance(DVec3::new(3.5, 1.0, 1.0)).unwrap();
     assert!((distance_mm - 0.5).abs() < 1e-4 && gradient.distance(DVec3::X) < 1e-3);
     assert!(bare.field().is_none() && bare.clone().with_field(0.0, 1.0).field().is_none());
-    assert_ne!(bare.digest(), template.digest());
+    assert!(bare.digest() != template.digest() && whole.digest() != template.digest());
+    // Numbers that make no grid leave the one there was.
+    assert_eq!(whole.clone().with_field(0.0, 1.0).field(), whole.field());
 }

@@ -154,7 +154,7 @@ proptest! {
 }
 
 #[test]
-fn of_triangles_at_the_same_distance_the_first_one_is_named() {
+fn row_12_of_triangles_at_the_same_distance_the_first_one_is_named() {
     // Places and distances are exact in binary; every vertex belongs to several triangles.
     let mesh = mesh(block(DVec3::splat(-4.0), DVec3::splat(4.0), 4));
     let solid = Solid::new(&mesh).unwrap();

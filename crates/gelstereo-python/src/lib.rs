@@ -56,7 +56,7 @@ mod _native {
     #[pymodule_export]
     use crate::pipeline::{Frame, Pipeline, ViewEvidence, marker_states};
     #[pymodule_export]
-    use crate::register::{FreeDirection, Localization, localize};
+    use crate::register::{FreeDirection, Localization, Localizer, localize};
     #[pymodule_export]
     use crate::rest_record::RestRecord;
     #[pymodule_export]

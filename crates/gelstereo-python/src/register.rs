@@ -8,6 +8,7 @@ use gelstereo_core::math::DVec3;
 use gelstereo_core::register as core;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// A direction of motion that the contact does not determine, in the object's frame; ``str()`` says it in words.
 #[pyclass(frozen, module = "gelstereo")]
@@ -33,6 +34,12 @@ impl FreeDirection {
     #[getter]
     fn centre_mm(&self, py: Python<'_>) -> Array1<f64> {
         arrays::list(py, self.inner.centre_mm.to_array().to_vec())
+    }
+
+    /// Whether it turns the part about an axis of its own, one of `Template.symmetries`: no contact determines it.
+    #[getter]
+    const fn is_own(&self) -> bool {
+        self.inner.is_own
     }
 
     fn __str__(&self) -> String {
@@ -69,6 +76,12 @@ pub struct Localization {
     free: Py<PyTuple>,
     /// Logarithm of the pose's likelihood, to compare poses of one contact; None but for the surface methods.
     log_likelihood: Option<f64>,
+    /// Logarithm of the odds that the part is here over that no part is, both as likely beforehand; None but for the
+    /// surface methods. Below 0 the pose does not explain the contact: the part is elsewhere, or another.
+    log_odds: Option<f64>,
+    /// How a `Localizer` came to the pose: ``"followed"`` from the frame before, ``"found"`` by a search, or ``"lost"``: the
+    /// search found nothing that explains the contact, and this is its best. None from `localize`.
+    standing: Option<&'static str>,
     /// Other poses that explain the contact about as well, likeliest first: pairs of a (4, 4) pose and its logarithm of
     /// the likelihood.
     alternatives: Py<PyTuple>,
@@ -77,7 +90,7 @@ pub struct Localization {
 }
 
 impl Localization {
-    fn new(py: Python<'_>, found: core::Registration) -> PyResult<Self> {
+    fn new(py: Python<'_>, found: core::Registration, standing: Option<core::Standing>) -> PyResult<Self> {
         let (digest, covariance) = (found.digest(), found.covariance());
         let free = found.free.iter().map(|&inner| Py::new(py, FreeDirection { inner }));
         let other =
@@ -85,6 +98,12 @@ impl Localization {
         let alternatives = found.alternatives.iter().map(other).collect::<PyResult<Vec<_>>>()?;
         Ok(Self {
             log_likelihood: found.log_likelihood,
+            log_odds: found.log_odds,
+            standing: standing.map(|standing| match standing {
+                core::Standing::Followed => "followed",
+                core::Standing::Found => "found",
+                core::Standing::Lost => "lost",
+            }),
             alternatives: PyTuple::new(py, alternatives)?.unbind(),
             t_sensor_object: arrays::pose_matrix(py, &found.t_sensor_object)?,
             information: arrays::matrix(py, found.information)?,
@@ -128,9 +147,8 @@ const MOST_POINTS: usize = 20_000;
 ///     A guess: maps object coordinates to sensor coordinates.
 /// all_points_mm : (M, 3) array_like, optional
 ///     All markers' points, those of `points_mm` among them. The methods on the part's surface
-///     (``register.method`` "surface_track", "surface_close", "surface_search"; they need a template with a grid) use
-///     that the part is nowhere between the
-///     others and the camera; other methods do not look at them.
+///     (``register.method`` "surface_track", "surface_close", "surface_search"; they need a template of a mesh) use that the
+///     part is nowhere between the others and the camera; other methods do not look at them.
 /// covariance_mm2 : (N, 3, 3) or (N, 9) array_like, optional
 ///     Covariance of each of `points_mm`, for the same methods; without it ``register.point_sigma_mm`` holds for all.
 /// params : Params, optional
@@ -155,6 +173,22 @@ pub fn localize(
     covariance_mm2: Option<&Bound<'_, PyAny>>,
     params: Option<&Bound<'_, Params>>,
 ) -> PyResult<Localization> {
+    let guess = arrays::pose(t_sensor_object, "t_sensor_object")?;
+    let template = template.get().inner();
+    let mut stage = core::Registrar::new(&Params::or_default(params).register);
+    let register = |contact: &core::Contact<'_>| stage.register(contact, template, &guess);
+    let found = with_contact(py, points_mm, all_points_mm, covariance_mm2, register)?;
+    Localization::new(py, found, None)
+}
+
+/// Runs what needs a contact, with the interpreter released.
+fn with_contact<T: Send>(
+    py: Python<'_>,
+    points_mm: &Bound<'_, PyAny>,
+    all_points_mm: Option<&Bound<'_, PyAny>>,
+    covariance_mm2: Option<&Bound<'_, PyAny>>,
+    run: impl FnOnce(&core::Contact<'_>) -> Result<T, core::RegisterError> + Send,
+) -> PyResult<T> {
     let points = Numbers::new(points_mm, "points_mm")?;
     let points = points.rows::<DVec3, 3>()?;
     if points.len() > MOST_POINTS {
@@ -164,22 +198,126 @@ pub fn localize(
             points.len()
         )));
     }
-    let guess = arrays::pose(t_sensor_object, "t_sensor_object")?;
-    let template = template.get().inner();
     let all = all_points_mm.map(|all| Numbers::new(all, "all_points_mm")).transpose()?;
     let all = all.as_ref().map_or(Ok(&[][..]), Numbers::rows::<DVec3, 3>)?;
     let covariances = covariance_mm2.map(|c| Numbers::new(c, "covariance_mm2")).transpose()?;
     let covariances = covariances.as_ref().map(Numbers::matrices).transpose()?;
-    let mut stage = core::Registrar::new(&Params::or_default(params).register);
-    let register = || {
+    py.detach(|| {
         let unpressed_mm = core::unpressed(all, points);
-        let contact = core::Contact {
+        run(&core::Contact {
             covariance_mm2: covariances,
             unpressed_mm: &unpressed_mm,
             ..core::Contact::new(points)
-        };
-        stage.register(&contact, template, &guess)
-    };
-    let found = py.detach(register).map_err(raise)?;
-    Localization::new(py, found)
+        })
+    })
+    .map_err(raise)
+}
+
+/// Localizes one part frame by frame: follows it, notices that it is lost, and finds it again.
+///
+/// A pose is followed from the frame before by the part's exact surface (``register.method`` "surface_track": by its grid of
+/// distances first). It is believed while its ``log_odds`` are above 0. Otherwise the part is searched for, around the last pose
+/// that was believed and around where it is expected. What the contact leaves free stays as it was.
+///
+/// Calls from several threads take turns; the interpreter is released meanwhile.
+///
+/// Parameters
+/// ----------
+/// template : Template
+///     Of a mesh.
+/// t_sensor_object : (4, 4) array_like
+///     Where the part is expected: maps object coordinates to sensor coordinates.
+/// params : Params, optional
+///     Its ``register`` part is used.
+///
+/// Examples
+/// --------
+/// ::
+///
+///     localizer = Localizer(template, t_sensor_object=guess)
+///     for left, right in camera:
+///         frame = pipeline.process(left, right)
+///         found = localizer.process(frame.patch_points_mm, all_points_mm=frame.points_mm)
+///         if found.standing == "lost":
+///             ...
+#[pyclass(frozen, module = "gelstereo")]
+pub struct Localizer {
+    stage: Mutex<core::Localizer>,
+    template: Py<Template>,
+}
+
+impl Localizer {
+    fn lock(&self) -> MutexGuard<'_, core::Localizer> {
+        self.stage.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[pymethods]
+impl Localizer {
+    #[new]
+    #[pyo3(signature = (template, *, t_sensor_object, params=None))]
+    fn new(
+        template: Py<Template>,
+        t_sensor_object: &Bound<'_, PyAny>,
+        params: Option<&Bound<'_, Params>>,
+    ) -> PyResult<Self> {
+        let expected = arrays::pose(t_sensor_object, "t_sensor_object")?;
+        let stage = core::Localizer::new(&Params::or_default(params).register, &expected);
+        Ok(Self { stage: Mutex::new(stage), template })
+    }
+
+    /// The part that is followed.
+    #[getter]
+    fn template(&self, py: Python<'_>) -> Py<Template> {
+        self.template.clone_ref(py)
+    }
+
+    /// (4, 4) the last pose that was believed, or None.
+    #[getter]
+    fn t_sensor_object(&self, py: Python<'_>) -> PyResult<Option<Matrix>> {
+        let last = py.detach(|| self.lock().last().copied());
+        last.map(|pose| arrays::pose_matrix(py, &pose)).transpose()
+    }
+
+    /// The part is expected elsewhere from now on: the gripper has let go, or grasped it anew.
+    ///
+    /// Parameters
+    /// ----------
+    /// t_sensor_object : (4, 4) array_like
+    fn expect(&self, py: Python<'_>, t_sensor_object: &Bound<'_, PyAny>) -> PyResult<()> {
+        let expected = arrays::pose(t_sensor_object, "t_sensor_object")?;
+        py.detach(|| self.lock().expect(&expected));
+        Ok(())
+    }
+
+    /// Localize the part in the next frame; parameters as `localize` takes them.
+    ///
+    /// Parameters
+    /// ----------
+    /// points_mm : (N, 3) array_like
+    /// all_points_mm : (M, 3) array_like, optional
+    /// covariance_mm2 : (N, 3, 3) or (N, 9) array_like, optional
+    ///
+    /// Returns
+    /// -------
+    /// Localization
+    ///     Its ``standing`` says how the pose was come by.
+    ///
+    /// Raises
+    /// ------
+    /// RegisterError
+    ///     If nothing can be registered, for one when nothing touches the gel; the last pose is kept.
+    #[pyo3(signature = (points_mm, *, all_points_mm=None, covariance_mm2=None))]
+    fn process(
+        &self,
+        py: Python<'_>,
+        points_mm: &Bound<'_, PyAny>,
+        all_points_mm: Option<&Bound<'_, PyAny>>,
+        covariance_mm2: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Localization> {
+        let template = self.template.get().inner();
+        let run = |contact: &core::Contact<'_>| self.lock().run(contact, template);
+        let located = with_contact(py, points_mm, all_points_mm, covariance_mm2, run)?;
+        Localization::new(py, located.registration, Some(located.standing))
+    }
 }

@@ -92,14 +92,13 @@ impl RestRecord {
 
     /// A record from a TOML file; see `from_toml`.
     #[classmethod]
-    fn load(cls: &Bound<'_, PyType>, path: PathBuf) -> PyResult<Self> {
-        let text = tree::read(cls.py(), path.clone())?;
-        Self::from_toml(cls, &text).map_err(|error| tree::in_file(cls.py(), &error, &path))
+    fn load<'py>(cls: &Bound<'py, PyType>, path: PathBuf) -> PyResult<Bound<'py, PyAny>> {
+        tree::load(cls, path)
     }
 
     /// Write the record to a TOML file.
-    fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
-        tree::write(py, path, &self.to_toml()?)
+    fn save(slf: &Bound<'_, Self>, path: PathBuf) -> PyResult<()> {
+        tree::save(slf, path)
     }
 
     fn __repr__(&self) -> String {
@@ -107,7 +106,7 @@ impl RestRecord {
         format!("<RestRecord: {} rows x {} columns, {markers} markers>", self.inner.rows, self.inner.cols)
     }
 
-    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (String,))> {
-        Ok((py.get_type::<Self>().getattr("from_toml")?, (self.to_toml()?,)))
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<tree::Reduced<'py>> {
+        tree::reduce(slf)
     }
 }

@@ -90,8 +90,8 @@ impl Scene {
     }
 
     /// Write the scene to a TOML file.
-    fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
-        tree::write(py, path, &self.to_toml()?)
+    fn save(slf: &Bound<'_, Self>, path: PathBuf) -> PyResult<()> {
+        tree::save(slf, path)
     }
 
     /// The scene as nested dictionaries.

@@ -6,7 +6,7 @@ use crate::errors::{MeshError, ShapeError, TemplateError, raise};
 use crate::tree;
 use gelstereo_core::math::DVec3;
 use gelstereo_core::register as core;
-use gelstereo_core::surface::{Field, Solid, TriangleMesh};
+use gelstereo_core::surface::{Solid, TriangleMesh};
 use pyo3::prelude::*;
 use pyo3::types::{PyTuple, PyType};
 use std::path::PathBuf;
@@ -197,7 +197,8 @@ impl Template {
         Closest::new(py, found)
     }
 
-    /// A copy with signed distances on a grid around the exact surface, for screening many poses.
+    /// A copy with another grid of signed distances around the exact surface; a template of a mesh has one of 0.4 mm cells
+    /// and 4 mm reach, by which registration screens many poses.
     ///
     /// Parameters
     /// ----------
@@ -210,7 +211,7 @@ impl Template {
     /// ------
     /// TemplateError
     ///     If the template has no exact surface, or these numbers make no grid.
-    #[pyo3(signature = (*, cell_mm=Field::DEFAULT_CELL_MM, reach_mm=Field::DEFAULT_REACH_MM), text_signature = "($self, *, cell_mm=0.25, reach_mm=2.0)")]
+    #[pyo3(signature = (*, cell_mm=core::Template::DEFAULT_CELL_MM, reach_mm=core::Template::DEFAULT_REACH_MM), text_signature = "($self, *, cell_mm=0.4, reach_mm=4.0)")]
     fn with_grid(&self, py: Python<'_>, cell_mm: f64, reach_mm: f64) -> PyResult<Self> {
         self.solid()?;
         let inner = py.detach(|| self.inner.clone().without_field().with_field(cell_mm, reach_mm));
@@ -239,10 +240,13 @@ impl Template {
     /// Raises
     /// ------
     /// TemplateError
-    ///     If there is no grid; see `with_grid`.
+    ///     If there is no grid: the template was made of points.
     fn grid_distance(&self, py: Python<'_>, points_mm: &Bound<'_, PyAny>) -> PyResult<(Array1<f64>, Matrix)> {
-        let no_grid =
-            || TemplateError::new_err("the template has no grid; make one with template.with_grid()");
+        let no_grid = || {
+            TemplateError::new_err(
+                "the template was made of points and has no grid; make it from a mesh or from triangles",
+            )
+        };
         let field = self.inner.field().ok_or_else(no_grid)?;
         let points = Numbers::new(points_mm, "points_mm")?;
         let points = finite(points.rows::<DVec3, 3>()?, "point")?;
@@ -259,7 +263,8 @@ impl Template {
         PyTuple::new(py, all.collect::<PyResult<Vec<_>>>()?)
     }
 
-    /// A copy with symmetries that are declared, or found in the exact surface.
+    /// A copy with symmetries that are declared, or found in the exact surface. `localize` then answers with the copy of the
+    /// pose that is nearest to the guess, and names the part's own turns among the free directions.
     ///
     /// Parameters
     /// ----------
@@ -287,6 +292,26 @@ impl Template {
             self.inner.clone().with_symmetries(all)
         });
         Ok(Self { inner })
+    }
+
+    /// Of the poses that show the part alike, by its `symmetries`, the one that is the least turn away from another.
+    ///
+    /// Parameters
+    /// ----------
+    /// t_sensor_object, other : (4, 4) array_like
+    ///
+    /// Returns
+    /// -------
+    /// (4, 4) float64
+    fn nearest_copy(
+        &self,
+        py: Python<'_>,
+        t_sensor_object: &Bound<'_, PyAny>,
+        other: &Bound<'_, PyAny>,
+    ) -> PyResult<Matrix> {
+        let pose = arrays::pose(t_sensor_object, "t_sensor_object")?;
+        let other = arrays::pose(other, "other")?;
+        arrays::pose_matrix(py, &self.inner.nearest_copy(&pose, &other))
     }
 
     /// Write the template, all of it, to a file.

@@ -1,7 +1,7 @@
 //! Trees of settings: TOML text, and Python's dictionaries as the same tree.
 
 use pyo3::prelude::*;
-use pyo3::types::{PyBool, PyDict, PyFloat, PyInt, PyList, PyMapping, PyString, PyTuple};
+use pyo3::types::{PyBool, PyDict, PyFloat, PyInt, PyList, PyMapping, PyString, PyTuple, PyType};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use toml::{Table, Value};
@@ -197,6 +197,31 @@ fn python<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyAny>> {
         }
         Value::Table(tree) => dict(py, tree)?.into_any(),
     })
+}
+
+// What every class that is a tree of settings does with files and with pickle, by its own `from_toml` and `to_toml`.
+
+/// A value of the class from a TOML file; errors about the content name the file.
+pub fn load<'py>(cls: &Bound<'py, PyType>, path: std::path::PathBuf) -> PyResult<Bound<'py, PyAny>> {
+    let text = read(cls.py(), path.clone())?;
+    cls.call_method1("from_toml", (text,)).map_err(|error| in_file(cls.py(), &error, &path))
+}
+
+/// Writes a value to a TOML file.
+pub fn save<T>(value: &Bound<'_, T>, path: std::path::PathBuf) -> PyResult<()> {
+    write(value.py(), path, toml_of(value)?)
+}
+
+/// How pickle makes a value again.
+pub type Reduced<'py> = (Bound<'py, PyAny>, (String,));
+
+/// By its TOML text.
+pub fn reduce<'py, T>(value: &Bound<'py, T>) -> PyResult<Reduced<'py>> {
+    Ok((value.as_any().get_type().getattr("from_toml")?, (toml_of(value)?,)))
+}
+
+fn toml_of<T>(value: &Bound<'_, T>) -> PyResult<String> {
+    value.as_any().call_method0("to_toml")?.extract()
 }
 
 /// Text of a file.

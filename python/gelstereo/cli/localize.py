@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from gelstereo import Localization, Template, localize
+from gelstereo import Localization, MarkerState, Template, localize
 from gelstereo.cli.files import read_points
 from gelstereo.cli.options import add_guess, add_params, guess_of, params_of
 from gelstereo.cli.sense import sense_folder
@@ -48,11 +48,19 @@ def run(arguments: argparse.Namespace) -> int:
     """Localize and print the pose; the exit code."""
     params = params_of(arguments)
     template = _template(arguments)
+    guess = guess_of(arguments)
     if arguments.points is not None:
-        points_mm = read_points(arguments.points)
+        found = localize(read_points(arguments.points), template, t_sensor_object=guess, params=params)
     else:
-        points_mm = sense_folder(arguments.images, arguments.rig, params).frame.patch_points_mm
-    found = localize(points_mm, template, t_sensor_object=guess_of(arguments), params=params)
+        frame = sense_folder(arguments.images, arguments.rig, params).frame
+        found = localize(
+            frame.patch_points_mm,
+            template,
+            t_sensor_object=guess,
+            all_points_mm=frame.points_mm[frame.state == MarkerState.SEEN],
+            covariance_mm2=frame.covariance_mm2[frame.patch],
+            params=params,
+        )
     text = json.dumps(as_json(found), indent=2)
     if arguments.output is None:
         print(text)
@@ -79,5 +87,11 @@ def as_json(found: Localization) -> dict[str, Any]:
         "points": found.points,
         "rmse_mm": found.rmse_mm,
         "free": [str(direction) for direction in found.free],
+        "log_likelihood": found.log_likelihood,
+        "log_odds": found.log_odds,
+        "alternatives": [
+            {"t_sensor_object": pose.tolist(), "log_likelihood": likelihood}
+            for pose, likelihood in found.alternatives
+        ],
         "digest": f"{found.digest:016x}",
     }

@@ -11,7 +11,8 @@ impl Params {
     ///
     /// - `paper`: the paper's pipeline to the letter;
     /// - `fast`: the cheapest rung of every stage that keeps identities safe;
-    /// - `balanced`: what to begin with: as `fast`, with centres by a matched step and contacts by pressure;
+    /// - `balanced`: what to begin with: as `fast`, with centres by a matched step, contacts by pressure and the part searched for
+    ///   from many starts;
     /// - `exact`: the most accurate rung of every stage.
     ///
     /// All but `paper` derive the threshold from the image, check every identity against the lattice, tolerate a fifth of
@@ -35,6 +36,7 @@ impl Params {
         Self {
             detect: DetectParams { centre: Centre::Band, ..balanced.detect },
             contact: ContactParams { saliency: Saliency::Depth, ..balanced.contact },
+            register: RegisterParams { method: RegisterMethod::SurfaceClose, ..balanced.register },
             ..balanced
         }
     }
@@ -54,7 +56,7 @@ impl Params {
             label: LabelParams { method: LabelMethod::Lattice, ..Default::default() },
             triangulate: TriangulateParams { method: TriangulateMethod::Polynomial, ..Default::default() },
             contact: ContactParams { saliency: Saliency::Pressure, patch_share: 0.65, ..Default::default() },
-            register: RegisterParams { method: RegisterMethod::FilterregPlane, ..Default::default() },
+            register: RegisterParams { method: RegisterMethod::SurfaceSearch, ..Default::default() },
         }
     }
 

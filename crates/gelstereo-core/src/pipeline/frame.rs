@@ -3,6 +3,7 @@
 use crate::digest::Digest;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, DVec3};
+use crate::register::Contact;
 use crate::track::MarkerState;
 use alloc::vec::Vec;
 
@@ -110,5 +111,36 @@ impl Frame {
     pub fn patch_points_mm(&self, out: &mut Vec<DVec3>) {
         out.clear();
         out.extend(self.points_mm.iter().zip(&self.patch).filter(|&(_, &p)| p).map(|(&point, _)| point));
+    }
+}
+
+/// What registration is given of a frame, in lists that are kept from frame to frame.
+#[derive(Clone, Debug, Default)]
+pub struct Touch {
+    points_mm: Vec<DVec3>,
+    covariance_mm2: Vec<Symmetric<3>>,
+    unpressed_mm: Vec<DVec3>,
+}
+
+impl Touch {
+    /// The contact of a frame: its patch, and all other markers that are seen. Allocates nothing once a frame as large has
+    /// been seen.
+    pub fn of(&mut self, frame: &Frame) -> Contact<'_> {
+        frame.patch_points_mm(&mut self.points_mm);
+        let all = frame.points_mm.iter().zip(&frame.covariance_mm2).zip(&frame.patch).zip(&frame.state);
+        self.covariance_mm2.clear();
+        self.unpressed_mm.clear();
+        for (((&point_mm, &covariance_mm2), &in_patch), &state) in all {
+            if in_patch {
+                self.covariance_mm2.push(covariance_mm2);
+            } else if state == MarkerState::Seen {
+                self.unpressed_mm.push(point_mm);
+            }
+        }
+        Contact {
+            covariance_mm2: Some(&self.covariance_mm2),
+            unpressed_mm: &self.unpressed_mm,
+            ..Contact::new(&self.points_mm)
+        }
     }
 }

@@ -8,7 +8,7 @@ mod view;
 mod windows;
 
 pub use error::{PipelineError, View};
-pub use frame::{Frame, LabelSource, Searched, ViewEvidence};
+pub use frame::{Frame, LabelSource, Searched, Touch, ViewEvidence};
 pub use rest_record::{RestRecord, RestRecordError, RestView};
 
 use crate::contact::{self, LabelSlips, Pressure, RestSurface};

@@ -57,8 +57,9 @@ pub(super) fn registration(
         rmse_mm: sqrt(sum_squared / total.max(f64::MIN_POSITIVE)),
         // Normals are read at samples, and so at most half a spacing off.
         log_likelihood: None,
+        log_odds: None,
         alternatives: Alternatives::NONE,
-        free: FreeDirections::new(&in_object, params.point_sigma_mm.max(0.5 * template.spacing_mm())),
+        free: FreeDirections::new(&in_object, params.point_sigma_mm.max(0.5 * template.spacing_mm()), &[]),
     })
 }
 

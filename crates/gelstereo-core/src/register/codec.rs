@@ -10,12 +10,11 @@
 //! ```
 
 use super::error::TemplateError;
-use super::surface::Relief;
 use super::symmetry::Symmetry;
 use super::template::Template;
 use crate::digest::Digest;
 use crate::math::DVec3;
-use crate::surface::{Field, MeshError, Solid, TriangleMesh};
+use crate::surface::{MeshError, Solid, TriangleMesh};
 use alloc::vec::Vec;
 
 const MAGIC: &[u8; 8] = b"geltempl";
@@ -126,13 +125,13 @@ impl Template {
         let template = Self::with_unit_normals(points_mm, normals, spacing_mm);
         let mut template = template.map_err(TemplateBytesError::Template)?;
         if flags & SURFACE != 0 {
-            let solid = read.solid()?;
-            template.relief = Some(Relief::new(&solid));
-            template.solid = Some(solid);
+            template = template.with_solid(read.solid()?);
+        } else {
+            template = template.with_surfels();
         }
         if flags & GRID != 0 {
             let (cell_mm, reach_mm) = (read.f64()?, read.f64()?);
-            template.field = template.solid.as_ref().and_then(|solid| Field::new(solid, cell_mm, reach_mm));
+            template = template.with_field(cell_mm, reach_mm);
         }
         for _ in 0..read.count(52)? {
             let (axis, centre_mm) = (read.vector()?, read.vector()?);

@@ -1,6 +1,7 @@
 //! Names for the directions of motion that a contact leaves free.
 
-use super::observe::{Observability, Vector6, halves};
+use super::observe::{Observability, Vector6, dot, halves, stack};
+use super::symmetry::Symmetry;
 use crate::math::linalg::{self, Symmetric};
 use crate::math::{DVec3, sqrt};
 
@@ -13,6 +14,9 @@ pub struct FreeDirection {
     pub v: DVec3,
     /// The point that the rotation turns about (object frame): the patch's centroid.
     pub centre_mm: DVec3,
+    /// Whether it turns the part about an axis of its own, after any turn about which it looks the same: no contact
+    /// determines it.
+    pub is_own: bool,
 }
 
 /// A free direction as a person would say it, in the object's frame.
@@ -35,7 +39,7 @@ pub enum Motion {
 }
 
 impl FreeDirection {
-    const NONE: Self = Self { omega: DVec3::ZERO, v: DVec3::ZERO, centre_mm: DVec3::ZERO };
+    const NONE: Self = Self { omega: DVec3::ZERO, v: DVec3::ZERO, centre_mm: DVec3::ZERO, is_own: false };
 
     /// Whether it slides, spins or screws, along or about which axis.
     #[must_use]
@@ -52,7 +56,8 @@ impl FreeDirection {
 }
 
 impl core::fmt::Display for FreeDirection {
-    /// For example `slide along z` or `spin about (0.71, 0.71, 0.00) through (0.0, 0.0, 4.0) mm`.
+    /// For example `slide along z`, `spin about (0.71, 0.71, 0.00) through (0.0, 0.0, 4.0) mm` or `spin about z, the
+    /// part's own axis`.
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self.motion() {
             Motion::Slide { along } => {
@@ -64,6 +69,9 @@ impl core::fmt::Display for FreeDirection {
                 let screws = pitch.abs() >= 0.005;
                 write!(f, "{} about ", if screws { "screw" } else { "spin" })?;
                 write_axis(f, about)?;
+                if self.is_own {
+                    return write!(f, ", the part's own axis");
+                }
                 // Adding zero turns -0.0 into 0.0.
                 let tenths = (p * 10.0).round() / 10.0 + DVec3::ZERO;
                 write!(f, " through ({:.1}, {:.1}, {:.1}) mm", tenths.x, tenths.y, tenths.z)?;
@@ -100,21 +108,29 @@ impl FreeDirections {
     /// Any basis of the free space would be right. This one has pure translations first, then rotations, each
     /// turned so that it lies as near as it can to the object's own axes. A translation is pure when over its way
     /// across the patch its rotation moves the points by less than the resolution; a rotation is a pure spin when its
-    /// advance in a radian is less than that.
+    /// advance in a radian is less than that. Turns about the part's own axes, among the `symmetries`, come before other
+    /// rotations.
     #[must_use]
-    pub(super) fn new(seen: &Observability, resolution_mm: f64) -> Self {
+    pub(super) fn new(seen: &Observability, resolution_mm: f64, symmetries: &[Symmetry]) -> Self {
         let mut space = Subspace::free(seen);
         let mut out = Self::NONE;
         let limit = (resolution_mm / seen.radius_mm).min(0.5);
         let slides = space.pure_translations(1.0 - limit * limit);
         for &v in slides.iter() {
-            out.push(FreeDirection { omega: DVec3::ZERO, v, centre_mm: seen.centre_mm });
+            out.push(FreeDirection { v, centre_mm: seen.centre_mm, ..FreeDirection::NONE });
         }
         space.remove_translations(&slides);
+        for symmetry in symmetries.iter().filter(|s| s.order.is_none()) {
+            let v = symmetry.axis.cross(seen.centre_mm - symmetry.centre_mm);
+            if space.take(symmetry.axis, slides.without(v), seen.radius_mm, 1.0 - limit * limit) {
+                let own = FreeDirection { omega: symmetry.axis, v, centre_mm: seen.centre_mm, is_own: true };
+                out.push(own);
+            }
+        }
         for (omega, v) in space.rotations(seen.radius_mm, seen.free_count() - out.count).iter().flatten() {
             let advance = omega.dot(*v);
             let v = if advance.abs() <= resolution_mm { *v - *omega * advance } else { *v };
-            out.push(FreeDirection { omega: *omega, v, centre_mm: seen.centre_mm });
+            out.push(FreeDirection { omega: *omega, v, centre_mm: seen.centre_mm, is_own: false });
         }
         out
     }
@@ -150,6 +166,11 @@ struct Axes {
 impl Axes {
     fn iter(&self) -> core::slice::Iter<'_, DVec3> {
         self.axes[..self.count].iter()
+    }
+
+    /// What a vector has across all of them.
+    fn without(&self, v: DVec3) -> DVec3 {
+        self.iter().fold(v, |v, axis| v - *axis * v.dot(*axis))
     }
 }
 
@@ -189,6 +210,19 @@ impl Subspace {
         for v in slides.iter() {
             self.add(&[0.0, 0.0, 0.0, v.x, v.y, v.z], -1.0);
         }
+    }
+
+    /// Takes the twist (ω, v) out of the space, if its share in there is at least `least`.
+    fn take(&mut self, omega: DVec3, v: DVec3, radius_mm: f64, least: f64) -> bool {
+        let z = stack(omega * radius_mm, v);
+        let mut inside: Vector6 = core::array::from_fn(|row| dot(&self.projection[row], &z));
+        let squared = dot(&inside, &inside);
+        let is_inside = squared >= least * dot(&z, &z);
+        if is_inside {
+            inside.iter_mut().for_each(|x| *x /= sqrt(squared));
+            self.add(&inside, -1.0);
+        }
+        is_inside
     }
 
     /// For each of `count` axes q of rotation in the space, its twist (q, v): u = P[.., ω] W⁺ q, W the block of

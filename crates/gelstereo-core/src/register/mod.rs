@@ -6,11 +6,13 @@
 mod assess;
 mod blocks;
 mod codec;
+mod copies;
 mod error;
 mod facet;
 mod filterreg;
 mod free;
 mod icp;
+mod localizer;
 mod observe;
 mod one_sided;
 mod ransac;
@@ -18,6 +20,7 @@ mod rigid;
 mod sample;
 mod soft;
 mod surface;
+mod surfels;
 mod symmetry;
 mod template;
 mod tree;
@@ -25,6 +28,7 @@ mod tree;
 pub use codec::TemplateBytesError;
 pub use error::{RegisterError, TemplateError};
 pub use free::{FreeDirection, FreeDirections, Motion};
+pub use localizer::{Localizer, Located, Standing};
 pub use observe::Observability;
 pub use rigid::{RigidFit, RigidFitError, rigid_fit};
 pub use soft::{SoftMatch, soft_match};
@@ -67,6 +71,9 @@ pub struct Registration {
     /// Natural logarithm of the pose's likelihood over that of a perfect fit, known to
     /// the rungs on the surface alone. It compares poses of one contact, and no more.
     pub log_likelihood: Option<f64>,
+    /// Natural logarithm of the odds that the part is here over that no part is, both as likely beforehand; known to
+    /// the rungs on the surface alone. Below 0 the pose does not explain the contact: the part is elsewhere, or another.
+    pub log_odds: Option<f64>,
     /// Other poses that explain the contact about as well (`surface_search` alone looks for them).
     pub alternatives: Alternatives,
 }
@@ -106,6 +113,7 @@ impl Registration {
             .u64(self.free.len() as u64)
             .f64s(free.flat_map(|v| v.to_array()))
             .f64s(self.log_likelihood)
+            .f64s(self.log_odds)
             .f64s(others)
             .value()
     }
@@ -215,26 +223,42 @@ impl Registrar {
         self.params.validate()?;
         let points_mm = contact.points_mm;
         let guess = check(points_mm, guess)?;
-        let problem = Problem { params: &self.params, points_mm, template };
         use RegisterMethod::{SurfaceClose, SurfaceSearch, SurfaceTrack};
-        if matches!(self.params.method, SurfaceTrack | SurfaceClose | SurfaceSearch) {
-            return surface::run(&self.params, contact, template, &guess, &mut self.surface);
-        }
+        let sigma_mm = self.params.point_sigma_mm;
+        let (mut found, resolution_mm) = match self.params.method {
+            SurfaceTrack | SurfaceClose | SurfaceSearch => {
+                (surface::run(&self.params, contact, template, &guess, &mut self.surface)?, sigma_mm)
+            }
+            // Normals are read at samples, and so at most half a spacing off.
+            _ => (self.by_samples(points_mm, template, &guess)?, sigma_mm.max(0.5 * template.spacing_mm())),
+        };
+        copies::honour(&mut found, template.symmetries(), &guess, resolution_mm);
+        Ok(found)
+    }
+
+    /// The rungs on the template's points.
+    fn by_samples(
+        &mut self,
+        points_mm: &[DVec3],
+        template: &Template,
+        guess: &Pose,
+    ) -> Result<Registration, RegisterError> {
+        let problem = &Problem { params: &self.params, points_mm, template };
         let scratch = &mut self.scratch;
         let outcome = match self.params.method {
             RegisterMethod::FilterregPoint => {
-                filterreg::run(&problem, scratch, &guess, filterreg::Metric::Point)
+                filterreg::run(problem, scratch, guess, filterreg::Metric::Point)
             }
             RegisterMethod::FilterregPlane => {
-                filterreg::run(&problem, scratch, &guess, filterreg::Metric::Plane)
+                filterreg::run(problem, scratch, guess, filterreg::Metric::Plane)
             }
             RegisterMethod::RansacIcp => {
-                let start = ransac::search(&problem, scratch, &guess)?;
-                icp::point_to_point(&problem, scratch, &start)
+                let start = ransac::search(problem, scratch, guess)?;
+                icp::point_to_point(problem, scratch, &start)
             }
-            _ => icp::point_to_plane(&problem, scratch, &guess),
+            _ => icp::point_to_plane(problem, scratch, guess),
         }?;
-        assess::registration(&problem, scratch, &outcome)
+        assess::registration(problem, scratch, &outcome)
     }
 }
 

@@ -203,6 +203,12 @@ impl Observability {
         Self { centre_mm, directions, ..*self }
     }
 
+    /// A motion (ω, v) about the centroid in standard deviations, squared, over the determined directions.
+    pub(super) fn squared(&self, (omega, v_mm): (DVec3, DVec3)) -> f64 {
+        let z = stack(omega * self.radius_mm, v_mm);
+        self.directions.iter().zip(self.values).map(|(u, value)| value * dot(u, &z) * dot(u, &z)).sum()
+    }
+
     /// The part of a motion (ω, v) about the centroid that is along determined directions.
     pub(super) fn determined(&self, (omega, v_mm): (DVec3, DVec3)) -> (DVec3, DVec3) {
         let z = stack(omega * self.radius_mm, v_mm);
@@ -229,7 +235,7 @@ pub(super) const fn halves(u: &Vector6) -> (DVec3, DVec3) {
     (DVec3::new(u[0], u[1], u[2]), DVec3::new(u[3], u[4], u[5]))
 }
 
-fn dot(a: &Vector6, b: &Vector6) -> f64 {
+pub(super) fn dot(a: &Vector6, b: &Vector6) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 

@@ -1,13 +1,15 @@
 //! The surface of a part as registration sees it.
 
 use super::blocks::{self, Block};
+use super::copies;
 use super::error::TemplateError;
 use super::sample;
 use super::surface::Relief;
+use super::surfels::surfels;
 use super::symmetry::Symmetry;
 use super::tree::Tree;
 use crate::digest::Digest;
-use crate::math::{DVec3, sqrt};
+use crate::math::{DVec3, Pose, sqrt};
 use crate::surface::{Field, Solid, TriangleMesh};
 use alloc::vec::Vec;
 
@@ -36,19 +38,22 @@ pub struct Template {
     pub(super) field: Option<Field>,
     pub(super) symmetries: Vec<Symmetry>,
     pub(super) relief: Option<Relief>,
+    /// Whether the surface is a mesh's, and not made of the points.
+    is_exact: bool,
 }
 
 impl Template {
-    /// From points and outward normals (normalised here), and the typical distance of neighbouring points.
+    /// From points and outward normals (normalised here), and the typical distance of neighbouring points. The surface
+    /// rungs of registration take the points for small squares in their tangent planes.
     ///
     /// # Errors
     /// [`TemplateError`].
     pub fn new(points_mm: &[DVec3], normals: &[DVec3], spacing_mm: f64) -> Result<Self, TemplateError> {
         check(points_mm, normals, spacing_mm)?;
-        Ok(Self::build(points_mm.to_vec(), unit(normals)?, spacing_mm))
+        Ok(Self::build(points_mm.to_vec(), unit(normals)?, spacing_mm).with_surfels())
     }
 
-    /// As [`Self::new`], of normals that were normalised before and keep their bits.
+    /// As [`Self::new`], of normals that were normalised before and keep their bits, and without a surface.
     pub(super) fn with_unit_normals(
         points_mm: Vec<DVec3>,
         normals: Vec<DVec3>,
@@ -76,7 +81,22 @@ impl Template {
             relief: None,
             field: None,
             symmetries: Vec::new(),
+            is_exact: false,
         }
+    }
+
+    /// With a surface of the points, for the surface rungs of registration.
+    pub(super) fn with_surfels(self) -> Self {
+        let made = surfels(&self.points_mm, &self.normals, &self.curvatures_per_mm, self.spacing_mm);
+        let Some((solid, relief)) = made else { return self };
+        let bare = Self { solid: Some(solid), relief: Some(relief), ..self };
+        bare.with_field(Self::DEFAULT_CELL_MM, Self::DEFAULT_REACH_MM)
+    }
+
+    /// With the exact surface, and none that was made of the points.
+    pub(super) fn with_solid(self, solid: Solid) -> Self {
+        let relief = Some(Relief::new(&solid));
+        Self { solid: Some(solid), relief, field: None, is_exact: true, ..self }
     }
 
     /// Spacing for a part that a hand holds: a quarter of the lattice's pitch, rounded. Default of all who sample one.
@@ -89,6 +109,7 @@ impl Template {
 
     /// Samples a mesh evenly: on average one point for every `spacing_mm`² of its area, no two points of faces that
     /// look the same way (within 60 degrees) closer than 0.81 of the spacing. The same seed gives the same points.
+    /// With the exact surface, and the field of distances that the surface rungs of registration need.
     ///
     /// # Errors
     /// [`TemplateError::TooFew`] or [`TemplateError::TooMany`] when the spacing does not suit the mesh's area,
@@ -96,17 +117,18 @@ impl Template {
     pub fn from_mesh(mesh: &TriangleMesh, spacing_mm: f64, seed: u64) -> Result<Self, TemplateError> {
         let (points_mm, normals) = sample::evenly(mesh, spacing_mm, seed)?;
         let solid = Solid::new(mesh).map_err(TemplateError::Solid)?;
-        let relief = Some(Relief::new(&solid));
-        Ok(Self { solid: Some(solid), relief, ..Self::new(&points_mm, &normals, spacing_mm)? })
+        check(&points_mm, &normals, spacing_mm)?;
+        let bare = Self::build(points_mm, unit(&normals)?, spacing_mm).with_solid(solid);
+        Ok(bare.with_field(Self::DEFAULT_CELL_MM, Self::DEFAULT_REACH_MM))
     }
 
     /// The exact surface, for a template that was made from a mesh.
     #[must_use]
-    pub const fn solid(&self) -> Option<&Solid> {
-        self.solid.as_ref()
+    pub fn solid(&self) -> Option<&Solid> {
+        self.solid.as_ref().filter(|_| self.is_exact)
     }
 
-    /// With distances on a grid around the exact surface ([`Field::new`]), for screening many poses; unchanged
+    /// With distances on another grid around the exact surface ([`Field::new`]) than [`Self::from_mesh`] makes; unchanged
     /// without a surface, or if the numbers make no grid.
     #[must_use]
     pub fn with_field(mut self, cell_mm: f64, reach_mm: f64) -> Self {
@@ -121,18 +143,20 @@ impl Template {
         Self { field: None, ..self }
     }
 
-    /// Distances on a grid, if [`Self::with_field`] has made them.
+    /// Distances on a grid; of points, and after [`Self::without_field`], none.
     #[must_use]
-    pub const fn field(&self) -> Option<&Field> {
-        self.field.as_ref()
+    pub fn field(&self) -> Option<&Field> {
+        self.field.as_ref().filter(|_| self.is_exact)
     }
 
-    /// Normals of the smooth surface that the triangles stand for.
-    pub(super) const fn relief(&self) -> Option<&Relief> {
-        self.relief.as_ref()
+    /// The surface that can be touched, its field of distances and its smooth normals: the mesh's, or what the points
+    /// stand for.
+    pub(super) fn touchable(&self) -> Option<(&Solid, &Field, &Relief)> {
+        Some((self.solid.as_ref()?, self.field.as_ref()?, self.relief.as_ref()?))
     }
 
-    /// With these symmetries instead of those it has: declared ones, or [`Symmetry::of`] it.
+    /// With these symmetries instead of those it has: declared ones, or [`Symmetry::of`] it. Registration then answers
+    /// with the copy that is nearest to the guess.
     #[must_use]
     pub fn with_symmetries(mut self, symmetries: Vec<Symmetry>) -> Self {
         self.symmetries = symmetries;
@@ -143,6 +167,12 @@ impl Template {
     #[must_use]
     pub fn symmetries(&self) -> &[Symmetry] {
         &self.symmetries
+    }
+
+    /// Of the poses that show the part alike, by its symmetries, the one nearest to another: the least turn away.
+    #[must_use]
+    pub fn nearest_copy(&self, t_sensor_object: &Pose, other: &Pose) -> Pose {
+        copies::nearest(&self.symmetries, t_sensor_object, other)
     }
 
     /// Points, object frame.
@@ -204,8 +234,8 @@ impl Template {
             .f64s(self.points_mm.iter().flat_map(numbers))
             .f64s(self.normals.iter().flat_map(numbers))
             .f64s([self.spacing_mm]);
-        let solid = self.solid.as_ref().map_or(points, |solid| points.u64(solid.digest()));
-        self.field.as_ref().map_or(solid, |field| solid.u64(field.digest())).value()
+        let solid = self.solid().map_or(points, |solid| points.u64(solid.digest()));
+        self.field().map_or(solid, |field| solid.u64(field.digest())).value()
     }
 }
 

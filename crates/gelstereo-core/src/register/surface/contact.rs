@@ -117,6 +117,8 @@ pub(super) struct Samples {
     pub neighbours: Vec<[u32; NEIGHBOURS]>,
     /// How far toward the camera markers come before they are salient.
     pub salient_from_mm: f64,
+    /// From the lowest salient point to the highest, and no less than noise makes of level ones.
+    pub height_mm: f64,
     nearest_squared: Vec<f64>,
     flat: Vec<DVec3>,
 }
@@ -196,6 +198,7 @@ impl Samples {
         let (low, high) =
             heights().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(x), h.max(x)));
         let sigma_mm = sqrt(self.pressed.iter().map(|s| s.variance(press)).fold(0.0, f64::max));
+        self.height_mm = (high - low).max(LEVEL * sigma_mm);
         self.salient_from_mm = if high - low > LEVEL * sigma_mm { low } else { f64::NEG_INFINITY };
     }
 

@@ -1,6 +1,7 @@
 //! What the contact says about the pose that was found: information, free directions, and other poses as likely.
 
 use super::contact::Samples;
+use super::odds::log_odds;
 use super::polish::PolishScratch;
 use super::search::Candidate;
 use super::step::Placement;
@@ -31,7 +32,7 @@ impl Alternatives {
     pub const NONE: Self =
         Self { all: [Alternative { t_sensor_object: Pose::IDENTITY, log_likelihood: 0.0 }; 2], count: 0 };
 
-    fn push(&mut self, one: Alternative) {
+    pub(in crate::register) fn push(&mut self, one: Alternative) {
         if let Some(place) = self.all.get_mut(self.count) {
             *place = one;
             self.count += 1;
@@ -104,8 +105,9 @@ pub(super) fn registration(
         inliers,
         points: samples.pressed.len(),
         rmse_mm: sqrt(sum_squared / total.max(f64::MIN_POSITIVE)),
-        free: FreeDirections::new(&in_object, sigma_mm),
+        free: FreeDirections::new(&in_object, sigma_mm, &[]),
         log_likelihood: Some(-best.cost),
+        log_odds: Some(log_odds(samples, &scratch.here, &scratch.touches, params.outlier_share)),
         alternatives: alternatives(samples, candidates, &about_centre(&observability)),
     }
 }

@@ -10,6 +10,7 @@ mod contact;
 mod evidence;
 mod fit;
 mod noise;
+mod odds;
 mod part;
 mod polish;
 mod relief;
@@ -48,10 +49,7 @@ pub(super) fn run(
     guess: &Pose,
     scratch: &mut SurfaceScratch,
 ) -> Result<Registration, RegisterError> {
-    let (Some(solid), Some(field), Some(relief)) = (template.solid(), template.field(), template.relief())
-    else {
-        return Err(RegisterError::NoSurface);
-    };
+    let (solid, field, relief) = template.touchable().ok_or(RegisterError::NoSurface)?;
     contact.check()?;
     let SurfaceScratch { samples, candidates, polish } = scratch;
     let is_whole = params.method != RegisterMethod::SurfaceTrack;

@@ -55,6 +55,15 @@ impl Relief {
         out
     }
 
+    /// Of samples that stand for two triangles each.
+    pub fn of_samples(normals: &[DVec3], curvatures_per_mm: &[f64]) -> Self {
+        let twice = |k: usize| k / 2;
+        Self {
+            corners: (0..2 * normals.len()).map(|k| [normals[twice(k)]; 3]).collect(),
+            curvatures_per_mm: (0..2 * normals.len()).map(|k| curvatures_per_mm[twice(k)]).collect(),
+        }
+    }
+
     /// At the nearest point of a place `offset_mm` away from it.
     pub(super) fn slope(&self, solid: &Solid, found: &Closest, offset_mm: DVec3) -> Slope {
         let k = found.triangle as usize;

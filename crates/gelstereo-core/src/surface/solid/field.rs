@@ -45,11 +45,6 @@ pub struct Field {
 }
 
 impl Field {
-    /// Width of a cell that suits a lattice of 0.9 mm.
-    pub const DEFAULT_CELL_MM: f64 = 0.25;
-    /// Reach that suits the patches of a gel.
-    pub const DEFAULT_REACH_MM: f64 = 2.0;
-
     /// Of a surface, with cells of `cell_mm`, or as wide as it takes for at most two million nodes.
     ///
     /// `None` for a reach or width that is not positive, or a reach that is not some cells wide or exceeds 1000 of

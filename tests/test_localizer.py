@@ -1,0 +1,76 @@
+"""`Localizer`: a part that is followed, lost and found again (simulated points, noise 0.02 mm)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from gelstereo import Localizer, Params, RegisterError, Symmetry, Template, localize
+from gelstereo.geometry import se3_exp, se3_log
+from test_localize_surface import corner
+
+
+@pytest.fixture(scope="module")
+def box() -> Template:
+    return Template.from_mesh(trimesh.creation.box((8.0, 6.0, 30.0)), units="mm")
+
+
+def off_deg(found: np.ndarray, truth: np.ndarray) -> float:
+    return float(np.rad2deg(np.linalg.norm(se3_log(np.linalg.inv(found) @ truth)[:3])))
+
+
+@pytest.mark.parametrize("method", ["surface_track", "surface_close"])
+def test_a_part_is_found_followed_lost_and_found_again(box: Template, method: str) -> None:
+    truth, salient, everything = corner(0.02)
+    params = Params().replace({"register.method": method})
+    guess = truth @ se3_exp([0.1, -0.1, 0.1, 0.5, -0.5, 0.4])
+    localizer = Localizer(box, t_sensor_object=guess, params=params)
+    assert localizer.template is box and localizer.t_sensor_object is None
+    found = localizer.process(salient, all_points_mm=everything)
+    assert found.standing == "found" and found.log_odds > 0 and off_deg(found.t_sensor_object, truth) < 2
+    assert np.array_equal(localizer.t_sensor_object, found.t_sensor_object)
+
+    # A step to the side, a small turn.
+    step = np.asarray(se3_exp([0.0, 0.0, 0.01, 0.1, 0.05, 0.0]))
+    moved = salient @ step[:3, :3].T + step[:3, 3]
+    found = localizer.process(moved)
+    assert found.standing == "followed" and off_deg(found.t_sensor_object, step @ truth) < 2
+    held = localizer.t_sensor_object
+
+    # Nothing of the box's shape.
+    heights = np.random.default_rng(1).uniform(27.0, 28.3, len(moved))
+    lost = localizer.process(np.column_stack([moved[:, :2], heights]))
+    assert lost.standing == "lost" and lost.log_odds < 0
+    assert np.array_equal(localizer.t_sensor_object, held)
+    with pytest.raises(RegisterError, match="0 salient points"):
+        localizer.process(np.empty((0, 3)))
+
+    found = localizer.process(moved)
+    assert found.standing == "found" and off_deg(found.t_sensor_object, step @ truth) < 2
+    localizer.expect(guess)
+    assert localizer.t_sensor_object is None
+
+
+def test_one_contact_has_no_standing(box: Template) -> None:
+    truth, salient, _ = corner(0.02)
+    close = Params().replace({"register.method": "surface_close"})
+    found = localize(salient, box, t_sensor_object=truth, params=close)
+    assert found.standing is None and found.log_odds > 0
+    assert localize(salient, box, t_sensor_object=truth).log_odds is None
+
+
+def test_a_declared_symmetry_gives_the_copy_nearest_to_the_guess(box: Template) -> None:
+    truth, salient, everything = corner(0.02)
+    half = np.diag([-1.0, -1.0, 1.0, 1.0])
+    two = box.with_symmetries([Symmetry((0, 0, 1), (0, 0, 0), 2)])
+    assert np.allclose(two.nearest_copy(truth @ half, truth), truth, atol=1e-12)
+    search = Params().replace({"register.method": "surface_search"})
+    for copy in (np.eye(4), half):
+        found = localize(
+            salient,
+            two,
+            t_sensor_object=truth @ copy @ se3_exp([0.1, 0.0, 0.1, 0.5, 0.0, 0.0]),
+            all_points_mm=everything,
+            params=search,
+        )
+        assert off_deg(found.t_sensor_object, truth @ copy) < 2
