@@ -21,6 +21,6 @@ mod trajectory;
 
 pub use effects::Effects;
 pub use render::Ellipse;
-pub use scene::{Gel, GelKeyframe, Keyframe, Scene, SceneError};
+pub use scene::{Gel, GelKeyframe, Images, Keyframe, Scene, SceneError};
 pub use shapes::Shape;
 pub use simulator::{ContactState, DotImage, Sight, Simulator, Truth};

@@ -1,5 +1,6 @@
 //! Blur of the lens.
 
+use crate::render::Lens;
 use crate::scene::SceneError;
 use alloc::vec::Vec;
 use gelstereo_core::math::{ceil, erf};
@@ -48,7 +49,17 @@ impl Blur {
         let cumulative = |x: f64| 0.5 * erf(x * scale);
         let whole = 2.0 * cumulative(radius as f64 + 0.5);
         let weight = |k: usize| (cumulative(k as f64 + 0.5) - cumulative(k as f64 - 0.5)) / whole;
-        let weights = (0..=radius).map(|k| weight(k) as f32).collect();
+        Self::weighted((0..=radius).map(|k| weight(k) as f32).collect())
+    }
+
+    /// What a lens shows of pixels that are evenly bright each.
+    pub(crate) fn of_pixels(lens: Lens) -> Self {
+        let weights: Vec<f64> = (0..=lens.reach()).map(|k| lens.pixel(k as f64)).collect();
+        let whole = 2.0 * weights.iter().sum::<f64>() - weights[0];
+        Self::weighted(weights.into_iter().map(|weight| (weight / whole) as f32).collect())
+    }
+
+    fn weighted(weights: Vec<f32>) -> Self {
         Self { weights, rows: Vec::new(), padded: Vec::new() }
     }
 

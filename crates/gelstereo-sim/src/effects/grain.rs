@@ -1,7 +1,6 @@
 //! Grain of the paint.
 
 use super::{Blur, Defocus};
-use crate::render::rows_of;
 use crate::scene::SceneError;
 use alloc::vec::Vec;
 use gelstereo_core::camera::Camera;
@@ -56,12 +55,8 @@ impl Texture {
         Self(levels)
     }
 
-    /// On a canvas whose pixels are so many `times` as narrow as the view's.
-    pub(crate) fn apply(&self, canvas: &mut [f32], width: usize, times: usize) {
-        for (row, grains) in rows_of(canvas, &self.0, width, times) {
-            for (pixels, grain) in row.chunks_exact_mut(times).zip(grains) {
-                pixels.iter_mut().for_each(|pixel| *pixel += grain);
-            }
-        }
+    /// On the view's levels.
+    pub(crate) fn apply(&self, levels: &mut [f32]) {
+        levels.iter_mut().zip(&self.0).for_each(|(level, grain)| *level += grain);
     }
 }
