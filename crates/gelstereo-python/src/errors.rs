@@ -35,6 +35,7 @@ exceptions! {
     PoseError: "A matrix is no rotation or no rigid motion.",
     FrameError: "The gripper cannot have this opening width.",
     SceneError: "A scene makes no sense.",
+    LayerError: "There is no such layer of gel, or no such contact with it.",
 }
 
 /// A stage's error as its Python exception.
@@ -72,6 +73,7 @@ stage_errors! {
     core::math::so3::RotationError => PoseError,
     core::frames::WidthError => FrameError,
     gelstereo_sim::SceneError => SceneError,
+    gelstereo_sim::layer::LayerError => LayerError,
 }
 
 impl ToPython for core::register::RegisterError {

@@ -11,6 +11,7 @@ mod errors;
 mod frames;
 mod geometry;
 mod label;
+mod layer;
 mod params;
 mod pipeline;
 mod register;
@@ -35,8 +36,9 @@ mod _native {
     use crate::detect::{Detector, Markers};
     #[pymodule_export]
     use crate::errors::{
-        ContactError, DetectError, Error, FrameError, ImageError, LabelError, MeshError, ParamsError,
-        PoseError, RegisterError, RigError, SceneError, ShapeError, TemplateError, TriangulateError,
+        ContactError, DetectError, Error, FrameError, ImageError, LabelError, LayerError, MeshError,
+        ParamsError, PoseError, RegisterError, RigError, SceneError, ShapeError, TemplateError,
+        TriangulateError,
     };
     #[pymodule_export]
     use crate::frames::{FingerKinematics, SensorMount, adjusted_gripper};
@@ -48,6 +50,8 @@ mod _native {
     #[pymodule_export]
     use crate::label::{RestLattice, foresight_sort, rest_lattice};
     #[pymodule_export]
+    use crate::layer::{LayerContact, LayerSolution};
+    #[pymodule_export]
     use crate::params::Params;
     #[pymodule_export]
     use crate::pipeline::{Frame, Pipeline, ViewEvidence, marker_states};
@@ -58,7 +62,9 @@ mod _native {
     #[pymodule_export]
     use crate::rig::{Rectification, Rig};
     #[pymodule_export]
-    use crate::sim::{Scene, SimulatedDots, SimulatedFrame, Simulator, shape_mesh, sights};
+    use crate::sim::{
+        Plan, PlannedEffect, Scene, SimulatedDots, SimulatedFrame, Simulator, shape_mesh, sights,
+    };
     #[pymodule_export]
     use crate::surface::DenseSurface;
     #[pymodule_export]

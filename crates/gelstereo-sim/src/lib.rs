@@ -13,6 +13,8 @@ extern crate alloc;
 
 pub mod effects;
 mod lattice;
+pub mod layer;
+pub mod plan;
 mod render;
 pub mod scene;
 pub mod shapes;
@@ -20,6 +22,7 @@ pub mod simulator;
 mod trajectory;
 
 pub use effects::Effects;
+pub use plan::{Asked, Plan, Switch, Switches};
 pub use render::Ellipse;
 pub use scene::{Gel, GelKeyframe, Images, Keyframe, Scene, SceneError};
 pub use shapes::Shape;

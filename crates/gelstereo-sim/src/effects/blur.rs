@@ -1,7 +1,8 @@
 //! Blur of the lens.
 
+use crate::plan::{Bound, Effect, Facts};
 use crate::render::Lens;
-use crate::scene::SceneError;
+use crate::scene::{Gel, SceneError};
 use alloc::vec::Vec;
 use gelstereo_core::math::{ceil, erf};
 
@@ -25,10 +26,32 @@ impl Default for Defocus {
     }
 }
 
-impl Defocus {
-    pub(super) fn validate(&self) -> Result<(), SceneError> {
+impl Effect for Defocus {
+    fn validate(&self, _gel: &Gel) -> Result<(), SceneError> {
         let sigma = self.sigma_px;
         SceneError::check((0.1..=20.0).contains(&sigma), "effects.defocus.sigma_px", sigma, "0.1 to 20 px")
+    }
+
+    fn bound(&self, facts: &Facts<'_>) -> Bound {
+        let [low, high] = facts.levels();
+        // Of evenly bright pixels, and of ink too, what a pixel gains is what others see of it. (1e-4: what is cut off.)
+        let own = self.lens().pixel(0.0);
+        Bound::of_levels((high - low) * (1.0 - own * own + 1e-4))
+    }
+
+    fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
+        let dot_px = facts.dot_radius_mm() * facts.optics.lateral_px_per_mm;
+        let lines = 2.0 + 2.2 * dot_px / self.sigma_px;
+        let reach_px = self.lens().reach_px();
+        // Of every line so many rows of so many columns are added up, four at once.
+        2.0 * facts.markers() * lines * (80.0 + 2.0 * reach_px * (1.0 + 0.6 * (dot_px + reach_px)))
+    }
+}
+
+impl Defocus {
+    /// What it makes of the pixels.
+    pub(crate) fn lens(&self) -> Lens {
+        Lens { sigma_px: self.sigma_px }
     }
 }
 

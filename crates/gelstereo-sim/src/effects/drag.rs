@@ -2,7 +2,8 @@
 
 use super::check_decay;
 use crate::lattice::Lattice;
-use crate::scene::SceneError;
+use crate::plan::{Bound, Effect, Facts};
+use crate::scene::{Gel, SceneError};
 use crate::simulator::ContactState;
 use alloc::vec::Vec;
 use gelstereo_core::math::{DVec2, cos, sin};
@@ -29,11 +30,32 @@ impl Default for Drag {
     }
 }
 
-impl Drag {
-    pub(super) fn validate(&self) -> Result<(), SceneError> {
+impl Effect for Drag {
+    fn validate(&self, _gel: &Gel) -> Result<(), SceneError> {
         check_decay("effects.drag.decay_thicknesses", self.decay_thicknesses)
     }
 
+    fn bound(&self, facts: &Facts<'_>) -> Bound {
+        let own_mm = self.sideways_mm(facts);
+        if !(own_mm > 0.0) {
+            return Bound::NONE;
+        }
+        // The part touches other markers, from which the gel spreads.
+        let sideways_mm = own_mm.max(facts.sideways_mm);
+        facts.moved(sideways_mm, facts.height_mm(sideways_mm))
+    }
+
+    fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
+        2.0 * facts.relaxation_ns(self.decay_thicknesses)
+    }
+
+    /// Each component is between those of the markers that stick.
+    fn sideways_mm(&self, facts: &Facts<'_>) -> f64 {
+        core::f64::consts::SQRT_2 * facts.touch.grip_mm()
+    }
+}
+
+impl Drag {
     /// Adds the motion of every marker when those `stuck` move with the part; the two fields are scratch.
     pub(crate) fn pull(
         &self,

@@ -1,6 +1,7 @@
 //! Frames that never arrive.
 
-use crate::scene::SceneError;
+use crate::plan::{Bound, Effect, Facts};
+use crate::scene::{Gel, SceneError};
 use alloc::vec::Vec;
 use gelstereo_core::digest::Digest;
 use gelstereo_core::math::random::Stream;
@@ -21,12 +22,25 @@ pub struct DroppedFrames {
     pub rate: f64,
 }
 
-impl DroppedFrames {
-    pub(super) fn validate(&self) -> Result<(), SceneError> {
+impl Effect for DroppedFrames {
+    fn validate(&self, _gel: &Gel) -> Result<(), SceneError> {
         let name = "effects.dropped_frames.rate";
         SceneError::check((0.0..=0.95).contains(&self.rate), name, self.rate, "0 to 0.95")
     }
 
+    fn bound(&self, facts: &Facts<'_>) -> Bound {
+        let _ = facts;
+        // A frame that does not arrive is not nearly there.
+        if self.frames.is_empty() && self.rate == 0.0 { Bound::NONE } else { Bound::UNKNOWN }
+    }
+
+    fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
+        let _ = facts;
+        0.0
+    }
+}
+
+impl DroppedFrames {
     /// The frames out of `count` that arrive.
     pub(crate) fn delivered(&self, seed: u64, count: usize) -> Vec<usize> {
         let mut stream = Stream::new(Digest::new().u64(seed).value(), "dropped_frames");

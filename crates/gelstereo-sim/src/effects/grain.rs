@@ -1,7 +1,8 @@
 //! Grain of the paint.
 
 use super::{Blur, Defocus};
-use crate::scene::SceneError;
+use crate::plan::{Bound, Effect, Facts};
+use crate::scene::{Gel, SceneError};
 use alloc::vec::Vec;
 use gelstereo_core::camera::Camera;
 use gelstereo_core::digest::Digest;
@@ -29,12 +30,30 @@ impl Default for Grain {
     }
 }
 
-impl Grain {
-    pub(super) fn validate(&self) -> Result<(), SceneError> {
+impl Effect for Grain {
+    fn validate(&self, _gel: &Gel) -> Result<(), SceneError> {
         let (sigma, size) = (self.sigma_levels, self.size_px);
         let name = "effects.grain.sigma_levels";
         SceneError::check((0.0..=128.0).contains(&sigma), name, sigma, "0 to 128 grey levels")?;
         SceneError::check((0.1..=20.0).contains(&size), "effects.grain.size_px", size, "0.1 to 20 px")
+    }
+
+    fn bound(&self, facts: &Facts<'_>) -> Bound {
+        Bound::of_levels(self.most_levels() * facts.gain())
+    }
+
+    fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
+        0.1 * facts.pixels()
+    }
+}
+
+impl Grain {
+    /// The most of it: the sum of the blur's weights is 1, so that no pixel has more than the largest number that
+    /// [`Stream::normal`] can draw, sqrt(2 ln 2^53).
+    pub(crate) fn most_levels(&self) -> f64 {
+        const LARGEST: f64 = 8.572;
+        LARGEST * self.sigma_levels
+            / f64::from(Blur::new(&Defocus { sigma_px: self.size_px }).remaining_sigma())
     }
 }
 

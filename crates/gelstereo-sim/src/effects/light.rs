@@ -1,6 +1,7 @@
 //! Uneven light.
 
-use crate::scene::SceneError;
+use crate::plan::{Bound, Effect, Facts};
+use crate::scene::{Gel, SceneError};
 use alloc::vec::Vec;
 use gelstereo_core::camera::Camera;
 use gelstereo_core::math::DVec2;
@@ -30,8 +31,8 @@ impl Default for UnevenLight {
     }
 }
 
-impl UnevenLight {
-    pub(super) fn validate(&self) -> Result<(), SceneError> {
+impl Effect for UnevenLight {
+    fn validate(&self, _gel: &Gel) -> Result<(), SceneError> {
         let gain = self.gain;
         SceneError::check((0.0..=10.0).contains(&gain), "effects.uneven_light.gain", gain, "0 to 10")?;
         let settings = [
@@ -42,6 +43,34 @@ impl UnevenLight {
         settings.into_iter().try_for_each(|(name, found)| {
             SceneError::check((-1.0..=1.0).contains(&found), name, found, "-1 to 1")
         })
+    }
+
+    fn bound(&self, facts: &Facts<'_>) -> Bound {
+        let (least, most) = self.span();
+        Bound::of_levels(
+            (1.0 - least).max(most - 1.0).max(0.0)
+                * (f64::from(facts.scene.gel.bright_level) + facts.grain_levels()),
+        )
+    }
+
+    fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
+        0.4 * facts.pixels()
+    }
+}
+
+impl UnevenLight {
+    /// Smallest and largest gain over any image: a parabola along each axis.
+    pub(crate) fn span(&self) -> (f64, f64) {
+        let along = |slope: f64| {
+            let loss = 2.0 * self.corner_loss;
+            let at = |x: f64| slope * x - loss * x * x;
+            let top = if loss == 0.0 { 0.0 } else { (0.5 * slope / loss).clamp(-0.5, 0.5) };
+            let [a, b, c] = [at(-0.5), at(0.5), at(top)];
+            (a.min(b).min(c), a.max(b).max(c))
+        };
+        let ((left, right), (top, bottom)) = (along(self.across), along(self.down));
+        let gain = |share: f64| (self.gain * (1.0 + share)).max(0.0);
+        (gain(left + top), gain(right + bottom))
     }
 
     /// The gain at a pixel of an image of that size.

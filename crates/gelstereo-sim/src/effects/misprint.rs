@@ -1,5 +1,6 @@
 //! A lattice that was not printed as it was drawn.
 
+use crate::plan::{Bound, Effect, Facts};
 use crate::scene::{Gel, SceneError};
 use crate::simulator::DotImage;
 use alloc::vec::Vec;
@@ -34,8 +35,8 @@ impl Default for Misprint {
     }
 }
 
-impl Misprint {
-    pub(super) fn validate(&self, gel: &Gel) -> Result<(), SceneError> {
+impl Effect for Misprint {
+    fn validate(&self, gel: &Gel) -> Result<(), SceneError> {
         let check = SceneError::check;
         let (shift, radius, bridge) = (self.shift_mm, self.radius_share, self.bridge_share);
         let most = 0.25 * gel.pitch_mm;
@@ -58,6 +59,27 @@ impl Misprint {
             check(steps == 1, name, steps as f64, "1: neighbours along a row or a column")?;
         }
         Ok(())
+    }
+
+    fn bound(&self, facts: &Facts<'_>) -> Bound {
+        let sideways_mm = self.shift_mm + facts.when_contact_changes_mm();
+        let shifted = match self.shift_mm > 0.0 {
+            true => facts.moved(sideways_mm, facts.height_mm(sideways_mm)),
+            false => Bound::NONE,
+        };
+        let ink = if self.merged.is_empty() { 0.0 } else { facts.contrast_levels() };
+        let radius_px = facts.optics.lateral_px_per_mm * facts.scene.gel.dot_radius_mm * self.radius_share;
+        let levels = (shifted.levels + facts.levels_of_outlines(radius_px)).min(facts.contrast_levels());
+        let px = if self.radius_share > 0.0 { shifted.px + 2.0 * facts.ellipse_px() } else { shifted.px };
+        Bound { px, levels: levels.max(ink), ..shifted }
+    }
+
+    fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
+        15.0 * facts.markers() + 2e3 * self.merged.len() as f64
+    }
+
+    fn sideways_mm(&self, _facts: &Facts<'_>) -> f64 {
+        self.shift_mm
     }
 }
 

@@ -1,17 +1,20 @@
 //! What a real gel, print and camera do beyond the rigid imprint; each effect acts only when a scene lists it.
 //!
 //! An effect that is absent costs nothing and draws no random number, so the others' bits do not depend on it:
-//! every stream is keyed by (seed, effect's name). On the gel: [`Shoulder`], [`Spread`], [`Drag`]. In the print:
-//! [`Misprint`], [`Specks`]. On the images, in this order: [`Grain`], [`UnevenLight`], [`Smears`], [`Defocus`],
+//! every stream is keyed by (seed, effect's name). On the gel: [`Shoulder`], [`Spread`], [`Drag`], or
+//! [`ElasticLayer`] in their place. In the print:
+//! [`Misprint`], [`Specks`]. On the images, in this order: [`Grain`], [`UnevenLight`], [`Defocus`], [`Smears`],
 //! [`SensorNoise`]. On the way: [`DroppedFrames`]. Lens distortion and refraction are the rig's own.
 
 mod blur;
 mod drag;
 mod drops;
+mod elastic_layer;
 mod grain;
 mod light;
 mod misprint;
 mod noise;
+mod optics;
 mod shoulder;
 mod smear;
 mod specks;
@@ -20,6 +23,7 @@ mod spread;
 pub use blur::Defocus;
 pub use drag::Drag;
 pub use drops::DroppedFrames;
+pub use elastic_layer::ElasticLayer;
 pub use grain::Grain;
 pub use light::UnevenLight;
 pub use misprint::Misprint;
@@ -35,44 +39,127 @@ pub(crate) use grain::Texture;
 pub(crate) use light::Gain;
 pub(crate) use misprint::{Bridge, Print};
 pub(crate) use noise::Noise;
+pub(crate) use optics::{Optics, ellipse_bias_px};
 pub(crate) use smear::SmearsOfView;
 pub(crate) use specks::Speck;
 
+use crate::plan::{Effect, Switch};
 use crate::scene::{Gel, SceneError};
 
-/// Effects; `None` is off. An empty table (`[effects.shoulder]`) turns one on with its defaults.
-#[derive(Clone, Debug, Default, PartialEq)]
-#[cfg_attr(
-    feature = "serde",
-    derive(serde::Serialize, serde::Deserialize),
-    serde(default, deny_unknown_fields)
-)]
-pub struct Effects {
+/// The one list of effects: fields of [`Effects`] and of [`Switches`], and what is done with each of them.
+macro_rules! effects {
+    ($($(#[doc = $doc:literal])* $name:ident: $effect:ident,)*) => {
+        /// Effects; `None` is off. An empty table (`[effects.shoulder]`) turns one on with its defaults.
+        #[derive(Clone, Debug, Default, PartialEq)]
+        #[cfg_attr(
+            feature = "serde",
+            derive(serde::Serialize, serde::Deserialize),
+            serde(default, deny_unknown_fields)
+        )]
+        pub struct Effects {
+            $($(#[doc = $doc])* pub $name: Option<$effect>,)*
+        }
+
+        impl Effects {
+            /// Checks the effects that are listed.
+            ///
+            /// # Errors
+            /// [`SceneError::Invalid`] naming the setting, [`SceneError::NoSuchMarker`], or [`SceneError::TwoModels`].
+            pub fn validate(&self, gel: &Gel) -> Result<(), SceneError> {
+                self.check_models()?;
+                self.listed().try_for_each(|(_, effect)| effect.validate(gel))
+            }
+
+            /// The effects that are listed, with their names.
+            pub(crate) fn listed(&self) -> impl Iterator<Item = (&'static str, &dyn Effect)> {
+                let all = [$((stringify!($name), self.$name.as_ref().map(|effect| effect as &dyn Effect)),)*];
+                all.into_iter().filter_map(|(name, effect)| Some((name, effect?)))
+            }
+
+            /// Takes out those whose names are off.
+            pub(crate) fn remove(&mut self, off: &impl Fn(&str) -> bool) {
+                $(if off(stringify!($name)) {
+                    self.$name = None;
+                })*
+            }
+        }
+
+        /// How effects are switched, `[switches]` in a file: `{ grain = "off" }`. Without a word they are on, or auto
+        /// where the scene says what is asked of it.
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+        #[cfg_attr(
+            feature = "serde",
+            derive(serde::Serialize, serde::Deserialize),
+            serde(default, deny_unknown_fields)
+        )]
+        pub struct Switches {
+            $($(#[doc = $doc])* pub $name: Option<Switch>,)*
+            /// Layers before the markers bend light (`rig.layers`).
+            pub refraction: Option<Switch>,
+            /// The lenses distort.
+            pub lens_distortion: Option<Switch>,
+            /// The image of a tilted disc has its centroid beside the image of the disc's centre.
+            pub ellipse_bias: Option<Switch>,
+        }
+
+        impl Switches {
+            /// Every switch with its effect's name.
+            pub(crate) fn all(&self) -> impl Iterator<Item = (&'static str, Option<Switch>)> {
+                let own = [self.refraction, self.lens_distortion, self.ellipse_bias];
+                let own = Optics::ALL.into_iter().map(Optics::name).zip(own);
+                [$((stringify!($name), self.$name),)*].into_iter().chain(own)
+            }
+
+            /// The switch of an effect; `None` when it is not touched.
+            #[must_use]
+            pub fn of(&self, effect: &str) -> Option<Switch> {
+                self.all().find(|&(name, _)| name == effect).and_then(|(_, switch)| switch)
+            }
+        }
+    };
+}
+
+effects! {
     /// The gel sags softly beside the contact.
-    pub shoulder: Option<Shoulder>,
+    shoulder: Shoulder,
     /// The gel that a part displaces moves sideways.
-    pub spread: Option<Spread>,
+    spread: Spread,
     /// The surface follows the part's shear and twist.
-    pub drag: Option<Drag>,
+    drag: Drag,
+    /// The gel deforms as an elastic layer: in place of shoulder, spread and drag.
+    elastic_layer: ElasticLayer,
     /// Dots beside their places, of other sizes, or merged.
-    pub misprint: Option<Misprint>,
+    misprint: Misprint,
     /// Dirt on the gel.
-    pub specks: Option<Specks>,
+    specks: Specks,
     /// Grain of the paint.
-    pub grain: Option<Grain>,
+    grain: Grain,
     /// Light that is not the same everywhere.
-    pub uneven_light: Option<UnevenLight>,
+    uneven_light: UnevenLight,
     /// Patches that hide markers for a while.
-    pub smears: Option<Smears>,
+    smears: Smears,
     /// Blur of the lens.
-    pub defocus: Option<Defocus>,
+    defocus: Defocus,
     /// Noise of the image sensor.
-    pub sensor_noise: Option<SensorNoise>,
+    sensor_noise: SensorNoise,
     /// Frames that never arrive.
-    pub dropped_frames: Option<DroppedFrames>,
+    dropped_frames: DroppedFrames,
 }
 
 impl Effects {
+    /// The elastic layer does what three others approximate.
+    fn check_models(&self) -> Result<(), SceneError> {
+        let approximations = [
+            ("shoulder", self.shoulder.is_some()),
+            ("spread", self.spread.is_some()),
+            ("drag", self.drag.is_some()),
+        ];
+        match approximations.into_iter().find(|&(_, listed)| listed && self.elastic_layer.is_some()) {
+            Some((effect, _)) => Err(SceneError::TwoModels { effect }),
+            None => Ok(()),
+        }
+    }
+
     /// Those that act on the gel, with their defaults: what a grasp looks like to a perfect camera.
     #[must_use]
     pub fn of_gel() -> Self {
@@ -82,24 +169,6 @@ impl Effects {
             drag: Some(Drag::default()),
             ..Self::default()
         }
-    }
-
-    /// Checks the effects that are listed.
-    ///
-    /// # Errors
-    /// [`SceneError::Invalid`] naming the setting, or [`SceneError::NoSuchMarker`].
-    pub fn validate(&self, gel: &Gel) -> Result<(), SceneError> {
-        self.shoulder.as_ref().map_or(Ok(()), Shoulder::validate)?;
-        self.spread.as_ref().map_or(Ok(()), Spread::validate)?;
-        self.drag.as_ref().map_or(Ok(()), Drag::validate)?;
-        self.misprint.as_ref().map_or(Ok(()), |misprint| misprint.validate(gel))?;
-        self.specks.as_ref().map_or(Ok(()), |specks| specks.validate(gel))?;
-        self.grain.as_ref().map_or(Ok(()), Grain::validate)?;
-        self.uneven_light.as_ref().map_or(Ok(()), UnevenLight::validate)?;
-        self.smears.as_ref().map_or(Ok(()), Smears::validate)?;
-        self.defocus.as_ref().map_or(Ok(()), Defocus::validate)?;
-        self.sensor_noise.as_ref().map_or(Ok(()), SensorNoise::validate)?;
-        self.dropped_frames.as_ref().map_or(Ok(()), DroppedFrames::validate)
     }
 }
 

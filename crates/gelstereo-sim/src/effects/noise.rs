@@ -1,6 +1,7 @@
 //! Noise of the image sensor.
 
-use crate::scene::SceneError;
+use crate::plan::{Bound, Effect, Facts};
+use crate::scene::{Gel, SceneError};
 use alloc::boxed::Box;
 use alloc::vec::Vec;
 use gelstereo_core::digest::Digest;
@@ -28,11 +29,21 @@ impl Default for SensorNoise {
     }
 }
 
-impl SensorNoise {
-    pub(super) fn validate(&self) -> Result<(), SceneError> {
+impl Effect for SensorNoise {
+    fn validate(&self, _gel: &Gel) -> Result<(), SceneError> {
         let sigma = self.sigma_levels;
         let name = "effects.sensor_noise.sigma_levels";
         SceneError::check((0.0..=128.0).contains(&sigma), name, sigma, "0 to 128 grey levels")
+    }
+
+    fn bound(&self, facts: &Facts<'_>) -> Bound {
+        let _ = facts;
+        let most = Noise::new(self, 0).quantiles.iter().fold(0.0_f32, |most, q| most.max(q.abs()));
+        Bound::of_levels(f64::from(most))
+    }
+
+    fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
+        2.0 * facts.pixels()
     }
 }
 

@@ -2,7 +2,8 @@
 
 use super::check_decay;
 use crate::lattice::Lattice;
-use crate::scene::SceneError;
+use crate::plan::{Bound, Effect, Facts};
+use crate::scene::{Gel, SceneError};
 use alloc::vec::Vec;
 
 /// The gel sags softly beside the contact instead of ending at the part's silhouette.
@@ -31,11 +32,28 @@ impl Default for Shoulder {
     }
 }
 
-impl Shoulder {
-    pub(super) fn validate(&self) -> Result<(), SceneError> {
+impl Effect for Shoulder {
+    fn validate(&self, _gel: &Gel) -> Result<(), SceneError> {
         check_decay("effects.shoulder.decay_thicknesses", self.decay_thicknesses)
     }
 
+    fn bound(&self, facts: &Facts<'_>) -> Bound {
+        let sideways_mm = facts.when_contact_changes_mm();
+        let depth_mm = facts.touch.depth_mm;
+        // Beside the contact h is l² / (1 + n l²) times the sum of its n <= 4 neighbours, none of which is above the part's
+        // deepest point; in the contact it is the part's height.
+        let reach = self.decay_thicknesses * facts.scene.gel.thickness_mm / facts.scene.gel.pitch_mm;
+        let share = 4.0 * reach * reach / (1.0 + 4.0 * reach * reach);
+        facts.moved(sideways_mm, if sideways_mm > 0.0 { depth_mm } else { share * depth_mm })
+    }
+
+    fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
+        let imprints = if facts.sideways_mm > 0.0 { 2.0 } else { 1.0 };
+        imprints * facts.relaxation_ns(self.decay_thicknesses)
+    }
+}
+
+impl Shoulder {
     /// Heights of the settled surface over the part's heights (`obstacle`, negative where it does not
     /// protrude).
     pub(crate) fn settle(&self, lattice: &Lattice, obstacle: &[f64], out: &mut Vec<f64>) {

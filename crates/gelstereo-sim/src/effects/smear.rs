@@ -1,7 +1,8 @@
 //! Patches that hide markers for a while.
 
+use crate::plan::{Bound, Effect, Facts};
 use crate::render::Ellipse;
-use crate::scene::{Scene, SceneError};
+use crate::scene::{Gel, Scene, SceneError};
 use alloc::vec::Vec;
 use gelstereo_core::camera::Camera;
 use gelstereo_core::digest::Digest;
@@ -32,6 +33,44 @@ pub struct Smears {
 impl Default for Smears {
     fn default() -> Self {
         Self { patches: Vec::new(), random: 0, half_size_px: [40.0, 8.0], lasting_s: 0.2 }
+    }
+}
+
+impl Effect for Smears {
+    fn validate(&self, _gel: &Gel) -> Result<(), SceneError> {
+        let check = SceneError::check;
+        let random = self.random;
+        check(random <= MOST, "effects.smears.random", random as f64, "0 to 1000 patches")?;
+        check_size("effects.smears.half_size_px", self.half_size_px)?;
+        let lasting = self.lasting_s;
+        check(
+            lasting > 0.0 && lasting <= 86_400.0,
+            "effects.smears.lasting_s",
+            lasting,
+            "above 0 to 86400 s",
+        )?;
+        let listed = self.patches.len();
+        check(listed <= MOST, "number of effects.smears.patches", listed as f64, "0 to 1000 patches")?;
+        self.patches.iter().try_for_each(Patch::validate)
+    }
+
+    fn bound(&self, facts: &Facts<'_>) -> Bound {
+        let [low, high] = facts.levels();
+        let most = |level: u8, opacity: f64| {
+            opacity * (f64::from(level) - low).abs().max((f64::from(level) - high).abs())
+        };
+        let drawn = if self.random > 0 { most(0, 1.0).max(most(255, 1.0)) } else { 0.0 };
+        // Where patches overlap, each takes its share of what is left.
+        let listed = self.patches.iter().map(|patch| most(patch.level, patch.opacity)).fold(0.0, f64::max);
+        Bound::of_levels(drawn.max(listed))
+    }
+
+    fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
+        // Of both views, a random patch being in one of them.
+        let area_px = |[a, b]: [f64; 2]| 4.0 * a * b;
+        let listed: f64 = self.patches.iter().map(|patch| 2.0 * area_px(patch.half_size_px)).sum();
+        let drawn = 2.0 * self.random as f64 * area_px(self.half_size_px);
+        25.0 * (listed + drawn).min(facts.pixels())
     }
 }
 
@@ -94,25 +133,6 @@ pub enum Views {
 
 /// More patches than any gel bears would only cost time.
 const MOST: usize = 1000;
-
-impl Smears {
-    pub(super) fn validate(&self) -> Result<(), SceneError> {
-        let check = SceneError::check;
-        let random = self.random;
-        check(random <= MOST, "effects.smears.random", random as f64, "0 to 1000 patches")?;
-        check_size("effects.smears.half_size_px", self.half_size_px)?;
-        let lasting = self.lasting_s;
-        check(
-            lasting > 0.0 && lasting <= 86_400.0,
-            "effects.smears.lasting_s",
-            lasting,
-            "above 0 to 86400 s",
-        )?;
-        let listed = self.patches.len();
-        check(listed <= MOST, "number of effects.smears.patches", listed as f64, "0 to 1000 patches")?;
-        self.patches.iter().try_for_each(Patch::validate)
-    }
-}
 
 fn check_size(name: &'static str, size: [f64; 2]) -> Result<(), SceneError> {
     size.into_iter()

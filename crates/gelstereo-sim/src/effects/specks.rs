@@ -1,5 +1,6 @@
 //! Dirt on the gel.
 
+use crate::plan::{Bound, Effect, Facts};
 use crate::render::Dot;
 use crate::scene::{Gel, SceneError};
 use alloc::vec::Vec;
@@ -29,14 +30,23 @@ impl Default for Specks {
     }
 }
 
-impl Specks {
-    pub(super) fn validate(&self, gel: &Gel) -> Result<(), SceneError> {
+impl Effect for Specks {
+    fn validate(&self, gel: &Gel) -> Result<(), SceneError> {
         let check = SceneError::check;
         let (count, [least, most]) = (self.count, self.radius_mm);
         check(count <= 10_000, "effects.specks.count", count as f64, "0 to 10000")?;
         let name = "effects.specks.radius_mm";
         check(least > 0.0 && least <= most, name, least, "above 0, the smaller one first")?;
         check(most <= 0.5 * gel.pitch_mm, name, most, "at most half of gel.pitch_mm")
+    }
+
+    fn bound(&self, facts: &Facts<'_>) -> Bound {
+        Bound::of_levels(if self.count > 0 { facts.contrast_levels() } else { 0.0 })
+    }
+
+    fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
+        let _ = facts;
+        3.8e3 * self.count as f64
     }
 }
 

@@ -2,9 +2,10 @@
 
 use super::check_decay;
 use crate::lattice::Lattice;
-use crate::scene::SceneError;
+use crate::plan::{Bound, Effect, Facts};
+use crate::scene::{Gel, SceneError};
 use alloc::vec::Vec;
-use gelstereo_core::math::{DVec2, sqrt};
+use gelstereo_core::math::{DVec2, exp};
 
 /// Gel that a part displaces moves sideways, away from the contact.
 ///
@@ -28,19 +29,55 @@ pub struct Spread {
     pub decay_thicknesses: f64,
 }
 
+/// Length of the membrane of (1 + 0.3 x²), in gel thicknesses: sqrt(0.3).
+const SMOOTHING: f64 = 0.547_722_557_505_166_1;
+
 impl Default for Spread {
     fn default() -> Self {
         Self { strength: 1.0, decay_thicknesses: 2.0 }
     }
 }
 
-impl Spread {
-    pub(super) fn validate(&self) -> Result<(), SceneError> {
+impl Effect for Spread {
+    fn validate(&self, _gel: &Gel) -> Result<(), SceneError> {
         let strength = self.strength;
         SceneError::check((0.0..=1.0).contains(&strength), "effects.spread.strength", strength, "0 to 1")?;
         check_decay("effects.spread.decay_thicknesses", self.decay_thicknesses)
     }
 
+    fn bound(&self, facts: &Facts<'_>) -> Bound {
+        let sideways_mm = self.sideways_mm(facts);
+        facts.moved(sideways_mm, facts.height_mm(sideways_mm))
+    }
+
+    fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
+        facts.relaxation_ns(SMOOTHING) + facts.relaxation_ns(self.decay_thicknesses)
+    }
+
+    /// The gradient of p under heights between 0 and the part's depth. Summed across its direction, the two membranes'
+    /// kernel is g(x) = (l e^(-x/l) - s e^(-x/s)) / (2 (l² - s²)): heights all on one side, over a width w, give depth
+    /// (g(0) - g(w)). A free border mirrors them, which doubles the width. A tenth more for the lattice's directions.
+    fn sideways_mm(&self, facts: &Facts<'_>) -> f64 {
+        let thickness_mm = facts.scene.gel.thickness_mm;
+        let (long, short) = (self.decay_thicknesses * thickness_mm, SMOOTHING * thickness_mm);
+        // Equal lengths would divide by 0; a longer one only widens the bound.
+        let long = if (long - short).abs() < 0.01 * short { 1.01 * short } else { long };
+        let kernel = |x: f64| {
+            let tails = long * exp(-x / long) - short * exp(-x / short);
+            tails / (2.0 * (long * long - short * short))
+        };
+        let gradient = facts.touch.depth_mm * (kernel(0.0) - kernel(2.0 * facts.pressed_mm()));
+        1.1 * self.strength * 1.5 / thickness_mm * long * long * gradient
+    }
+
+    /// p / l² - Δp = s leaves Δp between -s and p / l²; a second derivative may be twice that where s is smooth.
+    fn stretch(&self, facts: &Facts<'_>) -> f64 {
+        let steps = 2.0 * self.sideways_mm(facts) / facts.least_pitch_mm();
+        steps.min(2.0 * self.strength * 1.5 / facts.scene.gel.thickness_mm * facts.touch.depth_mm)
+    }
+}
+
+impl Spread {
     /// Adds the sideways motion under these heights; the two fields are scratch.
     pub(crate) fn push(
         &self,
@@ -51,7 +88,7 @@ impl Spread {
     ) {
         smooth.clear();
         smooth.extend_from_slice(heights);
-        lattice.relax(sqrt(0.3) * lattice.thickness_mm, smooth, |i| heights[i], |_, h| h);
+        lattice.relax(SMOOTHING * lattice.thickness_mm, smooth, |i| heights[i], |_, h| h);
         let length = self.decay_thicknesses * lattice.thickness_mm;
         potential.clear();
         potential.extend_from_slice(smooth);

@@ -2,7 +2,7 @@
 
 use gelstereo_core::camera::Camera;
 use gelstereo_core::math::{DVec2, DVec3, Pose, sqrt};
-use gelstereo_core::rig::RigView;
+use gelstereo_core::rig::{Projection, RigView};
 
 /// A printed dot: the disc |s| <= 1 under s -> centre + along s.x + across s.y, millimetres.
 #[derive(Clone, Copy, Debug)]
@@ -38,6 +38,14 @@ impl Dot {
             across: t_camera_sensor.transform_vector(self.across),
         };
         dot.pinhole(view.camera())
+    }
+
+    /// As if the image of its centre were its image's centre: the tangent of the projection there.
+    pub(crate) fn unbiased(&self, view: &RigView<'_>) -> Option<Ellipse> {
+        let Projection { pixel_px, jacobian: [columns, rows], .. } =
+            view.project_with_jacobian(self.centre, 0.0).ok()?;
+        let half = |axis: DVec3| DVec2::new(columns.dot(axis), rows.dot(axis));
+        Some(Ellipse { centre_px: pixel_px, half_px: [half(self.along), half(self.across)] })
     }
 
     /// Before a pinhole. A circle's image is an ellipse whose centre is not the image of the circle's centre but

@@ -18,7 +18,7 @@ pub(crate) use dot::Dot;
 pub use dot::Ellipse;
 pub(crate) use lens::Lens;
 
-use crate::effects::{Bridge, Gain, Noise, SmearsOfView, Texture, UnevenLight};
+use crate::effects::{Bridge, Defocus, Gain, Noise, SmearsOfView, Texture, UnevenLight};
 use crate::scene::{Images, Scene};
 use crate::simulator::{DotImage, Sight, Truth};
 use alloc::vec::Vec;
@@ -96,7 +96,7 @@ impl Renderer {
         let (dark, bright) = (f32::from(gel.dark_level), f32::from(gel.bright_level));
         let (gel_level, dot_level) = if gel.bright_dots { (dark, bright) } else { (bright, dark) };
         let effects = &scene.effects;
-        let lens = effects.defocus.as_ref().map(|defocus| Lens { sigma_px: defocus.sigma_px });
+        let lens = effects.defocus.as_ref().map(Defocus::lens);
         let view = |index, name, camera: &Camera| {
             let (smears, size) = (effects.smears.as_ref(), [camera.width_px, camera.height_px]);
             let grain = effects.grain.as_ref().map(|grain| Texture::new(grain, scene.seed, name, camera));

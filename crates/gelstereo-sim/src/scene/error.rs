@@ -1,5 +1,6 @@
 //! What can be wrong with a scene.
 
+use crate::layer::LayerError;
 use alloc::string::String;
 use gelstereo_core::rig::RigError;
 
@@ -8,6 +9,8 @@ use gelstereo_core::rig::RigError;
 pub enum SceneError {
     /// The cameras are no rig.
     Rig(RigError),
+    /// The gel is no elastic layer.
+    Layer(LayerError),
     /// A number is outside its range.
     Invalid {
         /// Where it stands in the file, for example `gel.pitch_mm`.
@@ -44,6 +47,11 @@ pub enum SceneError {
         /// Its distance behind the last interface.
         within_mm: f64,
     },
+    /// The elastic layer is listed with an approximation of what it does.
+    TwoModels {
+        /// The approximation.
+        effect: &'static str,
+    },
     /// Keyframes without an indenter.
     NothingMoves {
         /// Keyframes found.
@@ -60,6 +68,16 @@ pub enum SceneError {
         /// The time it must be later than.
         after_s: f64,
     },
+    /// An effect is switched on that the scene does not have.
+    NothingToSwitchOn {
+        /// Which.
+        effect: &'static str,
+    },
+    /// An effect is on auto, but the scene says neither what is asked of it nor how exact.
+    NothingAsked {
+        /// Which.
+        effect: &'static str,
+    },
     /// The indenter is a mesh file whose triangles were not handed over.
     MeshNeeded {
         /// The file.
@@ -73,6 +91,7 @@ impl core::fmt::Display for SceneError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
             Self::Rig(error) => write!(f, "rig: {error}"),
+            Self::Layer(error) => write!(f, "effects.elastic_layer: {error}"),
             Self::Invalid { name, found, valid } => write!(f, "{name} is {found}; valid is {valid}"),
             Self::NoSuchMarker { row, col, rows, cols } => write!(
                 f,
@@ -89,6 +108,11 @@ impl core::fmt::Display for SceneError {
                 "marker [{row}, {col}] is {within_mm} mm behind the last interface of rig.layers; valid is above 0: move \
                  gel.surface_mm away or make the layers thinner"
             ),
+            Self::TwoModels { effect } => write!(
+                f,
+                "effects.{effect} approximates what effects.elastic_layer computes; remove one of them (the layer takes the \
+                 place of shoulder, spread and drag)"
+            ),
             Self::NothingMoves { keyframes } => write!(
                 f,
                 "the trajectory has {keyframes} keyframes but there is no indenter; add [indenter] or remove them"
@@ -97,6 +121,16 @@ impl core::fmt::Display for SceneError {
                 f,
                 "keyframe {keyframe} of {list} is at {time_s} s; valid is later than the one before ({after_s} s), at least \
                  0 and at most 86400 s"
+            ),
+            Self::NothingToSwitchOn { effect } => write!(
+                f,
+                "switches.{effect} is \"on\" but the scene has no {effect}; list it under [effects] (refraction and \
+                 lens_distortion: give the rig layers or a distortion)"
+            ),
+            Self::NothingAsked { effect } => write!(
+                f,
+                "switches.{effect} is \"auto\" but nothing is asked of the scene; add for example asked = {{ kind = \
+                 \"positions\", tolerance_px = 0.01 }}, or switch it on or off"
             ),
             Self::MeshNeeded { path } => {
                 write!(

@@ -6,11 +6,12 @@ mod presets;
 pub use crate::simulator::ContactState;
 pub use error::SceneError;
 
-use crate::effects::Effects;
+use crate::effects::{Effects, Optics};
+use crate::plan::{Asked, Switches};
 use crate::shapes::Shape;
 use alloc::vec::Vec;
 use gelstereo_core::camera::Camera;
-use gelstereo_core::math::{DVec2, DVec3, Pose, so3};
+use gelstereo_core::math::{DQuat, DVec2, DVec3, Pose, so3};
 use gelstereo_core::rig::Rig;
 
 /// What there is, and which effects act. A file states only what differs from [`Scene::default`].
@@ -35,6 +36,10 @@ pub struct Scene {
     pub indenter: Option<Shape>,
     /// Effects that act; absent ones cost nothing. Default: none.
     pub effects: Effects,
+    /// What is asked of it, and how exact; nothing means everything, exactly. Default: nothing.
+    pub asked: Option<Asked>,
+    /// How its effects are switched. Default: as `asked` says.
+    pub switches: Switches,
     /// Poses over time, interpolated; empty means that nothing touches. Default: empty.
     pub trajectory: Vec<Keyframe>,
     /// Motion of the gel before the cameras, `[[gel_motion]]` in a file, interpolated; empty means that it stands
@@ -52,6 +57,8 @@ impl Default for Scene {
             gel: Gel::default(),
             indenter: None,
             effects: Effects::default(),
+            asked: None,
+            switches: Switches::default(),
             trajectory: Vec::new(),
             gel_motion: Vec::new(),
         }
@@ -140,13 +147,14 @@ pub struct GelKeyframe {
 /// The indenter at one time.
 ///
 /// In a file the pose is `position_mm` (the object's origin in the sensor frame) and `rotation_rad` (rotation
-/// vector, default zero): `{ time_s = 0.5, position_mm = [4, 0, 31], rotation_rad = [0, 1.5708, 0], shear_mm =
-/// [0.5, 0] }`.
+/// vector, default zero) or `rotation_xyzw` (unit quaternion): `{ time_s = 0.5, position_mm = [4, 0, 31], rotation_rad =
+/// [0, 1.5708, 0], shear_mm = [0.5, 0] }`. A rotation that its vector does not give back to the last bit is written as a
+/// quaternion, so that a scene that is written and read again is the same.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
     derive(serde::Serialize, serde::Deserialize),
-    serde(from = "KeyframeFields", into = "KeyframeFields")
+    serde(try_from = "KeyframeFields", into = "KeyframeFields")
 )]
 pub struct Keyframe {
     /// Time, seconds.
@@ -161,32 +169,42 @@ pub struct Keyframe {
 struct KeyframeFields {
     time_s: f64,
     position_mm: [f64; 3],
-    #[cfg_attr(feature = "serde", serde(default))]
-    rotation_rad: [f64; 3],
+    #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
+    rotation_rad: Option<[f64; 3]>,
+    #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
+    rotation_xyzw: Option<[f64; 4]>,
     #[cfg_attr(feature = "serde", serde(default))]
     shear_mm: [f64; 2],
     #[cfg_attr(feature = "serde", serde(default))]
     twist_rad: f64,
 }
 
-impl From<KeyframeFields> for Keyframe {
-    fn from(fields: KeyframeFields) -> Self {
-        let t_sensor_object = Pose {
-            rotation: so3::exp(DVec3::from_array(fields.rotation_rad)),
-            translation_mm: DVec3::from_array(fields.position_mm),
+impl TryFrom<KeyframeFields> for Keyframe {
+    type Error = &'static str;
+
+    fn try_from(fields: KeyframeFields) -> Result<Self, Self::Error> {
+        let rotation = match (fields.rotation_rad, fields.rotation_xyzw) {
+            (vector, None) => so3::exp(DVec3::from_array(vector.unwrap_or_default())),
+            (None, Some(quaternion)) => DQuat::from_array(quaternion),
+            _ => return Err("a keyframe has both rotation_rad and rotation_xyzw; valid is one of them"),
         };
+        let t_sensor_object = Pose { rotation, translation_mm: DVec3::from_array(fields.position_mm) };
         let KeyframeFields { time_s, shear_mm, twist_rad, .. } = fields;
-        Self { time_s, contact: ContactState { t_sensor_object, shear_mm, twist_rad } }
+        Ok(Self { time_s, contact: ContactState { t_sensor_object, shear_mm, twist_rad } })
     }
 }
 
 impl From<Keyframe> for KeyframeFields {
     fn from(Keyframe { time_s, contact }: Keyframe) -> Self {
         let ContactState { t_sensor_object, shear_mm, twist_rad } = contact;
+        let rotation = t_sensor_object.rotation;
+        let vector = so3::log(rotation);
+        let exact = so3::exp(vector) == rotation;
         Self {
             time_s,
             position_mm: t_sensor_object.translation_mm.to_array(),
-            rotation_rad: so3::log(t_sensor_object.rotation).to_array(),
+            rotation_rad: exact.then_some(vector.to_array()),
+            rotation_xyzw: (!exact).then_some(rotation.to_array()),
             shear_mm,
             twist_rad,
         }
@@ -227,7 +245,15 @@ impl Scene {
             indenter.validate()?;
         }
         self.effects.validate(&self.gel)?;
+        self.check_switches()?;
         self.check_trajectory()
+    }
+
+    fn check_switches(&self) -> Result<(), SceneError> {
+        self.asked.as_ref().map_or(Ok(()), Asked::validate)?;
+        let listed = |effect: &str| self.effects.listed().any(|(name, _)| name == effect);
+        let own = |effect: &str| Optics::ALL.iter().any(|own| own.name() == effect && own.is_in(self));
+        self.switches.validate(self.asked.is_some(), |effect| listed(effect) || own(effect))
     }
 
     /// Both cameras must see the whole depth of the gel, and its surface must lie behind the rig's layers.

@@ -1,17 +1,21 @@
 //! From a scene to marker positions and images.
 
+mod layered;
 mod press;
 mod sheet;
 mod truth;
 
+use layered::Layered;
 pub use truth::{DotImage, OUT_OF_SIGHT_PX, Sight, Truth};
 
 use crate::effects::{Bridge, Drag, Print, Shoulder, Speck, Spread};
 use crate::lattice::Lattice;
+use crate::plan::{Plan, Switch};
 use crate::render::{Dot, Exposure, Renderer};
 use crate::scene::{Gel, Scene, SceneError};
 use crate::shapes::{MeshHeight, Shape};
 use crate::trajectory::Trajectory;
+use alloc::boxed::Box;
 use alloc::vec::Vec;
 use gelstereo_core::math::{DVec2, DVec3, Pose};
 use gelstereo_core::rig::Rig;
@@ -60,11 +64,14 @@ impl ContactState {
 /// A scene made ready to run.
 #[derive(Clone, Debug)]
 pub struct Simulator {
+    plan: Plan,
     rig: Rig,
     gel: Gel,
     /// The lattice where the gel is now.
     lattice: Lattice,
     surface_mm: f64,
+    /// The lattice's middle now.
+    centre_mm: DVec2,
     /// Markers where they are now when nothing touches.
     rest: Vec<DVec2>,
     print: Option<Print>,
@@ -73,6 +80,9 @@ pub struct Simulator {
     shoulder: Option<Shoulder>,
     spread: Option<Spread>,
     drag: Option<Drag>,
+    layered: Option<Box<Layered>>,
+    /// Whether a disc's image has its centroid beside its centre's image.
+    ellipse_bias: bool,
     trajectory: Trajectory,
     /// Frames that arrive, when some do not.
     delivered: Option<Vec<usize>>,
@@ -100,12 +110,14 @@ struct Scratch {
 }
 
 impl Simulator {
-    /// Makes a scene ready; `mesh` is the indenter's surface when its shape is a mesh file.
+    /// Makes a scene ready: plans which effects it needs and builds those alone. `mesh` is the indenter's surface when
+    /// its shape is a mesh file.
     ///
     /// # Errors
     /// [`SceneError`].
     pub fn new(scene: &Scene, mesh: Option<&TriangleMesh>) -> Result<Self, SceneError> {
-        scene.validate()?;
+        let plan = Plan::of(scene, mesh)?;
+        let scene = &plan.scene;
         let part = match (&scene.indenter, mesh) {
             (Some(Shape::Mesh { .. }), Some(mesh)) => Some(Part::Mesh(MeshHeight::new(mesh))),
             (Some(Shape::Mesh { path, .. }), None) => {
@@ -118,11 +130,14 @@ impl Simulator {
         let trajectory = Trajectory::new(scene);
         let misprint = effects.misprint.as_ref();
         let bridges = misprint.map_or_else(Vec::new, |misprint| Bridge::all(misprint, gel.cols));
+        let lattice = Lattice::new(gel);
+        let centre_mm = DVec2::from_array(gel.centre_mm);
         let mut simulator = Self {
             rig: scene.rig.clone(),
             gel: gel.clone(),
-            lattice: Lattice::new(gel),
+            lattice,
             surface_mm: gel.surface_mm,
+            centre_mm,
             rest: Vec::new(),
             print: misprint.map(|misprint| Print::new(misprint, seed, gel.rows * gel.cols)),
             specks: effects.specks.as_ref().map_or_else(Vec::new, |specks| Speck::all(specks, seed, gel)),
@@ -130,16 +145,30 @@ impl Simulator {
             shoulder: effects.shoulder.clone(),
             spread: effects.spread.clone(),
             drag: effects.drag.clone(),
+            layered: effects
+                .elastic_layer
+                .as_ref()
+                .map(|layer| Layered::new(layer, gel))
+                .transpose()?
+                .map(Box::new),
             delivered: effects
                 .dropped_frames
                 .as_ref()
                 .map(|drops| drops.delivered(seed, trajectory.frames())),
             renderer: Renderer::new(scene, trajectory.span_s(), bridges),
+            ellipse_bias: scene.switches.ellipse_bias != Some(Switch::Off),
             trajectory,
             scratch: Scratch::default(),
+            plan,
         };
-        simulator.lay(DVec2::from_array(gel.centre_mm));
+        simulator.lay(centre_mm);
         Ok(simulator)
+    }
+
+    /// Which effects are computed and why; [`Plan::scene`] is the scene that is simulated.
+    #[must_use]
+    pub fn plan(&self) -> &Plan {
+        &self.plan
     }
 
     /// Frames of the trajectory (1 when nothing moves), those included that [`Self::delivered`] skips.
@@ -203,6 +232,7 @@ impl Simulator {
         self.scratch.motion.clear();
         self.scratch.motion.resize(self.rest.len(), DVec2::ZERO);
         match contact.filter(|contact| self.part.is_some() && contact.validate().is_ok()) {
+            Some(contact) if self.layered.is_some() => self.press_layer(contact),
             Some(contact) => self.press(contact),
             None => {
                 self.scratch.heights.clear();

@@ -3,6 +3,7 @@
 use super::{Part, Simulator};
 use crate::effects::Grip;
 use crate::simulator::ContactState;
+use alloc::vec::Vec;
 use gelstereo_core::math::{DVec2, DVec3};
 
 impl Simulator {
@@ -37,7 +38,7 @@ impl Simulator {
     }
 
     /// The part's motion in the plane, about the centre of the markers that it touches before it twists.
-    fn grip(&mut self, contact: &ContactState) -> Grip {
+    pub(super) fn grip(&mut self, contact: &ContactState) -> Grip {
         let shear = DVec2::from_array(contact.shear_mm);
         if contact.twist_rad == 0.0 {
             return Grip::new(contact, DVec2::ZERO);
@@ -51,26 +52,31 @@ impl Simulator {
     }
 
     /// The part's height above the rest plane at every place, negative infinity where it is not.
-    fn touch(&mut self, contact: &ContactState) {
-        let scratch = &mut self.scratch;
+    pub(super) fn touch(&mut self, contact: &ContactState) {
+        let (places, mut obstacle) =
+            (core::mem::take(&mut self.scratch.places), core::mem::take(&mut self.scratch.obstacle));
+        self.heights(contact, &places, &mut obstacle);
+        (self.scratch.places, self.scratch.obstacle) = (places, obstacle);
+    }
+
+    /// The part's height above the rest plane at these places, negative infinity where it is not.
+    pub(super) fn heights(&mut self, contact: &ContactState, places: &[DVec2], out: &mut Vec<f64>) {
         let pose = contact.t_sensor_object;
         match &mut self.part {
             Some(Part::Solid(shape)) => {
                 let to_object = pose.inverse();
                 let direction = to_object.transform_vector(DVec3::Z);
-                scratch.obstacle.clear();
-                scratch.obstacle.extend(scratch.places.iter().map(|&place| {
+                out.clear();
+                out.extend(places.iter().map(|&place| {
                     let origin = to_object.transform_point(place.extend(self.surface_mm));
                     shape.entry_mm(origin, direction).map_or(f64::NEG_INFINITY, |s| -s)
                 }));
             }
-            Some(Part::Mesh(mesh)) => {
-                mesh.heights_mm(&pose, self.surface_mm, &scratch.places, &mut scratch.obstacle)
-            }
+            Some(Part::Mesh(mesh)) => mesh.heights_mm(&pose, self.surface_mm, places, out),
             None => {}
         }
         // The support plate behind the gel stops everything.
-        scratch.obstacle.iter_mut().for_each(|height| *height = height.min(self.lattice.thickness_mm));
+        out.iter_mut().for_each(|height| *height = height.min(self.lattice.thickness_mm));
     }
 
     /// Heights of the markers at their places, and which of them the part touches.

@@ -17,6 +17,7 @@ impl Simulator {
 
     /// Rest positions of all markers of a lattice whose middle is at `centre_mm`.
     pub(super) fn lay(&mut self, centre_mm: DVec2) {
+        self.centre_mm = centre_mm;
         let Self { lattice, rest, print, .. } = self;
         rest.clear();
         rest.extend(lattice.rest_mm(centre_mm));

@@ -18,7 +18,7 @@ pub struct Truth {
     pub indentation_mm: Vec<f64>,
     /// Whether the indenter touches the gel at this marker.
     pub in_contact: Vec<bool>,
-    /// Projections of the centres in the left image, within it or not. A dot's image has its own centre
+    /// Projections of the centres in the left image, within it or not. Where `ellipse_bias` is on, a dot's image has its own centre
     /// elsewhere by up to f r² sin a cos a / Z² (tilt a): 0.016 px on the default rig.
     pub left_px: Vec<DVec2>,
     /// The same in the right image.
@@ -143,8 +143,13 @@ impl Simulator {
         ];
         for (index, (view, t_camera_sensor, dots, blots)) in views.into_iter().enumerate() {
             let view = rig.view(view);
-            let outline =
-                |dot: &Dot| dot.image(&view, &t_camera_sensor, rig.layers.is_some()).unwrap_or(NO_OUTLINE);
+            let outline = |dot: &Dot| {
+                let seen = match self.ellipse_bias {
+                    true => dot.image(&view, &t_camera_sensor, rig.layers.is_some()),
+                    false => dot.unbiased(&view),
+                };
+                seen.unwrap_or(NO_OUTLINE)
+            };
             dots.clear();
             let described = |(marker, dot)| renderer.describe(index, marker, outline(dot), time_s);
             dots.extend(scratch.dots.iter().enumerate().map(described));

@@ -1,0 +1,93 @@
+//! The gel as an elastic layer.
+
+use crate::layer::{Grid, Layer, Places};
+use crate::plan::{Bound, Effect, Facts};
+use crate::scene::{Gel, SceneError};
+
+/// The gel sags, rises and moves sideways as an elastic layer bonded to its plate does, and sticks to the part as far as
+/// friction holds it.
+///
+/// Model: the contact problem of linear elasticity, solved over cells finer than the markers' pitch
+/// ([`crate::layer::LayerContact`]). It is what [`super::Shoulder`], [`super::Spread`] and [`super::Drag`] approximate, and
+/// takes their place: a scene cannot have both. Limits: small strain (see [`super::LargeStrain`]); the part's path does not
+/// matter, only where it is (what slipped on the way is not remembered); nothing presses on gel farther out than `border_pitches`.
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(default, deny_unknown_fields)
+)]
+pub struct ElasticLayer {
+    /// Poisson's ratio, 0 to 0.5. Default: `0.48`, a soft silicone.
+    pub poisson_ratio: f64,
+    /// Coulomb's coefficient between part and gel; 0 lets everything slip. Default: `0.8`.
+    pub friction: f64,
+    /// Cells that the contact is solved on, per pitch of the markers. Default: `2`.
+    pub cells_per_pitch: usize,
+    /// How far beside the outermost markers the part may press, in pitches. Default: `2`.
+    pub border_pitches: usize,
+}
+
+impl Default for ElasticLayer {
+    fn default() -> Self {
+        Self { poisson_ratio: 0.48, friction: 0.8, cells_per_pitch: 2, border_pitches: 2 }
+    }
+}
+
+impl ElasticLayer {
+    /// How near to the part a cell in contact ends: 0.1 um is 2e-3 px on the default rig.
+    pub(crate) const TOLERANCE_MM: f64 = 1e-4;
+
+    /// The layer, the cells, and the markers on them.
+    pub(crate) fn cells(&self, gel: &Gel) -> (Layer, Grid, Places) {
+        let step = self.cells_per_pitch;
+        let places = Places { rows: gel.rows, cols: gel.cols, step, border: self.border_pitches * step };
+        let [rows, cols] = places.cells();
+        let layer = Layer { thickness_mm: gel.thickness_mm, poisson_ratio: self.poisson_ratio };
+        (layer, Grid { rows, cols, cell_mm: gel.pitch_mm / step as f64 }, places)
+    }
+}
+
+impl Effect for ElasticLayer {
+    fn validate(&self, gel: &Gel) -> Result<(), SceneError> {
+        let check = SceneError::check;
+        let Self { poisson_ratio: nu, friction, cells_per_pitch: cells, border_pitches: border } = *self;
+        check((0.0..=0.5).contains(&nu), "effects.elastic_layer.poisson_ratio", nu, "0 to 0.5")?;
+        check((0.0..=1e6).contains(&friction), "effects.elastic_layer.friction", friction, "0 to 1e6")?;
+        let name = "effects.elastic_layer.cells_per_pitch";
+        check((1..=16).contains(&cells), name, cells as f64, "1 to 16")?;
+        let name = "effects.elastic_layer.border_pitches";
+        check(border <= 64, name, border as f64, "0 to 64")?;
+        let (layer, grid, _) = self.cells(gel);
+        let (fine, most) = (grid.cell_mm <= layer.thickness_mm, grid.rows.max(grid.cols));
+        let name = "cell of effects.elastic_layer, gel.pitch_mm / cells_per_pitch,";
+        check(fine, name, grid.cell_mm, "at most gel.thickness_mm: raise cells_per_pitch")?;
+        let name = "cells of effects.elastic_layer along a side";
+        check(most <= 256, name, most as f64, "at most 256: lower cells_per_pitch or border_pitches")
+    }
+
+    fn bound(&self, facts: &Facts<'_>) -> Bound {
+        // Heights are between a rise, which is less than the depth, and the depth.
+        facts.moved(self.sideways_mm(facts), 2.0 * facts.touch.depth_mm)
+    }
+
+    fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
+        let per_pitch = (self.cells_per_pitch * self.cells_per_pitch) as f64;
+        let cells = facts.markers() * per_pitch;
+        let pitch = facts.scene.gel.pitch_mm;
+        let pressed = (facts.touch.footprint_mm2 / (pitch * pitch) * per_pitch).min(cells);
+        let products = if self.friction > 0.0 { 120.0 } else { 12.0 };
+        // Heights of cells; transforms over about twice the pressed cells; sums over cells and markers.
+        30.0 * cells + 150.0 * products * (pressed + 64.0) + pressed * facts.markers() * 3.0
+    }
+
+    /// A wide part presses the gel out from under itself: of depth times half a span, spread over the thickness, the surface
+    /// takes 3/2 (a parabola that is free above). Under a narrow one it moves less than that is deep. What sticks moves with the
+    /// part.
+    fn sideways_mm(&self, facts: &Facts<'_>) -> f64 {
+        let touch = &facts.touch;
+        let wide = 0.75 * touch.span_mm / facts.scene.gel.thickness_mm;
+        let carried = if self.friction > 0.0 { core::f64::consts::SQRT_2 * touch.grip_mm() } else { 0.0 };
+        touch.depth_mm * (1.0 + wide) + carried
+    }
+}

@@ -1,0 +1,44 @@
+//! What can be wrong with a layer, a grid or what is asked of them.
+
+/// Why a contact cannot be solved.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum LayerError {
+    /// A number is outside its range.
+    Invalid {
+        /// Its name.
+        name: &'static str,
+        /// What was found.
+        found: f64,
+        /// What would be valid.
+        valid: &'static str,
+    },
+    /// A field has another number of cells than the grid.
+    Cells {
+        /// Numbers found.
+        found: usize,
+        /// Cells of the grid.
+        cells: usize,
+    },
+}
+
+impl core::fmt::Display for LayerError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Invalid { name, found, valid } => write!(f, "{name} is {found}; valid is {valid}"),
+            Self::Cells { found, cells } => {
+                write!(
+                    f,
+                    "a field has {found} numbers, but the grid has {cells} cells; give one for each, row after row"
+                )
+            }
+        }
+    }
+}
+
+impl core::error::Error for LayerError {}
+
+impl LayerError {
+    pub(crate) fn check(ok: bool, name: &'static str, found: f64, valid: &'static str) -> Result<(), Self> {
+        if ok { Ok(()) } else { Err(Self::Invalid { name, found, valid }) }
+    }
+}

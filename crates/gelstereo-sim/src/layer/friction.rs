@@ -1,0 +1,106 @@
+//! Friction: tractions that hold the surface where the part carries it, as far as Coulomb's bound lets them.
+//!
+//! Where the part sticks, the surface goes where it is carried; where it slips, the traction is at its bound μp and points
+//! to where the surface is carried to. For given pressures, and a motion that grows from nothing, these are the tractions
+//! |q| <= μp that make ½ q·Gq - q·d least (Johnson 1985, 7.2; Kalker 1990), G being the compliance and d the motion
+//! that is asked for. They are found by projected gradients with spectral steps and an exact search along each (Birgin,
+//! Martínez and Raydan 2000): one product with G a step, and every step goes down.
+
+use super::contact::{Convergence, dot};
+use super::operator::{Operator, Scratch};
+use alloc::vec::Vec;
+use gelstereo_core::math::sqrt;
+
+/// As [`super::contact`]'s.
+const MOST_PRODUCTS: usize = 1000;
+
+/// Fields over a window, kept from solve to solve.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Holding {
+    /// Gq - d.
+    lag: [Vec<f64>; 2],
+    step: [Vec<f64>; 2],
+    product: [Vec<f64>; 2],
+    scratch: Scratch,
+}
+
+impl Holding {
+    /// Tractions no longer than `bound`, which carry the surface to `asked_mm` where they can, starting from `traction`.
+    pub(crate) fn solve(
+        &mut self,
+        operator: &Operator,
+        bound: &[f64],
+        asked_mm: &[Vec<f64>; 2],
+        tolerance_mm: f64,
+        traction: &mut [Vec<f64>; 2],
+    ) -> Convergence {
+        for (i, &bound) in bound.iter().enumerate() {
+            [traction[0][i], traction[1][i]] = shortened([traction[0][i], traction[1][i]], bound);
+        }
+        operator.shear(traction, &mut self.scratch, &mut self.lag);
+        for (lag, asked) in self.lag.iter_mut().zip(asked_mm) {
+            lag.iter_mut().zip(asked).for_each(|(lag, asked)| *lag -= asked);
+        }
+        // A step this long never overshoots.
+        let safe = 1.0 / operator.stiffest[1];
+        let mut length = 2.0 * safe;
+        let mut found = Convergence { products: 1, ..Convergence::default() };
+        while found.products < MOST_PRODUCTS {
+            found.residual_mm = self.aim(safe, bound, traction) / safe;
+            found.converged = found.residual_mm <= tolerance_mm;
+            if found.converged {
+                break;
+            }
+            self.aim(length, bound, traction);
+            operator.shear(&self.step, &mut self.scratch, &mut self.product);
+            found.products += 1;
+            let both = |a: &[Vec<f64>; 2], b: &[Vec<f64>; 2]| dot(&a[0], &b[0]) + dot(&a[1], &b[1]);
+            let along = both(&self.step, &self.product);
+            if !(along > 0.0) {
+                break;
+            }
+            let share = (-both(&self.lag, &self.step) / along).min(1.0);
+            for axis in 0..2 {
+                traction[axis].iter_mut().zip(&self.step[axis]).for_each(|(q, s)| *q += share * s);
+                self.lag[axis].iter_mut().zip(&self.product[axis]).for_each(|(lag, g)| *lag += share * g);
+            }
+            // The two spectral lengths take turns (Dai and Fletcher 2005).
+            length = if found.products % 2 == 0 {
+                both(&self.step, &self.step) / along
+            } else {
+                along / both(&self.product, &self.product)
+            };
+        }
+        found
+    }
+
+    /// Leaves the step down the gradient, cut to what is feasible; its largest length is returned.
+    fn aim(&mut self, length: f64, bound: &[f64], traction: &[Vec<f64>; 2]) -> f64 {
+        for step in &mut self.step {
+            step.clear();
+            step.resize(bound.len(), 0.0);
+        }
+        let mut largest = 0.0_f64;
+        for (i, &bound) in bound.iter().enumerate() {
+            if bound > 0.0 {
+                let from = [traction[0][i], traction[1][i]];
+                let to = [from[0] - length * self.lag[0][i], from[1] - length * self.lag[1][i]];
+                let to = shortened(to, bound);
+                let step = [to[0] - from[0], to[1] - from[1]];
+                largest = largest.max(step[0] * step[0] + step[1] * step[1]);
+                [self.step[0][i], self.step[1][i]] = step;
+            }
+        }
+        sqrt(largest)
+    }
+}
+
+/// The vector, no longer than `bound`.
+fn shortened([x, y]: [f64; 2], bound: f64) -> [f64; 2] {
+    let squared = x * x + y * y;
+    if squared <= bound * bound {
+        return [x, y];
+    }
+    let share = bound / sqrt(squared);
+    [x * share, y * share]
+}

@@ -1,0 +1,206 @@
+//! How far a cell under a uniform traction moves the surface around it.
+//!
+//! The layer's compliance is that of the half-space plus a rest. The half-space's part is known in closed form over a
+//! rectangle (pressure: Love 1929; shear: the same integrals, from Cerruti's solution). The rest falls as e^(-2kh), so that
+//! it is smooth, and its Fourier integral is a Hankel integral that Gauss's rule takes to round-off. Nothing is
+//! periodic: the layer is as wide as it is.
+
+use super::kernel::Layer;
+use alloc::vec::Vec;
+use core::f64::consts::PI;
+use gelstereo_core::math::{asinh, atan, bessel_j0, bessel_j1, ceil, exp, ln, sqrt};
+
+/// Motion at offsets (column, row) in cells, both from 0 to `side - 1`, row after row, for a traction of one Young's modulus
+/// on the square cell at 0; where an offset is negative, symmetry tells.
+#[derive(Clone, Debug)]
+pub(crate) struct Influence {
+    pub(crate) side: usize,
+    /// Into the layer under a pressure; even both ways.
+    pub(crate) normal: Vec<f64>,
+    /// Along x under a pressure; odd along x, even along y. Along y it is the transpose.
+    pub(crate) cross: Vec<f64>,
+    /// Along x under a traction along x; even both ways. Along y it is the transpose.
+    pub(crate) along: Vec<f64>,
+    /// Along y under a traction along x, and the reverse; odd both ways.
+    pub(crate) across: Vec<f64>,
+}
+
+impl Influence {
+    /// For square cells of `cell_mm`, `side` of them from one to the farthest.
+    pub(crate) fn new(layer: &Layer, cell_mm: f64, side: usize) -> Self {
+        let mut influence = Self::of_half_space(layer, cell_mm, side);
+        let rest = Hankel::new(layer, cell_mm, side as f64 * cell_mm);
+        for row in 0..side {
+            for col in 0..=row {
+                let (x, y) = (col as f64 * cell_mm, row as f64 * cell_mm);
+                let r = sqrt(x * x + y * y);
+                let Radial { normal, cross, mean, split } = rest.at(r);
+                let (cosine, sine) = if r > 0.0 { (x / r, y / r) } else { (0.0, 0.0) };
+                let (double_cosine, double_sine) = (cosine * cosine - sine * sine, 2.0 * cosine * sine);
+                let (i, transposed) = (row * side + col, col * side + row);
+                // The diagonal is its own transpose.
+                let places = [(i, cosine, double_cosine), (transposed, sine, -double_cosine)];
+                for &(i, cosine, double_cosine) in &places[..1 + usize::from(row != col)] {
+                    influence.normal[i] += normal;
+                    influence.cross[i] += cross * cosine;
+                    influence.along[i] += mean - split * double_cosine;
+                    influence.across[i] -= split * double_sine;
+                }
+            }
+        }
+        influence
+    }
+
+    fn of_half_space(layer: &Layer, cell_mm: f64, side: usize) -> Self {
+        let nu = layer.poisson_ratio;
+        let corners: Vec<[f64; 4]> = (0..(side + 1) * (side + 1))
+            .map(|i| {
+                let corner = |n: usize| (n as f64 - 0.5) * cell_mm;
+                integrals(corner(i % (side + 1)), corner(i / (side + 1)))
+            })
+            .collect();
+        let over_cell = |row: usize, col: usize| {
+            let at = |row: usize, col: usize| corners[row * (side + 1) + col];
+            let [a, b, c, d] = [at(row, col), at(row, col + 1), at(row + 1, col), at(row + 1, col + 1)];
+            [0, 1, 2, 3].map(|n| (d[n] - b[n]) - (c[n] - a[n]))
+        };
+        let pressed = (1.0 - nu * nu) / PI;
+        let aside = -(1.0 + nu) * (1.0 - 2.0 * nu) / (2.0 * PI);
+        let sheared = (1.0 + nu) / PI;
+        let mut influence =
+            Self { side, normal: Vec::new(), cross: Vec::new(), along: Vec::new(), across: Vec::new() };
+        for i in 0..side * side {
+            let [xx, yy, xy, x] = over_cell(i / side, i % side);
+            influence.normal.push(pressed * (xx + yy));
+            influence.cross.push(aside * x);
+            // (1 + ν) / (π r) ((1 - ν) + ν cos²), Cerruti.
+            influence.along.push(sheared * ((1.0 - nu) * (xx + yy) + nu * xx));
+            influence.across.push(sheared * nu * xy);
+        }
+        influence
+    }
+}
+
+/// Integrals over the rectangle from the origin to (x, y) of x²/r³, y²/r³, xy/r³ and x/r².
+fn integrals(x: f64, y: f64) -> [f64; 4] {
+    let r2 = x * x + y * y;
+    [
+        y * asinh(x / y.abs()),
+        x * asinh(y / x.abs()),
+        // Up to what the four corners of a cell have in common.
+        -sqrt(r2),
+        0.5 * y * ln(r2) + x * atan(y / x),
+    ]
+}
+
+/// The rest's integrals at one distance: pressure to depth and to motion outwards, and shear to motion along it, its mean
+/// over directions and what depends on twice the angle.
+struct Radial {
+    normal: f64,
+    cross: f64,
+    mean: f64,
+    split: f64,
+}
+
+/// Nodes of the Hankel integrals of the rest: wave number and what stands before the Bessel functions.
+struct Hankel(Vec<(f64, Radial)>);
+
+/// Nodes and weights of Gauss's rule with eight points on -1 to 1, the positive half.
+const GAUSS: [[f64; 2]; 4] = [
+    [0.1834346424956498, 0.362683783378362],
+    [0.525532409916329, 0.31370664587788727],
+    [0.7966664774136267, 0.22238103445337448],
+    [0.9602898564975363, 0.10122853629037626],
+];
+
+/// (k h)² e^(-2 k h) is 3e-12 there.
+const LAST: f64 = 16.0;
+
+impl Hankel {
+    fn new(layer: &Layer, cell_mm: f64, reach_mm: f64) -> Self {
+        let h = layer.thickness_mm;
+        // The half-width of a panel keeps the farthest Bessel function within two radians and the layer's poles (the
+        // nearest at 0.74i) 3 half-widths away: eight points leave 1e-12.
+        let panels = ceil((LAST / 0.5).max(LAST * 1.5 * reach_mm / h / 4.0)) as usize;
+        let half = 0.5 * LAST / panels as f64;
+        let node = |panel: usize, at: f64, weight: f64| {
+            let k = ((2 * panel + 1) as f64 + at) * half / h;
+            // A square cell instead of a point: sin a / a sin b / b = e^(-(a² + b²) / 6) to fourth order, a = k_x cell / 2.
+            let smooth = exp(-k * k * cell_mm * cell_mm / 24.0);
+            let weight = weight * half / h * k * smooth * cell_mm * cell_mm / (2.0 * PI);
+            let (layered, deep) = (layer.compliance(k), layer.half_space(k));
+            let in_plane = layered.in_plane_mm - deep.in_plane_mm;
+            let anti_plane = layered.anti_plane_mm - deep.anti_plane_mm;
+            let radial = Radial {
+                normal: weight * (layered.normal_mm - deep.normal_mm),
+                cross: weight * (layered.cross_mm - deep.cross_mm),
+                mean: 0.5 * weight * (in_plane + anti_plane),
+                split: 0.5 * weight * (in_plane - anti_plane),
+            };
+            (k, radial)
+        };
+        let points = GAUSS.iter().flat_map(|&[at, weight]| [(-at, weight), (at, weight)]);
+        Self((0..panels).flat_map(|panel| points.clone().map(move |(at, w)| node(panel, at, w))).collect())
+    }
+
+    fn at(&self, r_mm: f64) -> Radial {
+        let mut sum = Radial { normal: 0.0, cross: 0.0, mean: 0.0, split: 0.0 };
+        for (k, weight) in &self.0 {
+            let z = k * r_mm;
+            let (zeroth, first) = (bessel_j0(z), bessel_j1(z));
+            let second = if z > 0.0 { 2.0 * first / z - zeroth } else { 0.0 };
+            sum.normal += weight.normal * zeroth;
+            sum.cross += weight.cross * first;
+            sum.mean += weight.mean * zeroth;
+            sum.split += weight.split * second;
+        }
+        sum
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gelstereo_core::math::{cos, sin};
+
+    /// Under a wave of tractions the cells together move as the layer's compliance says. A wave that cells sample is one with
+    /// all its aliases, and each comes with the transform of a cell: known, so that only the sum's far end (e^(-0.74 * 24) = 2e-8 of the
+    /// nearest pole) and the Gaussian that stands for a cell remain: a⁴/180 = 2e-5 of the rest at a = k cell / 2 = 1/4.
+    #[test]
+    fn cells_add_up_to_the_compliance_of_a_wave() {
+        for poisson_ratio in [0.0, 0.3, 0.48, 0.5] {
+            let layer = Layer { thickness_mm: 2.0, poisson_ratio };
+            let (cell, side) = (0.5, 96);
+            let influence = Influence::new(&layer, cell, side);
+            for k in [0.0, 0.3, 1.0, 2.0] {
+                let wave = |m: i32| k + 2.0 * PI * f64::from(m) / cell;
+                let sinc = |q: f64| if q == 0.0 { 1.0 } else { sin(0.5 * q * cell) / (0.5 * q * cell) };
+                let aliased =
+                    |of: &dyn Fn(f64) -> f64| (-400..=400).map(|m| of(wave(m)) * sinc(wave(m))).sum::<f64>();
+                let (mut normal, mut cross, mut along, mut across) = (0.0, 0.0, 0.0, 0.0);
+                for i in 0..side * side {
+                    let (row, col) = (i / side, i % side);
+                    let copies = if row == 0 { 1.0 } else { 2.0 } * if col == 0 { 1.0 } else { 2.0 };
+                    let phase = k * col as f64 * cell;
+                    normal += copies * influence.normal[i] * cos(phase);
+                    along += copies * influence.along[i] * cos(phase);
+                    across += copies * influence.along[col * side + row] * cos(phase);
+                    // Σ V(x) e^(-ikx) is -i times the cross term.
+                    cross += copies * influence.cross[i] * sin(phase);
+                }
+                let at = |q: f64| layer.compliance(q.abs());
+                let close = |found: f64, expected: f64| {
+                    let scale = at(k).normal_mm.max(0.1);
+                    assert!(
+                        (found - expected).abs() < 3e-5 * scale,
+                        "{poisson_ratio} {k}: {found} {expected}"
+                    );
+                };
+                close(normal, aliased(&|q| at(q).normal_mm));
+                close(along, aliased(&|q| at(q).in_plane_mm));
+                close(across, aliased(&|q| at(q).anti_plane_mm));
+                close(cross, aliased(&|q| at(q).cross_mm * if q < 0.0 { -1.0 } else { 1.0 }));
+            }
+        }
+    }
+}

@@ -1,0 +1,383 @@
+//! Contact of a rigid part with a layer of gel: linear elasticity, bonded below, as wide as it likes.
+//!
+//! [`Layer`] knows its compliances wave by wave, [`LayerContact`] finds the tractions over a grid of square cells under a
+//! part and how the surface moves, and [`closed`] has the few contacts that are solved in closed form, for the
+//! half-space that a thick layer is. Tractions are in units of Young's modulus: a part that is held in place leaves the
+//! same surface whatever the modulus is.
+
+pub mod closed;
+mod contact;
+mod error;
+mod fft;
+mod friction;
+mod influence;
+mod kernel;
+mod nodes;
+mod operator;
+mod window;
+
+pub use contact::Convergence;
+pub use error::LayerError;
+pub use kernel::{Compliance, Layer};
+pub(crate) use nodes::{Motion, Nodes, Places};
+
+use alloc::vec::Vec;
+use contact::Pressing;
+use friction::Holding;
+use influence::Influence;
+use operator::{Operator, Scratch};
+use window::Window;
+
+/// Where a solve starts from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Start {
+    /// From the part's heights: the same bits whatever was solved before.
+    #[default]
+    Afresh,
+    /// From the last solution, as for the next frame of a sequence: fewer steps.
+    Last,
+}
+
+/// What a contact is solved on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Grid {
+    /// Cells along y.
+    pub rows: usize,
+    /// Cells along x.
+    pub cols: usize,
+    /// Side of a square cell, mm.
+    pub cell_mm: f64,
+}
+
+/// A part on the layer.
+#[derive(Clone, Copy, Debug)]
+pub struct Part<'a> {
+    /// Its heights above the undeformed surface, positive into the layer, cell by cell and row after row; negative infinity
+    /// where there is none.
+    pub heights_mm: &'a [f64],
+    /// How far it would carry every cell along x and along y since it touched, if it stuck; `None` is nowhere.
+    pub carried_mm: Option<[&'a [f64]; 2]>,
+}
+
+/// A layer over whose surface a part may press anywhere on a grid of cells. All that depends on layer and grid is worked
+/// out once; solving allocates nothing after the first time.
+#[derive(Clone, Debug)]
+pub struct LayerContact {
+    layer: Layer,
+    grid: Grid,
+    friction: f64,
+    influence: Influence,
+    /// By the logarithms of their sides.
+    operators: Vec<Operator>,
+    /// How many logarithms there are along a side.
+    sizes: [usize; 2],
+    pressure: Vec<f64>,
+    traction: [Vec<f64>; 2],
+    work: Work,
+}
+
+/// Fields over the window of a solve.
+#[derive(Clone, Debug, Default)]
+struct Work {
+    heights: Vec<f64>,
+    pressure: Vec<f64>,
+    traction: [Vec<f64>; 2],
+    asked: [Vec<f64>; 2],
+    bound: Vec<f64>,
+    lifted: Vec<f64>,
+    spread: [Vec<f64>; 2],
+    pressing: Pressing,
+    holding: Holding,
+    scratch: Scratch,
+}
+
+/// Sides of the smallest operator.
+const LEAST_SIDE: usize = 8;
+/// Largest number of cells along a side.
+const MOST_CELLS: usize = 256;
+/// Turns of pressures and tractions after which a solve gives up.
+const MOST_TURNS: usize = 40;
+/// How far beside the part's deepest point, in parts of its depth, a cell is still looked at: pressed gel rises beside a
+/// contact, by less than that.
+const RISE: f64 = 0.25;
+
+impl LayerContact {
+    /// `friction` is Coulomb's coefficient; 0 for none.
+    ///
+    /// # Errors
+    /// [`LayerError::Invalid`] for a layer, a grid or a friction that is none.
+    pub fn new(layer: Layer, grid: Grid, friction: f64) -> Result<Self, LayerError> {
+        layer.validate()?;
+        grid.validate(&layer)?;
+        LayerError::check((0.0..=1e6).contains(&friction), "friction", friction, "0 to 1e6")?;
+        let logs =
+            |cells: usize| (cells.max(LEAST_SIDE).next_power_of_two() / LEAST_SIDE).ilog2() as usize + 1;
+        let sizes = [logs(grid.rows), logs(grid.cols)];
+        let side = LEAST_SIDE << (sizes[0].max(sizes[1]) - 1);
+        let influence = Influence::new(&layer, grid.cell_mm, side);
+        let operator = |i: usize| {
+            let sides = [LEAST_SIDE << (i / sizes[1]), LEAST_SIDE << (i % sizes[1])];
+            Operator::new(&influence, sides)
+        };
+        let operators = (0..sizes[0] * sizes[1]).map(operator).collect();
+        let none = || zeros(grid.rows * grid.cols);
+        let (pressure, traction) = (none(), [none(), none()]);
+        let work = Work::default();
+        let mut contact =
+            Self { layer, grid, friction, influence, operators, sizes, pressure, traction, work };
+        contact.warm_up();
+        Ok(contact)
+    }
+
+    /// Solves once over the largest window, so that no later solve allocates.
+    fn warm_up(&mut self) {
+        let Self { operators, work, .. } = self;
+        let Some(operator) = operators.last() else { return };
+        let cells = operator.plane.rows * operator.plane.cols;
+        let Work {
+            heights,
+            pressure,
+            traction: [qx, qy],
+            asked: [ax, ay],
+            bound,
+            lifted,
+            spread: [sx, sy],
+            ..
+        } = work;
+        for field in [heights, pressure, qx, qy, ax, ay, bound, lifted, sx, sy] {
+            field.clear();
+            field.resize(cells, 0.0);
+        }
+        work.heights[0] = 1e-3 * self.layer.thickness_mm;
+        let Work { heights, pressure, pressing, scratch, traction, asked, bound, spread, holding, .. } = work;
+        let tolerance_mm = 1e-3 * heights[0];
+        pressing.solve(operator, heights, tolerance_mm, pressure);
+        bound[0] = pressure[0];
+        asked[0][0] = heights[0];
+        holding.solve(operator, bound, asked, tolerance_mm, traction);
+        operator.spread(pressure, scratch, spread);
+        operator.lift(traction, scratch, &mut work.lifted);
+    }
+
+    /// Presses a part into the layer and carries it aside. A cell that touches ends within `tolerance_mm` of the part.
+    ///
+    /// With friction, pressures and tractions are found in turns until the tractions' lift no longer moves the surface
+    /// (Panagiotopoulos 1975). All happens in one go: what slipped on the way is not remembered.
+    ///
+    /// # Errors
+    /// [`LayerError`] if a number is missing, NaN, or deeper than the layer is thick, or the tolerance is not
+    /// positive.
+    pub fn press(
+        &mut self,
+        part: Part<'_>,
+        tolerance_mm: f64,
+        start: Start,
+    ) -> Result<Convergence, LayerError> {
+        self.check(&part, tolerance_mm)?;
+        let window = Window::around(part.heights_mm, self.grid, RISE);
+        let Self { friction, pressure, traction, work, .. } = self;
+        let operator = &self.operators[window.operator(self.sizes)];
+        work.begin(operator, &window, &part, start, pressure, traction);
+        let found = if *friction > 0.0 {
+            work.grip(operator, &window, &part, *friction, tolerance_mm)
+        } else {
+            work.pressing.solve(operator, &work.heights, tolerance_mm, &mut work.pressure)
+        };
+        let [along, across] = traction;
+        for (field, cut) in
+            [(pressure, &work.pressure), (along, &work.traction[0]), (across, &work.traction[1])]
+        {
+            field.fill(0.0);
+            window.paste(cut, &operator.plane, field);
+        }
+        Ok(found)
+    }
+
+    /// Puts these pressures, and tractions along x and y, on the surface in place of a contact, in units of Young's modulus.
+    ///
+    /// # Errors
+    /// [`LayerError`] if a number is missing or not finite.
+    pub fn load(&mut self, pressure: &[f64], traction: [&[f64]; 2]) -> Result<(), LayerError> {
+        let fields = [pressure, traction[0], traction[1]];
+        self.check_cells(fields.into_iter())?;
+        if let Some(&found) = fields.into_iter().flatten().find(|load| !load.is_finite()) {
+            return LayerError::check(false, "a load", found, "finite");
+        }
+        self.pressure.copy_from_slice(pressure);
+        self.traction.iter_mut().zip(traction).for_each(|(own, given)| own.copy_from_slice(given));
+        Ok(())
+    }
+
+    /// Pressures of the last contact, in units of Young's modulus, row after row.
+    #[must_use]
+    pub fn pressure(&self) -> &[f64] {
+        &self.pressure
+    }
+
+    /// Tractions of the last contact along x and y, in units of Young's modulus, row after row.
+    #[must_use]
+    pub fn traction(&self) -> [&[f64]; 2] {
+        [&self.traction[0], &self.traction[1]]
+    }
+
+    /// Motion of the surface over the grid after the last solve, mm: into the layer, and along x and y.
+    pub fn surface_mm(&mut self, into: &mut Vec<f64>, aside: &mut [Vec<f64>; 2]) {
+        let whole = Window::whole(self.grid);
+        let Self { pressure, traction, work, .. } = self;
+        let operator = &self.operators[whole.operator(self.sizes)];
+        let plane = &operator.plane;
+        let Work { pressure: pressed, traction: pulled, lifted, spread, scratch, .. } = work;
+        whole.cut(pressure, 0.0, plane, pressed);
+        operator.sink(pressed, scratch, lifted);
+        whole.put(lifted, plane, into);
+        operator.spread(pressed, scratch, spread);
+        aside.iter_mut().zip(&*spread).for_each(|(aside, field)| whole.put(field, plane, aside));
+        if traction.iter().flatten().any(|&q| q != 0.0) {
+            for (field, cut) in traction.iter().zip(&mut *pulled) {
+                whole.cut(field, 0.0, plane, cut);
+            }
+            operator.lift(pulled, scratch, lifted);
+            whole.add(lifted, plane, into);
+            operator.shear(pulled, scratch, spread);
+            aside.iter_mut().zip(spread).for_each(|(aside, field)| whole.add(field, plane, aside));
+        }
+    }
+
+    /// The layer.
+    #[must_use]
+    pub fn layer(&self) -> Layer {
+        self.layer
+    }
+
+    /// The grid.
+    #[must_use]
+    pub fn grid(&self) -> Grid {
+        self.grid
+    }
+
+    pub(crate) fn influence(&self) -> &Influence {
+        &self.influence
+    }
+
+    fn check(&self, part: &Part<'_>, tolerance_mm: f64) -> Result<(), LayerError> {
+        let carried = part.carried_mm.into_iter().flatten();
+        self.check_cells(carried.clone().chain([part.heights_mm]))?;
+        let ok = tolerance_mm > 0.0 && tolerance_mm.is_finite();
+        LayerError::check(ok, "tolerance_mm", tolerance_mm, "above 0")?;
+        let deepest = self.layer.thickness_mm;
+        if let Some(&found) = part.heights_mm.iter().find(|&&height| !(height <= deepest)) {
+            return LayerError::check(false, "heights_mm", found, "at most the layer's thickness");
+        }
+        match carried.flatten().find(|motion| !motion.is_finite()) {
+            Some(&found) => LayerError::check(false, "carried_mm", found, "finite"),
+            None => Ok(()),
+        }
+    }
+
+    fn check_cells<'a>(&self, mut fields: impl Iterator<Item = &'a [f64]>) -> Result<(), LayerError> {
+        let cells = self.pressure.len();
+        match fields.find(|field| field.len() != cells) {
+            Some(field) => Err(LayerError::Cells { found: field.len(), cells }),
+            None => Ok(()),
+        }
+    }
+}
+
+impl Work {
+    /// Cuts the window out of the fields, and sets what the solve starts from.
+    fn begin(
+        &mut self,
+        operator: &Operator,
+        window: &Window,
+        part: &Part<'_>,
+        start: Start,
+        pressure: &[f64],
+        traction: &[Vec<f64>; 2],
+    ) {
+        let plane = &operator.plane;
+        window.cut(part.heights_mm, f64::NEG_INFINITY, plane, &mut self.heights);
+        match start {
+            Start::Afresh => {
+                // A bed of springs as stiff as the shortest waves: near enough for what the contact is to be found from.
+                self.pressure.clear();
+                let spring = operator.stencil[0];
+                self.pressure.extend(self.heights.iter().map(|height| height.max(0.0) * spring));
+                self.traction.iter_mut().for_each(|cut| window.cut(&[], 0.0, plane, cut));
+            }
+            Start::Last => {
+                window.cut(pressure, 0.0, plane, &mut self.pressure);
+                let exists = |height: &f64| height.is_finite();
+                for (p, height) in self.pressure.iter_mut().zip(&self.heights) {
+                    *p = if exists(height) { *p } else { 0.0 };
+                }
+                traction.iter().zip(&mut self.traction).for_each(|(q, cut)| window.cut(q, 0.0, plane, cut));
+            }
+        }
+    }
+
+    /// Pressures and tractions in turns.
+    fn grip(
+        &mut self,
+        operator: &Operator,
+        window: &Window,
+        part: &Part<'_>,
+        friction: f64,
+        tolerance_mm: f64,
+    ) -> Convergence {
+        let plane = &operator.plane;
+        let mut found = Convergence::default();
+        operator.lift(&self.traction, &mut self.scratch, &mut self.lifted);
+        for _turn in 0..MOST_TURNS {
+            self.heights.iter_mut().zip(&self.lifted).for_each(|(height, lift)| *height -= lift);
+            let pressed = self.pressing.solve(operator, &self.heights, tolerance_mm, &mut self.pressure);
+            self.heights.iter_mut().zip(&self.lifted).for_each(|(height, lift)| *height += lift);
+            self.bound.clear();
+            self.bound.extend(self.pressure.iter().map(|p| friction * p));
+            operator.spread(&self.pressure, &mut self.scratch, &mut self.spread);
+            for axis in 0..2 {
+                let carried = part.carried_mm.map_or(&[][..], |carried| carried[axis]);
+                window.cut(carried, 0.0, plane, &mut self.asked[axis]);
+                self.asked[axis].iter_mut().zip(&self.spread[axis]).for_each(|(asked, u)| *asked -= u);
+            }
+            let Self { holding, bound, asked, traction, .. } = self;
+            let held = holding.solve(operator, bound, asked, tolerance_mm, traction);
+            let last = &mut self.spread[0];
+            core::mem::swap(last, &mut self.lifted);
+            operator.lift(&self.traction, &mut self.scratch, &mut self.lifted);
+            let moved = last.iter().zip(&self.lifted).zip(&self.pressure);
+            let moved =
+                moved.map(|((a, b), &p)| if p > 0.0 { (a - b).abs() } else { 0.0 }).fold(0.0, f64::max);
+            found.products += pressed.products + held.products;
+            found.residual_mm = pressed.residual_mm.max(held.residual_mm).max(moved);
+            found.converged = pressed.converged && held.converged && moved <= tolerance_mm;
+            if found.converged {
+                break;
+            }
+        }
+        found
+    }
+}
+
+impl Layer {
+    fn validate(&self) -> Result<(), LayerError> {
+        let (h, nu) = (self.thickness_mm, self.poisson_ratio);
+        LayerError::check(h > 0.0 && h <= 1e6, "thickness_mm", h, "above 0, at most 1e6 mm")?;
+        LayerError::check((0.0..=0.5).contains(&nu), "poisson_ratio", nu, "0 to 0.5")
+    }
+}
+
+impl Grid {
+    fn validate(&self, layer: &Layer) -> Result<(), LayerError> {
+        for (name, side) in [("rows", self.rows), ("cols", self.cols)] {
+            LayerError::check((1..=MOST_CELLS).contains(&side), name, side as f64, "1 to 256 cells")?;
+        }
+        let ok = self.cell_mm > 0.0 && self.cell_mm <= layer.thickness_mm;
+        LayerError::check(ok, "cell_mm", self.cell_mm, "above 0, at most the layer's thickness")
+    }
+}
+
+fn zeros(count: usize) -> Vec<f64> {
+    let mut list = Vec::new();
+    list.resize(count, 0.0);
+    list
+}

@@ -1,0 +1,215 @@
+//! Which effects a scene needs.
+//!
+//! A scene may say what is asked of it ([`Asked`]) and how its effects are switched ([`Switches`]). Before anything is
+//! simulated, every effect gives an upper bound of what it would change ([`Bound`]); effects on auto are switched off
+//! from the smallest bound on, as long as the bounds of all that are off together stay within the tolerance. Since each
+//! bound holds whichever others are on, what is simulated is within the tolerance of the whole scene, in every frame of
+//! its trajectory. (Contacts that are not on the trajectory are simulated with the same effects, without that promise;
+//! without a trajectory the bounds hold for every contact.)
+//!
+//! Effects that are off are taken out of the scene before the simulator is built: it is the simulator of a scene that
+//! never had them.
+
+mod asked;
+mod bound;
+mod facts;
+
+pub use crate::effects::Switches;
+pub use asked::{Asked, Switch};
+pub use bound::Bound;
+
+pub(crate) use bound::Effect;
+pub(crate) use facts::Facts;
+
+use crate::effects::Optics;
+use crate::scene::{Scene, SceneError};
+use alloc::format;
+use alloc::string::String;
+use alloc::vec::Vec;
+use gelstereo_core::surface::TriangleMesh;
+
+/// What is computed of a scene and why.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plan {
+    /// What the scene asks.
+    pub asked: Option<Asked>,
+    /// Every effect that the scene has, in the order of their list.
+    pub entries: Vec<Entry>,
+    /// The scene without what is off: what is simulated.
+    pub scene: Scene,
+}
+
+/// One effect of a plan.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Entry {
+    /// Its name in a scene file; `refraction`, `lens_distortion` and `ellipse_bias` are the rig's own.
+    pub effect: &'static str,
+    /// The most that it would change.
+    pub bound: Bound,
+    /// Whether it is computed.
+    pub on: bool,
+    /// Why.
+    pub why: Why,
+    /// Estimated time per stereo frame while it is on, nanoseconds.
+    pub cost_ns: f64,
+}
+
+/// Why an effect is on or off.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize), serde(rename_all = "snake_case"))]
+pub enum Why {
+    /// The scene asks nothing, so all is computed.
+    NothingAsked,
+    /// The scene says so.
+    Switched,
+    /// Its bound, with those of all that are off before it, is within the tolerance.
+    WithinTolerance {
+        /// Sum of the bounds up to this one, in the unit of what is asked.
+        sum: f64,
+    },
+    /// It is not.
+    BeyondTolerance {
+        /// Sum of the bounds up to this one.
+        sum: f64,
+    },
+}
+
+impl Plan {
+    /// Plans a scene; `mesh` is the indenter's surface when its shape is a mesh file.
+    ///
+    /// # Errors
+    /// As [`crate::Simulator::new`].
+    pub fn of(scene: &Scene, mesh: Option<&TriangleMesh>) -> Result<Self, SceneError> {
+        scene.validate()?;
+        // Bounds are those of the scene without what is forced off; its own are those of the whole scene.
+        let forced_off = |effect: &str| scene.switches.of(effect) == Some(Switch::Off);
+        let rest = without(scene, forced_off);
+        let rest = described(&Facts::of(&rest, mesh)?);
+        let whole = described(&Facts::of(scene, mesh)?);
+        let entry = |(effect, bound, cost_ns)| {
+            let switch = scene.switches.of(effect);
+            let why = if switch.is_none() { Why::NothingAsked } else { Why::Switched };
+            let entry = Entry { effect, bound, on: !forced_off(effect), why, cost_ns };
+            match rest.iter().find(|&&(name, ..)| name == effect && entry.on) {
+                Some(&(_, bound, cost_ns)) => Entry { bound, cost_ns, ..entry },
+                None => entry,
+            }
+        };
+        let mut entries: Vec<Entry> = whole.into_iter().map(entry).collect();
+        if let Some(asked) = &scene.asked {
+            decide(asked, &scene.switches, &mut entries);
+        }
+        let is_off = |effect: &str| entries.iter().any(|entry| entry.effect == effect && !entry.on);
+        let pruned = without(scene, is_off);
+        Ok(Self { asked: scene.asked, scene: pruned, entries })
+    }
+
+    /// What the effects that are off on auto may change together, at most, in the unit of what is asked.
+    #[must_use]
+    pub fn left_out(&self) -> f64 {
+        let sums = self.entries.iter().map(|entry| match entry.why {
+            Why::WithinTolerance { sum } => sum,
+            _ => 0.0,
+        });
+        sums.fold(0.0, f64::max)
+    }
+
+    /// Estimated time of all effects that are on, nanoseconds per stereo frame.
+    #[must_use]
+    pub fn cost_ns(&self) -> f64 {
+        self.entries.iter().filter(|entry| entry.on).map(|entry| entry.cost_ns).sum()
+    }
+}
+
+/// Name, bound and cost of every effect that a scene has.
+fn described(facts: &Facts<'_>) -> Vec<(&'static str, Bound, f64)> {
+    let own = Optics::ALL.into_iter().filter(|effect| effect.is_in(facts.scene));
+    let listed =
+        facts.scene.effects.listed().map(|(name, effect)| (name, effect.bound(facts), effect.cost_ns(facts)));
+    listed.chain(own.map(|effect| (effect.name(), effect.bound(facts), effect.cost_ns(facts)))).collect()
+}
+
+/// Switches off what may be, from the smallest bound on.
+fn decide(asked: &Asked, switches: &Switches, entries: &mut [Entry]) {
+    let mut auto: Vec<usize> = (0..entries.len())
+        .filter(|&i| matches!(switches.of(entries[i].effect), None | Some(Switch::Auto)))
+        .collect();
+    auto.sort_by(|&a, &b| asked.of(&entries[a].bound).total_cmp(&asked.of(&entries[b].bound)));
+    let mut sum = 0.0;
+    for i in auto {
+        sum += asked.of(&entries[i].bound);
+        entries[i].on = !(sum <= asked.tolerance());
+        entries[i].why =
+            if entries[i].on { Why::BeyondTolerance { sum } } else { Why::WithinTolerance { sum } };
+    }
+}
+
+/// The scene without some of its effects, and with nothing asked.
+fn without(scene: &Scene, off: impl Fn(&str) -> bool) -> Scene {
+    let mut scene = Scene { asked: None, switches: Switches::default(), ..scene.clone() };
+    scene.effects.remove(&off);
+    Optics::ALL.into_iter().filter(|effect| off(effect.name())).for_each(|effect| effect.remove(&mut scene));
+    scene
+}
+
+impl core::fmt::Display for Plan {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        let unit = self.asked.map_or("px", |asked| asked.unit());
+        match &self.asked {
+            Some(asked) => writeln!(f, "asked: {asked}")?,
+            None => writeln!(f, "asked: nothing, so every effect that is listed is on")?,
+        }
+        writeln!(f, "{:16}  {:>12}  {:3}  {:>9}  why", "effect", "bound", "on", "cost")?;
+        for entry in &self.entries {
+            let bound = self.asked.map_or(entry.bound.px, |asked| asked.of(&entry.bound));
+            let on = if entry.on { "on" } else { "off" };
+            let cost_us = if entry.on { 1e-3 * entry.cost_ns } else { 0.0 };
+            let Entry { effect, why, .. } = entry;
+            writeln!(f, "{effect:16}  {:>12}  {on:3}  {cost_us:6.0} us  {why}", Shown(bound, unit))?;
+        }
+        Ok(())
+    }
+}
+
+/// A number with its unit, to three digits.
+struct Shown(f64, &'static str);
+
+impl core::fmt::Display for Shown {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        let &Self(value, unit) = self;
+        let text = match value {
+            0.0 => String::from("0"),
+            _ if !value.is_finite() => String::from("any"),
+            _ if value.abs() >= 100.0 => format!("{value:.0}"),
+            _ if value.abs() >= 0.1 => format!("{value:.2}"),
+            _ if value.abs() >= 1e-4 => format!("{value:.5}"),
+            _ => format!("{value:.1e}"),
+        };
+        let text = if unit.is_empty() { text } else { format!("{text} {unit}") };
+        f.pad(&text)
+    }
+}
+
+impl core::fmt::Display for Asked {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        let what = match self {
+            Self::Positions { .. } => "positions",
+            Self::Points { .. } => "points",
+            Self::Images { .. } => "images",
+        };
+        write!(f, "{what} within {} {}", self.tolerance(), self.unit())
+    }
+}
+
+impl core::fmt::Display for Why {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::NothingAsked => f.write_str("nothing is asked"),
+            Self::Switched => f.write_str("the scene says so"),
+            Self::WithinTolerance { sum } => {
+                write!(f, "off, at most {} is missing: within the tolerance", Shown(*sum, ""))
+            }
+            Self::BeyondTolerance { sum } => write!(f, "without it {} could be missing", Shown(*sum, "")),
+        }
+    }
+}

@@ -1,0 +1,371 @@
+//! Bounds of effects against what the effects change: true change <= bound, in every scene and whichever other
+//! effects are on.
+#![allow(clippy::unwrap_used)]
+
+use gelstereo_core::camera::{Camera, Layer, Layers};
+use gelstereo_core::math::{DVec2, DVec3, Pose, so3};
+use gelstereo_core::rig::Rig;
+use gelstereo_sim::effects::{
+    Defocus, Drag, Grain, Misprint, SensorNoise, Shoulder, Smears, Specks, Spread, UnevenLight,
+};
+use gelstereo_sim::plan::Bound;
+use gelstereo_sim::{
+    Asked, ContactState, Effects, Gel, Keyframe, Plan, Scene, Shape, Simulator, Switch, Truth,
+};
+use proptest::prelude::*;
+
+/// What the simulator gives for the frames of a scene.
+struct Seen {
+    truths: Vec<Truth>,
+    images: Vec<Vec<u8>>,
+}
+
+fn see(scene: &Scene, rendered: bool) -> Seen {
+    let mut simulator = Simulator::new(scene, None).unwrap();
+    let mut seen = Seen { truths: Vec::new(), images: Vec::new() };
+    for frame in 0..simulator.frames() {
+        let mut truth = Truth::default();
+        simulator.moment(simulator.contact(frame).as_ref(), frame as u64, &mut truth);
+        if rendered {
+            let (mut left, mut right) = (Vec::new(), Vec::new());
+            simulator.render(&truth, frame as u64, &mut left, &mut right);
+            seen.images.extend([left, right]);
+        }
+        seen.truths.push(truth);
+    }
+    seen
+}
+
+fn largest(values: impl Iterator<Item = f64>) -> f64 {
+    values.fold(0.0, f64::max)
+}
+
+/// How far two are apart, in dots that both show.
+fn apart(rig: &Rig, a: &Seen, b: &Seen) -> Bound {
+    let truths = || a.truths.iter().zip(&b.truths);
+    let dots = |truth: &Truth| -> Vec<_> {
+        truth.left_dots.iter().chain(&truth.right_dots).map(|dot| dot.outline.centre_px).collect()
+    };
+    let size = DVec2::new(rig.left.width_px as f64, rig.left.height_px as f64);
+    let within = |at: &DVec2| at.cmpge(DVec2::splat(-0.5)).all() && at.cmple(size - 0.5).all();
+    let pairs = truths().flat_map(|(a, b)| dots(a).into_iter().zip(dots(b)));
+    let px = pairs.filter(|(a, b)| within(a) && within(b)).map(|(a, b)| (a - b).length());
+    let um = truths()
+        .flat_map(|(a, b)| a.points_mm.iter().zip(&b.points_mm))
+        .map(|(a, b)| 1e3 * (*a - *b).length());
+    let images = a.images.iter().flatten().zip(b.images.iter().flatten());
+    let levels = images.map(|(&a, &b)| f64::from(a.abs_diff(b)));
+    Bound { px: largest(px), um: largest(um), levels: largest(levels) }
+}
+
+const NAMES: [&str; 13] = [
+    "shoulder",
+    "spread",
+    "drag",
+    "misprint",
+    "specks",
+    "grain",
+    "uneven_light",
+    "smears",
+    "defocus",
+    "sensor_noise",
+    "refraction",
+    "lens_distortion",
+    "ellipse_bias",
+];
+
+/// A scene whose effects of these bits are off.
+fn switched(scene: &Scene, off: u32) -> Scene {
+    let mut scene = scene.clone();
+    let s = &mut scene.switches;
+    let all = [
+        &mut s.shoulder,
+        &mut s.spread,
+        &mut s.drag,
+        &mut s.misprint,
+        &mut s.specks,
+        &mut s.grain,
+        &mut s.uneven_light,
+        &mut s.smears,
+        &mut s.defocus,
+        &mut s.sensor_noise,
+        &mut s.refraction,
+        &mut s.lens_distortion,
+        &mut s.ellipse_bias,
+    ];
+    for (bit, switch) in all.into_iter().enumerate() {
+        if off >> bit & 1 == 1 {
+            *switch = Some(Switch::Off);
+        }
+    }
+    scene
+}
+
+fn cameras() -> impl Strategy<Value = Rig> {
+    let layers = prop::option::of((4.0..15.0_f64, 0.0..4.0_f64, 1.0..1.8_f64, 1.0..1.6_f64, -0.05..0.05_f64));
+    let lens = prop::option::of((-0.3..0.3_f64, -0.1..0.1_f64, -0.004..0.004_f64, -0.05..0.05_f64));
+    (layers, lens, -0.05..0.05_f64, -0.05..0.05_f64, 4.0..9.0_f64).prop_map(
+        |(layers, lens, turn, roll, baseline)| {
+            let camera = Camera {
+                width_px: 240,
+                height_px: 180,
+                fx_px: 230.0,
+                fy_px: 226.0,
+                cx_px: 118.0,
+                cy_px: 91.0,
+                distortion: lens.map_or([0.0; 5], |(k1, k2, p, k3)| [k1, k2, p, -0.5 * p, k3]),
+            };
+            let layers = layers.map(|(gap_mm, thickness_mm, index, gel_index, slant)| Layers {
+                normal: DVec3::new(slant, -slant, 1.0).normalize(),
+                gap_mm,
+                plates: vec![Layer { thickness_mm, index }],
+                gel_index,
+            });
+            let turned = so3::exp(DVec3::new(roll, turn, 0.3 * roll));
+            let t_right_left =
+                Pose { rotation: turned, translation_mm: turned * DVec3::new(-baseline, 0.0, 0.0) };
+            Rig { left: camera.clone(), right: camera, t_right_left, layers }
+        },
+    )
+}
+
+fn shapes() -> impl Strategy<Value = Shape> {
+    prop_oneof![
+        (1.0..9.0_f64).prop_map(|radius_mm| Shape::Sphere { radius_mm }),
+        (1.0..4.0_f64, 3.0..9.0_f64)
+            .prop_map(|(radius_mm, length_mm)| Shape::Cylinder { radius_mm, length_mm }),
+        (1.0..4.0_f64, 2.0..7.0_f64).prop_map(|(a, b)| Shape::Box { size_mm: [a, b, 3.0] }),
+        (0.2..2.0_f64).prop_map(|protrusion_mm| Shape::Board {
+            size_mm: [20.0, 20.0],
+            block_mm: [5.0, 4.0],
+            protrusion_mm,
+        }),
+    ]
+}
+
+/// A part that comes down, and moves and turns while it is there.
+fn trajectories() -> impl Strategy<Value = Vec<(f64, ContactState)>> {
+    let turns = prop::array::uniform3(-0.6..0.6_f64);
+    let shear = prop::array::uniform2(-0.6..0.6_f64);
+    let moments = (-0.2..1.8_f64, turns, shear, -0.3..0.3_f64, -2.0..2.0_f64, prop::bool::weighted(0.4));
+    prop::collection::vec(moments, 1..4).prop_map(|moments| {
+        let contact =
+            |(press_mm, turn, shear_mm, twist_rad, x, still): (f64, [f64; 3], [f64; 2], f64, f64, bool)| {
+                let turn =
+                    if still { DVec3::new(core::f64::consts::PI, 0.0, 0.0) } else { DVec3::from_array(turn) };
+                let pose =
+                    Pose { rotation: so3::exp(turn), translation_mm: DVec3::new(4.0 + x, 0.5 * x, 0.0) };
+                let contact = ContactState { shear_mm, twist_rad, ..ContactState::pressed(pose) };
+                (
+                    press_mm,
+                    if still {
+                        ContactState { shear_mm: [0.0; 2], twist_rad: 0.0, ..contact }
+                    } else {
+                        contact
+                    },
+                )
+            };
+        moments.into_iter().map(contact).collect()
+    })
+}
+
+/// Any of an effect's sizes, small ones as often as large ones.
+fn size(most: f64) -> impl Strategy<Value = f64> {
+    (-4.0..0.0_f64).prop_map(move |exponent| most * 10.0_f64.powf(exponent))
+}
+
+fn effects() -> impl Strategy<Value = Effects> {
+    let gel = (
+        prop::option::of((0.05..1.5_f64).prop_map(|decay_thicknesses| Shoulder { decay_thicknesses })),
+        prop::option::of(
+            (size(1.0), 0.3..3.0_f64)
+                .prop_map(|(strength, decay_thicknesses)| Spread { strength, decay_thicknesses }),
+        ),
+        prop::option::of((0.1..1.5_f64).prop_map(|decay_thicknesses| Drag { decay_thicknesses })),
+        prop::option::of((size(0.149), size(0.5), prop::bool::ANY).prop_map(
+            |(shift_mm, radius_share, merged)| Misprint {
+                shift_mm,
+                radius_share,
+                merged: if merged { vec![[3, 4, 3, 5]] } else { Vec::new() },
+                bridge_share: 0.7,
+            },
+        )),
+        prop::option::of((0..3_usize).prop_map(|count| Specks { count, ..Specks::default() })),
+    );
+    let image = (
+        prop::option::of(
+            (size(10.0), 0.1..3.0_f64).prop_map(|(sigma_levels, size_px)| Grain { sigma_levels, size_px }),
+        ),
+        prop::option::of((0.2..1.6_f64, size(0.9), size(-0.9), size(0.9)).prop_map(
+            |(gain, across, down, corner_loss)| UnevenLight {
+                gain: if gain > 1.3 { 1.0 } else { gain },
+                across,
+                down,
+                corner_loss,
+            },
+        )),
+        prop::option::of((0..3_usize).prop_map(|random| Smears {
+            random,
+            lasting_s: 1.0,
+            ..Smears::default()
+        })),
+        prop::option::of((0.1..2.0_f64).prop_map(|sigma_px| Defocus { sigma_px })),
+        prop::option::of(size(10.0).prop_map(|sigma_levels| SensorNoise { sigma_levels })),
+    );
+    (gel, image).prop_map(|((shoulder, spread, drag, misprint, specks), image)| {
+        let (grain, uneven_light, smears, defocus, sensor_noise) = image;
+        Effects {
+            shoulder,
+            spread,
+            drag,
+            misprint,
+            specks,
+            grain,
+            uneven_light,
+            smears,
+            defocus,
+            sensor_noise,
+            ..Effects::default()
+        }
+    })
+}
+
+fn scenes() -> impl Strategy<Value = Scene> {
+    let gel =
+        (6..14_usize, 6..14_usize, 0.6..1.4_f64, 0.1..0.45_f64, 2.0..6.0_f64, -0.3..0.3_f64, prop::bool::ANY);
+    let gel = gel.prop_map(|(rows, cols, pitch_mm, share, thickness_mm, rotation_rad, bright_dots)| {
+        let dot_radius_mm = share * pitch_mm;
+        Gel { rows, cols, pitch_mm, dot_radius_mm, thickness_mm, rotation_rad, bright_dots, ..Gel::default() }
+    });
+    (cameras(), gel, shapes(), trajectories(), effects(), 0..1000_u64).prop_map(
+        |(rig, gel, shape, moments, effects, seed)| {
+            let mut scene = Scene { seed, frame_rate_hz: 4.0, rig, gel, effects, ..Scene::default() };
+            scene.indenter = Some(shape);
+            let simulator = Simulator::new(&scene, None).unwrap();
+            for (k, (press_mm, contact)) in moments.into_iter().enumerate() {
+                let t_sensor_object = simulator.pressed(contact.t_sensor_object, press_mm).unwrap();
+                let contact = ContactState { t_sensor_object, ..contact };
+                scene.trajectory.push(Keyframe { time_s: 0.5 * k as f64, contact });
+            }
+            scene
+        },
+    )
+}
+
+/// Changes of one effect, with those of `off` away.
+fn change(scene: &Scene, effect: usize, off: u32) -> Bound {
+    let off = off & !(1 << effect);
+    apart(&scene.rig, &see(&switched(scene, off), true), &see(&switched(scene, off | 1 << effect), true))
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(150))]
+
+    #[test]
+    fn no_effect_changes_more_than_its_bound(scene in scenes(), effect in 0..NAMES.len(), off in 0..1_u32 << 13) {
+        let plan = Plan::of(&scene, None).unwrap();
+        let name = NAMES[effect];
+        if let Some(entry) = plan.entries.iter().find(|entry| entry.effect == name) {
+            let (found, bound) = (change(&scene, effect, off), entry.bound);
+            // 1e-6 mm is what the relaxation leaves.
+            prop_assert!(found.um <= bound.um + 2e-3, "{name}: {} um, bound {}", found.um, bound.um);
+            prop_assert!(found.px <= bound.px + 1e-5, "{name}: {} px, bound {}", found.px, bound.px);
+            // Rounded to whole levels.
+            prop_assert!(found.levels <= bound.levels.ceil(), "{name}: {} levels, bound {}", found.levels, bound.levels);
+        }
+    }
+
+    /// Whatever is switched off on auto, what is left is within the tolerance of the whole scene.
+    #[test]
+    fn together_they_stay_within_the_tolerance(scene in scenes(), kind in 0..3_usize, exponent in -3.0..2.5_f64) {
+        let tolerance = 10.0_f64.powf(exponent);
+        let asked = match kind {
+            0 => Asked::Positions { tolerance_px: tolerance },
+            1 => Asked::Points { tolerance_um: tolerance },
+            _ => Asked::Images { tolerance_levels: tolerance },
+        };
+        let planned = Scene { asked: Some(asked), ..scene.clone() };
+        let plan = Plan::of(&planned, None).unwrap();
+        prop_assert!(plan.left_out() <= tolerance);
+        let least_on = plan.entries.iter().filter(|e| e.on).map(|e| asked.of(&e.bound)).fold(f64::INFINITY, f64::min);
+        prop_assert!(plan.left_out() + least_on > tolerance, "one more could be off");
+        let found = asked.of(&apart(&scene.rig, &see(&scene, kind == 2), &see(&planned, kind == 2)));
+        let slack = [1e-5, 2e-3, 1.0][kind];
+        prop_assert!(found <= tolerance + slack, "{found} {}, asked {tolerance}", asked.unit());
+    }
+}
+
+fn keyframe(time_s: f64, at_mm: [f64; 3], turn_rad: f64, shear_mm: f64, twist_rad: f64) -> Keyframe {
+    let rotation = so3::exp(DVec3::new(turn_rad, 0.0, 0.0));
+    let t_sensor_object = Pose { rotation, translation_mm: DVec3::from_array(at_mm) };
+    Keyframe { time_s, contact: ContactState { t_sensor_object, shear_mm: [shear_mm, 0.0], twist_rad } }
+}
+
+/// A ball and a peg on the default sensor behind lenses that distort, and a board behind layers, with every effect.
+fn typical() -> [(&'static str, Scene); 3] {
+    let effects = Effects {
+        misprint: Some(Misprint { shift_mm: 0.04, radius_share: 0.15, ..Misprint::default() }),
+        specks: Some(Specks::default()),
+        grain: Some(Grain::default()),
+        uneven_light: Some(UnevenLight::default()),
+        smears: Some(Smears { random: 8, ..Smears::default() }),
+        defocus: Some(Defocus::default()),
+        sensor_noise: Some(SensorNoise::default()),
+        ..Effects::of_gel()
+    };
+    let mut plain = Scene { frame_rate_hz: 2.0, effects: effects.clone(), ..Scene::default() };
+    for camera in [&mut plain.rig.left, &mut plain.rig.right] {
+        camera.distortion = [-0.2, 0.05, 0.001, -0.001, 0.0];
+    }
+    let ball = Scene {
+        indenter: Some(Shape::Sphere { radius_mm: 4.0 }),
+        trajectory: vec![keyframe(0.0, [4.0, 0.0, 31.2], 0.0, 0.0, 0.0)],
+        ..plain.clone()
+    };
+    let lying = core::f64::consts::FRAC_PI_2;
+    let peg = Scene {
+        indenter: Some(Shape::Cylinder { radius_mm: 4.0, length_mm: 20.0 }),
+        trajectory: vec![keyframe(0.0, [4.5, 0.0, 30.7], lying, 0.5, 0.1)],
+        ..plain
+    };
+    let board = Scene {
+        indenter: Some(Shape::Board { size_mm: [30.0, 30.0], block_mm: [8.0, 8.0], protrusion_mm: 0.8 }),
+        trajectory: vec![keyframe(0.0, [5.0, 0.0, 28.0], core::f64::consts::PI, 0.0, 0.0)],
+        effects,
+        ..Scene::preset("640x480-25-refraction").unwrap()
+    };
+    [("ball", ball), ("peg", peg), ("board", board)]
+}
+
+/// Bounds are loose where they ask little of a scene, but not without limit: in typical scenes they are at most so many
+/// times what happens. (Manual: the table of effects.)
+#[test]
+fn bounds_are_of_use() {
+    let um = |bound: Bound| bound.um;
+    let px = |bound: Bound| bound.px;
+    let levels = |bound: Bound| bound.levels;
+    let factors: [(&str, fn(Bound) -> f64, f64); 13] = [
+        ("shoulder", um, 10.0),
+        ("spread", um, 20.0),
+        ("drag", um, 5.0),
+        ("misprint", levels, 2.0),
+        ("specks", levels, 1.1),
+        ("grain", levels, 10.0),
+        ("uneven_light", levels, 2.0),
+        ("smears", levels, 2.0),
+        ("defocus", levels, 6.0),
+        ("sensor_noise", levels, 1.0),
+        ("refraction", px, 1.5),
+        ("lens_distortion", px, 4.0),
+        ("ellipse_bias", px, 600.0),
+    ];
+    for (name, scene) in typical() {
+        let plan = Plan::of(&scene, None).unwrap();
+        for (effect, part, factor) in factors {
+            let Some(entry) = plan.entries.iter().find(|entry| entry.effect == effect) else { continue };
+            let bit = NAMES.iter().position(|&name| name == effect).unwrap();
+            let (bound, found) = (part(entry.bound), part(change(&scene, bit, 0)));
+            assert!(bound <= factor * found, "{name}, {effect}: bound {bound}, found {found}");
+        }
+    }
+}

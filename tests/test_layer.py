@@ -1,0 +1,99 @@
+"""The elastic layer against other people's solvers: finite elements (scikit-fem) and boundary elements (tamaas)."""
+
+from __future__ import annotations
+
+import gelstereo
+import numpy as np
+import numpy.typing as npt
+import pytest
+import tamaas
+from layer_reference import Disc
+from scipy.interpolate import PchipInterpolator
+
+Array = npt.NDArray[np.float64]
+
+
+def cells(count: int, cell_mm: float) -> tuple[Array, Array]:
+    """x and y of every cell, from the grid's middle."""
+    along = (np.arange(count) - 0.5 * (count - 1)) * cell_mm
+    return np.broadcast_to(along, (count, count)), np.broadcast_to(along[:, None], (count, count))
+
+
+def covered(count: int, cell_mm: float, radius: float) -> Array:
+    """Which share of every cell lies within a circle."""
+    fine = 16
+    x, y = cells(count * fine, cell_mm / fine)
+    return (np.hypot(x, y) < radius).reshape(count, fine, count, fine).mean(axis=(1, 3))
+
+
+@pytest.mark.parametrize("poisson_ratio", [0.0, 0.3, 0.48])
+def test_loads_move_the_layer_as_finite_elements_do(poisson_ratio: float) -> None:
+    """Within 1 % of the largest motion, component by component, from the disc's middle to four thicknesses."""
+    count, cell, disc = 120, 0.05, Disc(poisson_ratio, radius=0.5)
+    contact = gelstereo.LayerContact(
+        thickness_mm=1.0, poisson_ratio=poisson_ratio, rows=count, cols=count, cell_mm=cell, friction=1.0
+    )
+    load, none = covered(count, cell, disc.radius), np.zeros((count, count))
+    x, y = cells(count, cell)
+    r, cosine, sine = np.hypot(x, y), x / np.hypot(x, y), y / np.hypot(x, y)
+    # At the rim itself the motion's slope is infinite, and cells are covered in part.
+    beside = np.abs(r - disc.radius) > 2 * cell
+
+    def far_off(found: Array, expected: Array) -> float:
+        return float(np.abs(found - expected)[beside].max())
+
+    distances, amplitudes = disc.motion(mode=0)
+    out, _, up = (PchipInterpolator(distances, amplitude)(r) for amplitude in amplitudes)
+    motion = contact.load(load).motion_mm
+    assert far_off(-motion[..., 2], up) < 0.01 * np.abs(up).max()
+    # Sideways motion is a tenth of that, and right to 2 % of itself.
+    aside = motion[..., 0] * cosine + motion[..., 1] * sine
+    assert far_off(aside, out) < min(0.01 * np.abs(up).max(), 0.02 * np.abs(out).max())
+
+    distances, amplitudes = disc.motion(mode=1)
+    out, about, up = (PchipInterpolator(distances, amplitude)(r) for amplitude in amplitudes)
+    motion = contact.load(none, np.stack((load, none), axis=-1)).motion_mm
+    largest = np.abs(out).max()
+    assert far_off(motion[..., 0], out * cosine**2 + about * sine**2) < 0.01 * largest
+    assert far_off(motion[..., 1], (out - about) * cosine * sine) < 0.01 * largest
+    assert far_off(-motion[..., 2], up * cosine) < 0.01 * largest
+
+
+def test_a_rough_part_on_a_thick_layer_is_tamaas_within_1_percent() -> None:
+    count, cell = 64, 0.05
+    rng = np.random.default_rng(1)
+    x, y = cells(count, cell)
+    heights = 0.05 - (x**2 + y**2) / 16
+    for _ in range(12):
+        wave, phase = rng.uniform(-8, 8, 2), rng.uniform(0, 6.3)
+        heights = heights + 0.002 * np.cos(wave[0] * x + wave[1] * y + phase)
+    contact = gelstereo.LayerContact(
+        thickness_mm=1000.0, poisson_ratio=0.3, rows=count, cols=count, cell_mm=cell
+    )
+    ours = contact.press(heights, tolerance_mm=1e-9)
+    assert ours.converged
+
+    model = tamaas.ModelFactory.createModel(tamaas.model_type.basic_2d, [count * cell] * 2, [count] * 2)
+    model.E, model.nu = 1.0, 0.3
+    tamaas.ModelFactory.registerNonPeriodic(model, "open")
+    solver = tamaas.PolonskyKeerRey(model, np.ascontiguousarray(heights), 1e-12)
+    solver.setIntegralOperator("open")
+    solver.solve(ours.pressure.mean())
+    theirs = np.asarray(model.traction).reshape(count, count)
+    assert 50 < (theirs > 0).sum() < 2000
+    assert np.abs(ours.pressure - theirs).max() < 0.01 * theirs.max()
+
+
+def test_a_layer_refuses_what_is_none() -> None:
+    valid = {"thickness_mm": 5.0, "poisson_ratio": 0.48, "rows": 8, "cols": 8, "cell_mm": 0.5}
+    with pytest.raises(gelstereo.LayerError, match=r"poisson_ratio is 0\.6; valid is 0 to 0\.5"):
+        gelstereo.LayerContact(**{**valid, "poisson_ratio": 0.6})
+    contact = gelstereo.LayerContact(**valid)
+    with pytest.raises(gelstereo.LayerError, match="64 cells"):
+        contact.press(np.zeros((8, 7)))
+    with pytest.raises(gelstereo.LayerError, match="64 cells"):
+        contact.load(np.zeros((8, 8)), np.zeros((8, 7, 2)))
+    with pytest.raises(gelstereo.ShapeError, match="odd"):
+        contact.press(np.zeros((8, 8)), np.zeros(3))
+    with pytest.raises(gelstereo.LayerError, match="heights_mm is NaN"):
+        contact.press(np.full((8, 8), np.nan))
