@@ -6,7 +6,7 @@ use gelstereo_core::camera::{Camera, Layer, Layers};
 use gelstereo_core::math::{DVec2, DVec3, Pose, so3};
 use gelstereo_core::rig::Rig;
 use gelstereo_sim::effects::{
-    Defocus, Drag, Grain, Misprint, SensorNoise, Shoulder, Smears, Specks, Spread, UnevenLight,
+    Defocus, Drag, ElasticLayer, Grain, Misprint, SensorNoise, Shoulder, Smears, Specks, Spread, UnevenLight,
 };
 use gelstereo_sim::plan::Bound;
 use gelstereo_sim::{
@@ -58,7 +58,7 @@ fn apart(rig: &Rig, a: &Seen, b: &Seen) -> Bound {
     Bound { px: largest(px), um: largest(um), levels: largest(levels) }
 }
 
-const NAMES: [&str; 13] = [
+const NAMES: [&str; 14] = [
     "shoulder",
     "spread",
     "drag",
@@ -72,6 +72,7 @@ const NAMES: [&str; 13] = [
     "refraction",
     "lens_distortion",
     "ellipse_bias",
+    "elastic_layer",
 ];
 
 /// A scene whose effects of these bits are off.
@@ -92,6 +93,7 @@ fn switched(scene: &Scene, off: u32) -> Scene {
         &mut s.refraction,
         &mut s.lens_distortion,
         &mut s.ellipse_bias,
+        &mut s.elastic_layer,
     ];
     for (bit, switch) in all.into_iter().enumerate() {
         if off >> bit & 1 == 1 {
@@ -176,6 +178,15 @@ fn size(most: f64) -> impl Strategy<Value = f64> {
 
 fn effects() -> impl Strategy<Value = Effects> {
     let gel = (
+        // The elastic layer stands for the three below.
+        prop::option::weighted(
+            0.2,
+            (0.0..0.5_f64, 0.0..2.0_f64).prop_map(|(poisson_ratio, friction)| ElasticLayer {
+                poisson_ratio,
+                friction,
+                ..ElasticLayer::default()
+            }),
+        ),
         prop::option::of((0.05..1.5_f64).prop_map(|decay_thicknesses| Shoulder { decay_thicknesses })),
         prop::option::of(
             (size(1.0), 0.3..3.0_f64)
@@ -212,12 +223,14 @@ fn effects() -> impl Strategy<Value = Effects> {
         prop::option::of((0.1..2.0_f64).prop_map(|sigma_px| Defocus { sigma_px })),
         prop::option::of(size(10.0).prop_map(|sigma_levels| SensorNoise { sigma_levels })),
     );
-    (gel, image).prop_map(|((shoulder, spread, drag, misprint, specks), image)| {
+    (gel, image).prop_map(|((elastic_layer, shoulder, spread, drag, misprint, specks), image)| {
+        let beside = elastic_layer.is_none();
         let (grain, uneven_light, smears, defocus, sensor_noise) = image;
         Effects {
-            shoulder,
-            spread,
-            drag,
+            elastic_layer,
+            shoulder: shoulder.filter(|_| beside),
+            spread: spread.filter(|_| beside),
+            drag: drag.filter(|_| beside),
             misprint,
             specks,
             grain,
@@ -262,7 +275,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(150))]
 
     #[test]
-    fn no_effect_changes_more_than_its_bound(scene in scenes(), effect in 0..NAMES.len(), off in 0..1_u32 << 13) {
+    fn no_effect_changes_more_than_its_bound(scene in scenes(), effect in 0..NAMES.len(), off in 0..1_u32 << 14) {
         let plan = Plan::of(&scene, None).unwrap();
         let name = NAMES[effect];
         if let Some(entry) = plan.entries.iter().find(|entry| entry.effect == name) {

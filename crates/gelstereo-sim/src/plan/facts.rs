@@ -29,6 +29,8 @@ pub(crate) struct Touch {
     pub(crate) steepness: f64,
     /// Longest distance between two points of the part's section with the rest surface.
     pub(crate) span_mm: f64,
+    /// Area of that section, at most.
+    pub(crate) footprint_mm2: f64,
     /// The part's shear.
     pub(crate) shear_mm: f64,
     /// The part's twist.
@@ -188,10 +190,14 @@ impl Touch {
         let all = scene.trajectory.iter().map(|k| k.contact);
         let shear = all.clone().map(|c| DVec2::from_array(c.shear_mm).length()).fold(0.0, f64::max);
         let twist = all.map(|c| c.twist_rad.abs()).fold(0.0, f64::max);
+        let span_mm = span_mm.min(DVec2::new(side(gel.rows), side(gel.cols)).length());
         Ok(Self {
             depth_mm,
             steepness,
-            span_mm: span_mm.min(DVec2::new(side(gel.rows), side(gel.cols)).length()),
+            span_mm,
+            // Of all shapes of that span a disc has the largest area.
+            footprint_mm2: (0.25 * core::f64::consts::PI * span_mm * span_mm)
+                .min(side(gel.rows) * side(gel.cols)),
             // Without a trajectory any contact may come.
             shear_mm: if scene.trajectory.is_empty() { f64::INFINITY } else { shear },
             twist_rad: if scene.trajectory.is_empty() { f64::INFINITY } else { twist },
