@@ -272,7 +272,7 @@ fn change(scene: &Scene, effect: usize, off: u32) -> Bound {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(150))]
+    #![proptest_config(ProptestConfig::with_cases(120))]
 
     #[test]
     fn no_effect_changes_more_than_its_bound(scene in scenes(), effect in 0..NAMES.len(), off in 0..1_u32 << 14) {
@@ -314,8 +314,9 @@ fn keyframe(time_s: f64, at_mm: [f64; 3], turn_rad: f64, shear_mm: f64, twist_ra
     Keyframe { time_s, contact: ContactState { t_sensor_object, shear_mm: [shear_mm, 0.0], twist_rad } }
 }
 
-/// A ball and a peg on the default sensor behind lenses that distort, and a board behind layers, with every effect.
-fn typical() -> [(&'static str, Scene); 3] {
+/// A ball and a peg on the default sensor behind lenses that distort, and a board behind layers, with every effect; and the
+/// peg on an elastic layer.
+fn typical() -> [(&'static str, Scene); 4] {
     let effects = Effects {
         misprint: Some(Misprint { shift_mm: 0.04, radius_share: 0.15, ..Misprint::default() }),
         specks: Some(Specks::default()),
@@ -347,7 +348,9 @@ fn typical() -> [(&'static str, Scene); 3] {
         effects,
         ..Scene::preset("640x480-25-refraction").unwrap()
     };
-    [("ball", ball), ("peg", peg), ("board", board)]
+    let layer = Effects { elastic_layer: Some(ElasticLayer::default()), ..Effects::default() };
+    let layer = Scene { effects: layer, ..peg.clone() };
+    [("ball", ball), ("peg", peg), ("board", board), ("peg on a layer", layer)]
 }
 
 /// Bounds are loose where they ask little of a scene, but not without limit: in typical scenes they are at most so many
@@ -357,10 +360,11 @@ fn bounds_are_of_use() {
     let um = |bound: Bound| bound.um;
     let px = |bound: Bound| bound.px;
     let levels = |bound: Bound| bound.levels;
-    let factors: [(&str, fn(Bound) -> f64, f64); 13] = [
+    let factors: [(&str, fn(Bound) -> f64, f64); 14] = [
         ("shoulder", um, 10.0),
         ("spread", um, 20.0),
         ("drag", um, 5.0),
+        ("elastic_layer", um, 10.0),
         ("misprint", levels, 2.0),
         ("specks", levels, 1.1),
         ("grain", levels, 10.0),

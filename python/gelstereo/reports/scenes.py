@@ -55,7 +55,7 @@ def digest(frames: Sequence[SimulatedFrame]) -> str:
     value = 0
     for frame in frames:
         for image in (frame.left, frame.right):
-            value = zlib.crc32(np.ascontiguousarray(image), value)
+            value = zlib.crc32(image.tobytes(), value)
     return f"{value:08x}"
 
 
@@ -95,7 +95,14 @@ def _section(exhibit: Exhibit) -> str:
     plan = exhibit.simulator.plan
     on = ", ".join(effect.name for effect in plan.effects if effect.on)
     off = ", ".join(effect.name for effect in plan.effects if not effect.on)
-    lines = [f"## {exhibit.name}", "", exhibit.text, "", f"![{exhibit.name}](pictures/scene-{exhibit.name}.jpg)", ""]
+    lines = [
+        f"## {exhibit.name}",
+        "",
+        exhibit.text,
+        "",
+        f"![{exhibit.name}](pictures/scene-{exhibit.name}.jpg)",
+        "",
+    ]
     lines.append(f"Computed: {on or 'nothing but the imprint'}." + (f" Off: {off}." if off else ""))
     return "\n".join(lines)
 
@@ -113,7 +120,9 @@ def _rows(exhibits: Sequence[Exhibit]) -> list[list[str]]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the page and its pictures; the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--scenes", type=Path, default=Path("scenes"), help="folder of scene files")
     parser.add_argument("--page", type=Path, default=Path("docs/scenes.md"), help="page to fill")
     parser.add_argument("--check", action="store_true", help="compare digests with the page's, write nothing")

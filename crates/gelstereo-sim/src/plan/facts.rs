@@ -1,7 +1,6 @@
 //! What a scene's numbers say before anything is simulated.
 
 use crate::plan::Bound;
-use crate::render::FINE;
 use crate::scene::{Scene, SceneError};
 use crate::shapes::Shape;
 use gelstereo_core::camera::Camera;
@@ -74,12 +73,6 @@ impl<'a> Facts<'a> {
     pub(crate) fn pixels(&self) -> f64 {
         let Rig { left, right, .. } = &self.scene.rig;
         [left, right].map(|camera| (camera.width_px * camera.height_px) as f64).iter().sum()
-    }
-
-    /// Canvas pixels per pixel.
-    pub(crate) fn fineness(&self) -> f64 {
-        let fine = if self.scene.effects.defocus.is_some() { FINE } else { 1 };
-        (fine * fine) as f64
     }
 
     /// Time to relax a field over the lattice: about 13 sweeps for every pitch of decay length.

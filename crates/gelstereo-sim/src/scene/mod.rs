@@ -26,6 +26,8 @@ pub struct Scene {
     pub seed: u64,
     /// Frames per second. Default: `30`.
     pub frame_rate_hz: f64,
+    /// How images are drawn. Default: `fast`.
+    pub images: Images,
     /// Default: [`Scene::default_rig`].
     pub rig: Rig,
     /// The gel and its lattice.
@@ -50,6 +52,7 @@ impl Default for Scene {
         Self {
             seed: 1,
             frame_rate_hz: 30.0,
+            images: Images::default(),
             rig: Self::default_rig(),
             gel: Gel::default(),
             indenter: None,
@@ -60,6 +63,17 @@ impl Default for Scene {
             gel_motion: Vec::new(),
         }
     }
+}
+
+/// How images of blurred dots are drawn: the rungs of one ladder.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
+pub enum Images {
+    /// Line integrals in closed form within every dot's window.
+    #[default]
+    Fast,
+    /// On a canvas of eight by eight fine pixels to a pixel, filtered by the lens: the reference, some hundred times as slow.
+    Exact,
 }
 
 /// The gel and its lattice, seen from the left camera: a plane at z = `surface_mm`, facing the camera.
