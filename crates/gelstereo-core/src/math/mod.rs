@@ -12,7 +12,7 @@ pub mod so3;
 pub(crate) use exp::exp_nonpositive;
 pub use glam::{DMat3, DQuat, DVec2, DVec3};
 pub use libm::{
-    acos, asin, atan2, cbrt, ceil, cos, erf, exp, fabs as abs, floor, hypot, log as ln, log1p, pow,
+    acos, asin, atan2, cbrt, ceil, cos, erf, exp, fabs as abs, floor, hypot, j1, log as ln, log1p, pow,
     rint as round_even, round, sin, sqrt, tan,
 };
 pub use se3::Pose;
