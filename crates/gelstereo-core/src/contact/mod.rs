@@ -3,10 +3,13 @@
 mod decay;
 mod kriging;
 mod pressure;
+mod quick;
 mod slips;
+mod stencils;
 
 pub use decay::{Decay, DecayFit};
 pub use pressure::Pressure;
+pub use quick::QuickPressure;
 pub use slips::LabelSlips;
 
 use crate::math::linalg::{Symmetric, eigen};

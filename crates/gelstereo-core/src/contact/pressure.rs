@@ -12,41 +12,33 @@
 //! around contacts, are predicted anew.
 
 use super::kriging::{Covariances, Kriging, REACH, SIDE, WINDOW};
+use super::stencils::{Regions, Stencils};
 use super::{ContactError, RestSurface};
 use crate::math::sqrt;
 use crate::track::MarkerState;
 use alloc::vec::Vec;
 
 /// What a marker in contact costs, in units of squared standard deviations: by this much must its pressure stand out.
-const COST: f64 = 2.0;
+pub(super) const COST: f64 = 2.0;
 /// What a pair of neighbours costs of which one is in contact.
-const EDGE_COST: f64 = 3.0;
-/// Squared standard deviations beyond `WEAK` that a region must show in all; by chance one marker in a million shows 4.75
-/// standard deviations.
-const SURE: f64 = 18.5;
-/// Squared standard deviations of a marker that say nothing about its region.
-const WEAK: f64 = 4.0;
+pub(super) const EDGE_COST: f64 = 3.0;
 /// Standard deviations of the plain stencil from which a marker is taken to be in contact at first.
-const START: f64 = 4.0;
+pub(super) const START: f64 = 4.0;
 /// A marker that keeps changing stays as it is: the windows make the energy approximate, so that there can be cycles.
 const MOST_CHANGES: u8 = 4;
 /// Variance of a height that was not measured, mm²: as good as unknown, and still 10 digits above round-off.
 const UNKNOWN_MM2: f64 = 100.0;
 /// Standard deviation below which no height is believed to be, mm: a nanometre.
-const LEAST_SIGMA_MM: f64 = 1e-6;
+pub(super) const LEAST_SIGMA_MM: f64 = 1e-6;
 
 /// Standard deviations of a marker's pressure, as if all around were free, from which one far from any contact is judged:
 /// fewer than a change of its label takes (3.7), since for this the variances are taken as equal.
-const SCREEN: f64 = 3.3;
+pub(super) const SCREEN: f64 = 3.3;
 
 /// Finds the markers in contact by the pressure of the gel; scratch is kept from frame to frame.
 #[derive(Clone, Debug, Default)]
 pub struct Pressure {
-    rows: usize,
-    cols: usize,
-    decay_mm: f64,
-    /// Weights of p = h - l² Δh: the marker, left, right, up, down; 0 where there is none.
-    stencils: Vec<[f64; 5]>,
+    stencils: Stencils,
     /// Filters of the pressures, for a contact far away.
     filters: Vec<Filter>,
     variance_mm2: Vec<f64>,
@@ -57,7 +49,7 @@ pub struct Pressure {
     gain: Vec<f64>,
     stale: Vec<bool>,
     changes: Vec<u8>,
-    region: Vec<u32>,
+    regions: Regions,
 }
 
 /// A marker's pressure less what the pressures around say of its noise, if all are free and measured equally well. It only
@@ -77,30 +69,11 @@ impl Pressure {
     /// [`ContactError::LengthMismatch`] when the rest surface has not `rows * cols` markers, [`ContactError::Decay`] for what
     /// is no length.
     pub fn new(rest: &RestSurface, rows: usize, cols: usize, decay_mm: f64) -> Result<Self, ContactError> {
-        let points = rest.points_mm();
-        if rows.checked_mul(cols) != Some(points.len()) {
-            return Err(ContactError::LengthMismatch {
-                rest: points.len(),
-                found: rows.saturating_mul(cols),
-            });
-        }
-        if !(1e-3..=1e3).contains(&decay_mm) {
-            return Err(ContactError::Decay { found_mm: decay_mm });
-        }
-        let l2 = decay_mm * decay_mm;
-        let stencil = |i: usize| {
-            let (row, col) = (i / cols, i % cols);
-            let apart = |exists: bool, j: usize| exists.then(|| points[i].distance(points[j]));
-            let [left, right] =
-                second_difference(apart(col > 0, i.wrapping_sub(1)), apart(col + 1 < cols, i + 1));
-            let [up, down] =
-                second_difference(apart(row > 0, i.wrapping_sub(cols)), apart(row + 1 < rows, i + cols));
-            [1.0 + l2 * (left + right + up + down), -l2 * left, -l2 * right, -l2 * up, -l2 * down]
-        };
-        let stencils = (0..points.len()).map(stencil).collect();
-        let mut pressure = Self { rows, cols, decay_mm, stencils, ..Self::default() };
-        pressure.covariances.measure(cols, &pressure.stencils, &alloc::vec![1.0; points.len()]);
-        pressure.filters = (0..points.len()).map(|i| pressure.filter(i)).collect();
+        let stencils = Stencils::new(rest, rows, cols, decay_mm)?;
+        let mut pressure = Self { stencils, ..Self::default() };
+        let weights = &pressure.stencils.weights;
+        pressure.covariances.measure(cols, weights, &alloc::vec![1.0; weights.len()]);
+        pressure.filters = (0..pressure.len()).map(|i| pressure.filter(i)).collect();
         Ok(pressure)
     }
 
@@ -137,7 +110,8 @@ impl Pressure {
         out.extend((0..self.len()).map(|i| self.pressure_mm[i] > START * sqrt(self.covariances.variance(i))));
         self.choose(out);
         self.settle(out);
-        self.drop_unsure(out);
+        let Self { regions, stencils, evidence, .. } = self;
+        regions.drop_unsure(stencils, evidence, out);
         for (salient, &state) in out.iter_mut().zip(state) {
             *salient &= state == MarkerState::Seen;
         }
@@ -153,7 +127,7 @@ impl Pressure {
     /// The decay length it was made for.
     #[must_use]
     pub const fn decay_mm(&self) -> f64 {
-        self.decay_mm
+        self.stencils.decay_mm
     }
 
     /// Variances of the heights of the last run, mm²; of a marker that was not seen, as good as unknown.
@@ -162,7 +136,7 @@ impl Pressure {
     }
 
     fn len(&self) -> usize {
-        self.stencils.len()
+        self.stencils.weights.len()
     }
 
     fn check(&self, indentation_mm: &[f64], state: &[MarkerState]) -> Result<(), ContactError> {
@@ -183,8 +157,7 @@ impl Pressure {
 
     /// The stencil's marker, left, right, upper and lower neighbour, with their weights.
     pub(super) fn taps(&self, i: usize) -> impl Iterator<Item = (usize, f64)> {
-        let places = [i, i.wrapping_sub(1), i + 1, i.wrapping_sub(self.cols), i + self.cols];
-        places.into_iter().zip(self.stencils[i]).filter(|&(_, weight)| weight != 0.0)
+        self.stencils.taps(i)
     }
 
     /// Pressures, and the covariances of their noise.
@@ -195,22 +168,18 @@ impl Pressure {
         pressure_mm.clear();
         pressure_mm.extend((0..self.len()).map(|i| self.taps(i).map(|(k, w)| w * height(k)).sum::<f64>()));
         self.pressure_mm = pressure_mm;
-        self.covariances.measure(self.cols, &self.stencils, &self.variance_mm2);
+        self.covariances.measure(self.stencils.cols, &self.stencils.weights, &self.variance_mm2);
     }
 
     /// Where marker `j` stands in the window about marker `i`.
     fn slot(&self, i: usize, j: usize) -> usize {
-        let row = j / self.cols + REACH - i / self.cols;
-        let col = j % self.cols + REACH - i % self.cols;
-        row * SIDE + col
+        let cols = self.stencils.cols;
+        (j / cols + REACH - i / cols) * SIDE + j % cols + REACH - i % cols
     }
 
     /// Rows and columns of the window about a marker.
     pub(super) fn window(&self, i: usize, reach: usize) -> impl Iterator<Item = usize> + use<> {
-        let (row, col, cols) = (i / self.cols, i % self.cols, self.cols);
-        let across = col.saturating_sub(reach)..(col + reach + 1).min(self.cols);
-        let down = row.saturating_sub(reach)..(row + reach + 1).min(self.rows);
-        down.flat_map(move |r| across.clone().map(move |c| r * cols + c))
+        self.stencils.window(i, reach)
     }
 
     /// Marks the markers to judge: those beside the other label, and far from contacts those that the filter does not
@@ -229,9 +198,8 @@ impl Pressure {
     /// Whether the pressures around, all free, leave something unexplained.
     fn stands_out(&self, i: usize) -> bool {
         let filter = &self.filters[i];
-        let (row, col, cols) = (i / self.cols, i % self.cols, self.cols);
-        let inside = |at: usize, end: usize| at >= REACH && at + REACH < end;
-        let value: f64 = if inside(row, self.rows) && inside(col, cols) {
+        let cols = self.stencils.cols;
+        let value: f64 = if self.stencils.is_inside(i, REACH) {
             let start = i - REACH * cols - REACH;
             let rows = filter.weights.chunks_exact(SIDE).enumerate();
             let row = |(r, weights): (usize, &[f32])| {
@@ -296,47 +264,5 @@ impl Pressure {
         self.evidence[i] = evidence;
         let gain = if contact[i] { -score } else { score };
         self.gain[i] = if self.changes[i] < MOST_CHANGES { gain } else { 0.0 };
-    }
-
-    /// Takes away regions (of 8-connected markers) that could be chance.
-    fn drop_unsure(&mut self, contact: &mut [bool]) {
-        self.region.clear();
-        self.region.reserve(contact.len());
-        self.stale.clear();
-        self.stale.resize(contact.len(), false);
-        for seed in 0..contact.len() {
-            if !contact[seed] || self.stale[seed] {
-                continue;
-            }
-            self.region.clear();
-            self.region.push(seed as u32);
-            self.stale[seed] = true;
-            let (mut next, mut excess) = (0, 0.0);
-            while next < self.region.len() {
-                let i = self.region[next] as usize;
-                next += 1;
-                excess += (self.evidence[i] - WEAK).max(0.0);
-                for j in self.window(i, 1) {
-                    if contact[j] && !self.stale[j] {
-                        self.stale[j] = true;
-                        self.region.push(j as u32);
-                    }
-                }
-            }
-            if excess < SURE {
-                self.region.iter().for_each(|&i| contact[i as usize] = false);
-            }
-        }
-    }
-}
-
-/// Weights of the neighbours at these distances in a second difference; beyond the border the surface goes on as its
-/// mirror image.
-fn second_difference(before: Option<f64>, after: Option<f64>) -> [f64; 2] {
-    match (before, after) {
-        (Some(a), Some(b)) => [2.0 / (a * (a + b)), 2.0 / (b * (a + b))],
-        (Some(a), None) => [1.0 / (a * a), 0.0],
-        (None, Some(b)) => [0.0, 1.0 / (b * b)],
-        (None, None) => [0.0; 2],
     }
 }

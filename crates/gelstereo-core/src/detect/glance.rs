@@ -115,6 +115,8 @@ pub struct Spot {
     pub centre_px: DVec2,
     /// Pixels darker than half way.
     pub area_px2: u32,
+    /// Contrast over which a pixel's weight grows, grey levels.
+    pub band: u8,
 }
 
 /// What a window shows.
@@ -143,6 +145,14 @@ struct Gel {
     uneven: i32,
     /// Contrast of the darkest pixel, with [`BITS`].
     depth: i32,
+}
+
+impl Gel {
+    /// Contrast from which weights begin, with [`BITS`], and over which they grow, grey levels.
+    fn band(&self) -> (i32, u8) {
+        let share = |share: f64| (share * f64::from(self.depth)) as i32;
+        (share(BAND.0), (share(BAND.1 - BAND.0) >> BITS).clamp(1, 255) as u8)
+    }
 }
 
 /// Where a window lies.
@@ -269,6 +279,7 @@ struct Outline {
     spread_px2: f64,
     /// Something reaches the window's outermost pixels.
     touches: bool,
+    band: u8,
 }
 
 impl<const L: usize> Weights<L> {
@@ -282,6 +293,7 @@ impl<const L: usize> Weights<L> {
             area_px2: f64::from(sum) / f64::from(band),
             spread_px2: variance_x + variance_y,
             touches: rim.into_iter().any(|sum| sum > u16::from(band)),
+            band,
         }
     }
 }
@@ -354,17 +366,76 @@ impl<const L: usize> Eye<L> {
         }
     }
 
-    /// Centre of the marker about a position, if it lies whole in a window around it.
+    /// Centre of the marker about a position, if it lies whole in a window around it, and [`Spot::band`].
     #[must_use]
-    pub fn centre(&self, image: GrayView<'_>, at_px: DVec2) -> Option<DVec2> {
+    pub fn centre(&self, image: GrayView<'_>, at_px: DVec2) -> Option<(DVec2, u8)> {
         match self.settle(&image, at_px, 1) {
             Settled::At(gel, outline)
                 if !outline.touches && f64::from(gel.uneven) < MOST_UNEVEN * f64::from(gel.depth) =>
             {
-                Some(outline.centre_px)
+                Some((outline.centre_px, outline.band))
             }
             _ => None,
         }
+    }
+
+    /// How the centre of the marker about a position answers to the pixels of its window, px per grey level: those of the edge
+    /// by their weights, those of the corners by the plane of the gel. Places are whole pixels from the window's middle. Gives
+    /// [`Spot::band`] and the gel's level.
+    pub(super) fn influence(
+        &self,
+        image: GrayView<'_>,
+        at_px: DVec2,
+        mut each: impl FnMut([i32; 2], DVec2),
+    ) -> Option<(u8, f64)> {
+        let (place, gel) = self.gel(&image, self.centre(image, at_px)?.0)?;
+        let (low, band) = gel.band();
+        let (unit, high) = (f64::from(1 << BITS), f64::from(band));
+        let (side, corner) = (place.side, self.kind.corner_px());
+        let middle = 0.5 * (side as f64 - 1.0);
+        let (along, down) = (f64::from(gel.along) / 256.0, f64::from(gel.down) / 256.0);
+        let pixels = || {
+            let rows = (0..).zip(image.lanes::<L>(place.begin, place.first.1).take(side));
+            rows.flat_map(|(y, row)| (0..side).map(move |x| (x, y, row[place.lane() + x] ^ self.flip)))
+        };
+        let from_middle = |x: usize, y: usize| DVec2::new(x as f64 - middle, y as f64 - middle);
+        let weight = |at: DVec2, level: u8| {
+            let gel_level = f64::from(gel.level - low) / unit + along * at.x + down * at.y;
+            (gel_level - f64::from(level)).clamp(0.0, high)
+        };
+        let (mut sum, mut centre) = (0.0, DVec2::ZERO);
+        for (x, y, level) in pixels() {
+            let w = weight(from_middle(x, y), level);
+            (sum, centre) = (sum + w, centre + from_middle(x, y) * w);
+        }
+        centre /= sum;
+        let edge = |at: DVec2, level: u8| {
+            let w = weight(at, level);
+            if w > 0.0 && w < high { (at - centre) / sum } else { DVec2::ZERO }
+        };
+        // What the plane's level and slopes move the centre by.
+        let mut plane = [DVec2::ZERO; 3];
+        for (x, y, level) in pixels() {
+            let at = from_middle(x, y);
+            let answer = edge(at, level);
+            plane = [plane[0] + answer, plane[1] + answer * at.x, plane[2] + answer * at.y];
+        }
+        let area = (corner * corner) as f64;
+        let (level_share, slope_share) = (0.25 / area, 0.5 / (area * (side - corner) as f64));
+        let end = |at: usize| match at {
+            at if at < corner => Some(-slope_share),
+            at if at + corner >= side => Some(slope_share),
+            _ => None,
+        };
+        for (x, y, level) in pixels() {
+            let mut answer = -edge(from_middle(x, y), level);
+            if let (Some(slope_x), Some(slope_y)) = (end(x), end(y)) {
+                answer += plane[0] * level_share + plane[1] * slope_x + plane[2] * slope_y;
+            }
+            let half = side as i32 / 2;
+            each([x as i32 - half, y as i32 - half], answer);
+        }
+        Some((band, f64::from(gel.level) / unit))
     }
 
     /// Moves the window until what it shows lies in its middle.
@@ -375,9 +446,8 @@ impl<const L: usize> Eye<L> {
             if gel.depth < least_depth {
                 return Settled::Nothing;
             }
-            let share = |share: f64| (share * f64::from(gel.depth)) as i32;
-            let band = (share(BAND.1 - BAND.0) >> BITS).clamp(1, 255) as u8;
-            let outline = place.weigh(image, &gel, (share(BAND.0), band), self.flip).outline(&place, band);
+            let (low, band) = gel.band();
+            let outline = place.weigh(image, &gel, (low, band), self.flip).outline(&place, band);
             if (outline.centre_px - place.middle_px()).abs().max_element() <= OFF_PX {
                 return Settled::At(gel, outline);
             }
@@ -395,7 +465,7 @@ impl<const L: usize> Eye<L> {
         } else if area_px2 < least_px2 {
             Glance::Nothing
         } else {
-            Glance::Marker(Spot { centre_px: outline.centre_px, area_px2 })
+            Glance::Marker(Spot { centre_px: outline.centre_px, area_px2, band: outline.band })
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Finding markers in one image (section III-A): what differs from its surround by enough, in one piece, of a
 //! plausible size, with its centre.
 
+mod band;
 pub mod blocks;
 pub mod blur;
 pub mod centre;
@@ -26,10 +27,11 @@ use crate::math::linalg::Symmetric;
 use crate::params::{Centre, DetectParams, Threshold};
 use alloc::vec;
 use alloc::vec::Vec;
+use band::BandNoise;
 use centre::GreyCentre;
 use components::{Blob, Components, Most};
 use difference::Difference;
-use fit::{DiscFit, NoiseMeter};
+use fit::{CLEARANCE_PX, DiscFit, NoiseMeter};
 use glance::{Eye, Kind};
 use matched::Matched;
 use morphology::Closing;
@@ -114,6 +116,9 @@ pub struct Detector {
     grey_centre: GreyCentre,
     disc_fit: Option<DiscFit>,
     matched: Matched,
+    band_noise: Option<BandNoise>,
+    /// Of each marker that was seen at a glance, [`Spot::band`](glance::Spot::band); else 0.
+    bands: Vec<u8>,
     meter: NoiseMeter,
     size_px: (usize, usize),
     mask: Vec<u8>,
@@ -134,6 +139,8 @@ impl Detector {
             grey_centre: GreyCentre::default(),
             disc_fit: (params.centre == Centre::Fit).then(|| DiscFit::new(params)),
             matched: Matched::new(params),
+            band_noise: (params.centre == Centre::Band).then(BandNoise::new),
+            bands: Vec::new(),
             meter: NoiseMeter::default(),
             size_px: (0, 0),
             mask: Vec::new(),
@@ -143,10 +150,13 @@ impl Detector {
         }
     }
 
-    /// Forgets what was learned of earlier images (the weights of [`Centre::Matched`]), so that the next one has the same
+    /// Forgets what was learned of earlier images (the weights of [`Centre::Matched`], the noise of [`Centre::Band`]), so that the next one has the same
     /// bits as a first one.
     pub fn reset(&mut self) {
         self.matched.forget();
+        if let Some(noise) = &mut self.band_noise {
+            noise.forget();
+        }
     }
 
     /// Finds the markers; `out` is cleared first. No allocation after the first image of a size.
@@ -161,8 +171,19 @@ impl Detector {
         self.check(image)?;
         self.find_components(image)?;
         let flip = self.flip();
-        let Self { params, difference, components, grey_centre, disc_fit, matched, meter, areas_px2, .. } =
-            self;
+        let Self {
+            params,
+            difference,
+            components,
+            grey_centre,
+            disc_fit,
+            matched,
+            band_noise,
+            bands,
+            meter,
+            areas_px2,
+            ..
+        } = self;
         let most = most_markers(params, (image.width(), image.height()));
         // Along the border every second pixel at most begins a marker.
         out.reserve(most, most.min(image.width() + image.height()));
@@ -188,16 +209,34 @@ impl Detector {
             kind if kind.is_small() => Eye::<16>::new(kind, flip).centre(image, at_px),
             kind => Eye::<32>::new(kind, flip).centre(image, at_px),
         };
+        bands.clear();
+        bands.reserve(most);
         for blob in whole.clone().filter(in_range) {
             let mut grey = || grey_centre.run(image, blob, components.runs(blob), params.polarity);
-            let centre_px = match params.centre {
-                Centre::Binary | Centre::Matched => centre::binary(blob),
-                Centre::Band => at_a_glance(centre::binary(blob)).unwrap_or_else(grey),
-                Centre::Grey | Centre::Fit => grey(),
+            let (centre_px, band) = match params.centre {
+                Centre::Binary | Centre::Matched => (centre::binary(blob), 0),
+                Centre::Band => at_a_glance(centre::binary(blob)).unwrap_or_else(|| (grey(), 0)),
+                Centre::Grey | Centre::Fit => (grey(), 0),
             };
+            bands.push(band);
             out.push(centre_px, [[variance, 0.0], [0.0, variance]], blob.area_px2);
             if let Some(fit) = disc_fit.as_mut() {
                 fit.add(centre_px, blob.spread_px2(components.runs(blob)));
+            }
+        }
+        if let (Some(band_noise), Some(kind)) = (band_noise, kind) {
+            let every = SPARSER * rows_between(size_px.1);
+            let noise = meter.run_rows(image, every, CLEARANCE_PX, |rows, near| components.cover(rows, near));
+            let noise = noise.unwrap_or_default();
+            if kind.is_small() {
+                band_noise.learn(image, &Eye::<16>::new(kind, flip), &noise, &out.centres_px);
+            } else {
+                band_noise.learn(image, &Eye::<32>::new(kind, flip), &noise, &out.centres_px);
+            }
+            for (covariance, &band) in out.covariance_px2.iter_mut().zip(&*bands) {
+                if let Some(variance) = band_noise.variance_px2(band) {
+                    *covariance = [[variance, 0.0], [0.0, variance]];
+                }
             }
         }
         if let Some(fit) = disc_fit {
@@ -208,7 +247,7 @@ impl Detector {
         }
         if params.centre == Centre::Matched {
             let every = rows_between(size_px.1);
-            let noise = meter.run_rows(image, every, |rows, near| components.cover(rows, near));
+            let noise = meter.run_rows(image, every, CLEARANCE_PX, |rows, near| components.cover(rows, near));
             matched.prepare(image, noise.unwrap_or_default(), out);
             grey_centre.reserve(image.height());
             for (k, blob) in whole.filter(in_range).enumerate() {
@@ -308,6 +347,9 @@ pub fn most_markers(params: &DetectParams, size_px: (usize, usize)) -> usize {
 
 /// Rows from which noise is measured, for the matched step.
 const NOISE_ROWS: usize = 80;
+
+/// Rows between those from which it is measured for the covariance of [`Centre::Band`], over that: weights do not follow it.
+const SPARSER: usize = 2;
 
 const fn rows_between(height: usize) -> usize {
     if height < 2 * NOISE_ROWS { 1 } else { height / NOISE_ROWS }

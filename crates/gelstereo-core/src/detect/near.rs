@@ -1,5 +1,6 @@
 //! Markers near expected positions: what a tracker asks for.
 
+use super::fit::CLEARANCE_PX;
 use super::pieces::Pieces;
 use super::{DetectError, Detector, Markers, area_range_px2, centre, in_shape, rows_between, usual_area_px2};
 use crate::image::GrayView;
@@ -154,7 +155,7 @@ impl Detector {
         markers: &mut Markers,
     ) {
         let size_px = (image.width(), image.height());
-        let noise = self.meter.run(image, &self.mask, rows_between(size_px.1));
+        let noise = self.meter.run(image, &self.mask, rows_between(size_px.1), CLEARANCE_PX);
         self.matched.prepare(image, noise.unwrap_or_default(), markers);
         self.grey_centre.reserve(image.height());
         for k in 0..markers.centres_px.len() {

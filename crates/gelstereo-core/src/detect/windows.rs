@@ -1,7 +1,7 @@
 //! Markers near predicted positions, each by a window of its own: the rest of the image is not read.
 
 use super::centre;
-use super::glance::{Eye, Glance, Kind};
+use super::glance::{Eye, Glance, Kind, Spot};
 use super::near::{Found, Sight, Window};
 use super::pieces::Pieces;
 use super::{Detector, in_shape};
@@ -28,6 +28,7 @@ struct Seen {
     position: u32,
     centre_px: DVec2,
     area_px2: u32,
+    band: u8,
     alive: bool,
 }
 
@@ -138,8 +139,8 @@ impl Detector {
             let near = |c: DVec2| (c - at_px).abs().max_element() <= most_off_px;
             out.sights.push(match glance {
                 Glance::Marker(spot) if near(spot.centre_px) => {
-                    let (centre_px, area_px2) = (spot.centre_px, spot.area_px2);
-                    self.glances.seen.push(Seen { position, centre_px, area_px2, alive: true });
+                    let Spot { centre_px, area_px2, band } = spot;
+                    self.glances.seen.push(Seen { position, centre_px, area_px2, band, alive: true });
                     Sight::Unclear
                 }
                 Glance::Nothing => Sight::Nothing,
@@ -186,9 +187,10 @@ impl Detector {
                 if found.is_some() {
                     return Sight::Several;
                 }
-                let fallback = || self.grey_centre.run(image, &blob, pieces.runs().iter(), params.polarity);
-                let centre_px = eye.centre(image, centre::binary(&blob)).unwrap_or_else(fallback);
-                found = Some(Seen { position, centre_px, area_px2: blob.area_px2, alive: true });
+                let fallback =
+                    || (self.grey_centre.run(image, &blob, pieces.runs().iter(), params.polarity), 0);
+                let (centre_px, band) = eye.centre(image, centre::binary(&blob)).unwrap_or_else(fallback);
+                found = Some(Seen { position, centre_px, area_px2: blob.area_px2, band, alive: true });
             }
         }
         seen.extend(found);
@@ -226,8 +228,10 @@ impl Detector {
                 cells[middle] = n as u32 + 1;
             }
         }
-        let variance = self.params.centre_sigma_px * self.params.centre_sigma_px;
+        let typed = self.params.centre_sigma_px * self.params.centre_sigma_px;
+        let noise = self.band_noise.as_ref();
         for marker in seen.iter().filter(|marker| marker.alive) {
+            let variance = noise.and_then(|noise| noise.variance_px2(marker.band)).unwrap_or(typed);
             out.sights[marker.position as usize] = Sight::Marker(out.markers.centres_px.len() as u32);
             out.markers.push(marker.centre_px, [[variance, 0.0], [0.0, variance]], marker.area_px2);
         }

@@ -12,6 +12,9 @@ pub enum Saliency {
     Depth,
     /// The gel carries pressure there, beyond what the measured noise explains: [`Pressure`](crate::contact::Pressure).
     Pressure,
+    /// The same at a tenth of the time, with all heights taken as equally noisy:
+    /// [`QuickPressure`](crate::contact::QuickPressure).
+    PressureQuick,
 }
 
 /// Saliency and the stop triggers.
@@ -24,7 +27,7 @@ pub enum Saliency {
 pub struct ContactParams {
     /// Default: `depth`.
     pub saliency: Saliency,
-    /// Length over which the gel's surface comes back to rest beside a contact, for `saliency = pressure`: half of the gel's
+    /// Length over which the gel's surface comes back to rest beside a contact, for `saliency = pressure` and `pressure_quick`: half of the gel's
     /// thickness is a fair guess. Rather too long than too short: 20 % too short takes half of the shoulder. A few presses of
     /// any part tell it to some percent: [`DecayFit`](crate::contact::DecayFit). Default: `2.5` mm.
     pub decay_mm: f64,

@@ -35,7 +35,7 @@ impl Params {
         let balanced = Self::balanced();
         Self {
             detect: DetectParams { centre: Centre::Band, ..balanced.detect },
-            contact: ContactParams { saliency: Saliency::Depth, ..balanced.contact },
+            contact: ContactParams { saliency: Saliency::PressureQuick, ..balanced.contact },
             register: RegisterParams { method: RegisterMethod::SurfaceClose, ..balanced.register },
             ..balanced
         }

@@ -11,7 +11,7 @@ pub use error::{PipelineError, View};
 pub use frame::{Frame, LabelSource, Searched, Touch, ViewEvidence};
 pub use rest_record::{RestRecord, RestRecordError, RestView};
 
-use crate::contact::{self, LabelSlips, Pressure, RestSurface};
+use crate::contact::{self, LabelSlips, Pressure, QuickPressure, RestSurface};
 use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, DVec3};
@@ -32,6 +32,7 @@ pub struct Pipeline {
     right: ViewStages,
     rest: Option<RestSurface>,
     pressure: Pressure,
+    quick_pressure: QuickPressure,
     rest_variance_mm2: Vec<f64>,
     reference_px: Vec<DVec2>,
     slips: LabelSlips,
@@ -59,6 +60,7 @@ impl Pipeline {
             right: ViewStages::new(View::Right, size(&rig.right), params),
             rest: None,
             pressure: Pressure::default(),
+            quick_pressure: QuickPressure::default(),
             rest_variance_mm2: Vec::new(),
             reference_px: Vec::new(),
             slips: LabelSlips::default(),
@@ -213,10 +215,16 @@ impl Pipeline {
     /// Takes this surface, of the views' present tracks, for the one that nothing touches.
     fn rest_on(&mut self, rest: RestSurface) -> Result<(), PipelineError> {
         let (left, right) = (self.left.labelled(), self.right.labelled());
-        if self.params.contact.saliency == Saliency::Pressure {
-            let (rows, cols) = (self.left.rows, self.left.cols);
-            let decay_mm = self.params.contact.decay_mm;
-            self.pressure = Pressure::new(&rest, rows, cols, decay_mm).map_err(PipelineError::Contact)?;
+        let (rows, cols, decay_mm) = (self.left.rows, self.left.cols, self.params.contact.decay_mm);
+        match self.params.contact.saliency {
+            Saliency::Depth => {}
+            Saliency::Pressure => {
+                self.pressure = Pressure::new(&rest, rows, cols, decay_mm).map_err(PipelineError::Contact)?;
+            }
+            Saliency::PressureQuick => {
+                let quick = QuickPressure::new(&rest, rows, cols, decay_mm);
+                self.quick_pressure = quick.map_err(PipelineError::Contact)?;
+            }
         }
         let lattice = (self.left.cols, self.left.pitch_px);
         self.slips.learn(&self.triangulator, &rest, [centres(left), centres(right)], lattice);
@@ -275,16 +283,24 @@ impl Pipeline {
         copy_into(&self.right.labelled().positions_px, &mut out.right_px);
         (out.rows, out.cols) = (self.left.rows, self.left.cols);
         let settings = &self.params.contact;
+        let variances = |normal: DVec3| {
+            let now = self.covariance_mm2.iter().map(move |c| contact::variance_along(c, normal));
+            now.zip(&self.rest_variance_mm2).map(|(now, rest)| now + rest)
+        };
+        let (heights_mm, state, salient) = (&out.indentation_mm, &out.state, &mut out.salient);
         match (settings.saliency, &self.rest) {
             (Saliency::Pressure, Some(rest)) => {
-                let now = self.covariance_mm2.iter().map(|c| contact::variance_along(c, rest.normal()));
-                let variances = now.zip(&self.rest_variance_mm2).map(|(now, rest)| now + rest);
-                self.pressure
-                    .run(&out.indentation_mm, variances, &out.state, &mut out.salient)
-                    .map_err(PipelineError::Contact)?;
+                self.pressure.run(heights_mm, variances(rest.normal()), state, salient)
             }
-            _ => contact::saliency(&out.indentation_mm, &out.state, settings.saliency_mm, &mut out.salient),
+            (Saliency::PressureQuick, Some(rest)) => {
+                self.quick_pressure.run(heights_mm, variances(rest.normal()), state, salient)
+            }
+            _ => {
+                contact::saliency(heights_mm, state, settings.saliency_mm, salient);
+                Ok(())
+            }
         }
+        .map_err(PipelineError::Contact)?;
         contact::patch(&out.indentation_mm, &out.salient, settings.patch_share, &mut out.patch);
         out.motion_px = contact::mean_motion_px(&self.reference_px, &out.left_px, &out.state);
         out.left = self.left.evidence;

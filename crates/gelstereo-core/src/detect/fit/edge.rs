@@ -1,12 +1,13 @@
-//! The profile of a blurred edge, and the weights that locate it best in the image's noise.
+//! The profile of a blurred edge, and the weights that locate a disc best in the image's noise.
 
+use super::bessel::Bessel;
 use super::contour::Across;
 use super::lanes::{Lanes, WIDTH};
 use super::noise::Noise;
-use crate::math::{cos, erf, exp, sqrt};
+use crate::math::{ceil, erf, exp, sqrt};
 use alloc::boxed::Box;
 use alloc::vec::Vec;
-use core::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
+use core::f64::consts::{FRAC_1_SQRT_2, TAU};
 
 /// Nodes per unit of distance over blur. Half a step off a node, the profile by its tangent is right to
 /// 1 / 128² / 2 · 0.24 = 7e-6 of the contrast.
@@ -16,9 +17,15 @@ const REACH: usize = 8;
 const NODES: usize = 2 * REACH * PER_UNIT;
 /// Nodes for one cosine sum of the weights, which are smooth, and linear in between.
 const COARSE: usize = 8;
-/// Frequencies of that sum, up to [`HIGHEST`] over blur, where the edge has e^-12.5 of its contrast left.
+/// Least number of frequencies of that sum, up to [`HIGHEST`] over blur, where the edge has e^-12.5 of its contrast left.
 const FREQUENCIES: usize = 48;
 const HIGHEST: f64 = 5.0;
+/// Radius over blur from which on an edge counts as straight.
+const STRAIGHT: f64 = 24.0;
+/// Distances over blur beyond twice the radius at which the sum may repeat itself.
+const PERIOD: f64 = 44.0;
+/// Frequencies for the straightest edge.
+const MOST_FREQUENCIES: usize = (HIGHEST * (2.0 * STRAIGHT + PERIOD) / TAU) as usize + 1;
 
 /// Noise that is assumed at all frequencies, over that at the lowest: in grain alone the weights would swing ever more
 /// between neighbouring pixels, and the fit would not settle.
@@ -43,6 +50,8 @@ pub(super) struct Edge {
     nodes: Box<[Node; NODES]>,
     coarse: Vec<f64>,
     across: Across,
+    curvature_per_px2: f64,
+    bessel: Bessel,
 }
 
 impl Edge {
@@ -54,38 +63,57 @@ impl Edge {
         };
         Self {
             nodes: Box::new(core::array::from_fn(node)),
-            coarse: alloc::vec![0.0; REACH * COARSE + 2],
+            coarse: alloc::vec![0.0; 2 * REACH * COARSE + 2],
             across: Across::default(),
+            curvature_per_px2: 0.0,
+            bessel: Bessel::up_to(HIGHEST * (STRAIGHT + REACH as f64 + 1.0)),
         }
     }
 
-    /// Chooses the weights for an edge of this blur in this noise: in frequencies, the edge's density over the
-    /// spectrum of the noise (the matched filter of an edge that is long compared with the grain). In white noise
-    /// that is least squares; in grain the weights are negative on both sides of the edge, so that every stretch of it
-    /// is judged against the levels beside it.
-    pub fn weigh(&mut self, blur_px: f64, noise: &Noise) {
-        self.coarse.fill(0.0);
-        let step = HIGHEST / FREQUENCIES as f64;
+    /// Chooses the weights for the outline of a disc of this radius and blur in this noise: in frequencies, the disc's slope
+    /// over the spectrum of the noise (the matched filter of a disc alone on the gel). In white noise that is least squares;
+    /// in grain the weights are negative on both sides of the edge, so that every stretch of it is judged against the levels
+    /// beside it.
+    ///
+    /// With the disc's transform 2 pi r J1(kr) / k, the weight at a distance p from the centre is
+    /// r ∫ k J1(kp) J1(kr) e^(-k² b² / 2) / S(k) dk, which times the direction's cosine and sine locates the centre best. For
+    /// a long straight edge that is the integral of cos(k (p - r)); a dot's grain is not small beside its radius, and the
+    /// straight edge's weights cost 2 % of precision.
+    pub fn weigh(&mut self, blur_px: f64, radius_px: f64, noise: &Noise) {
+        let radius = (radius_px / blur_px).clamp(1.0, STRAIGHT);
+        let count =
+            FREQUENCIES.max(ceil(HIGHEST * (2.0 * radius + PERIOD) / TAU) as usize).min(MOST_FREQUENCIES);
+        let step = HIGHEST / count as f64;
         let least = LEAST_SHARE * noise.spectrum(0.0);
-        for n in 0..=FREQUENCIES {
+        // Weight of every frequency, of its square in the slope, and how much sharper it makes the edge.
+        let mut heights = [0.0; MOST_FREQUENCIES];
+        let (mut slopes, mut bends) = (0.0, 0.0);
+        for (n, height) in (1..=count).zip(&mut heights) {
             let k = n as f64 * step;
-            let share = if n == 0 { 0.5 } else { 1.0 };
             let k_px = k / blur_px;
-            let height =
-                share * step / (PI * blur_px) * exp(-0.5 * k * k) / noise.spectrum(k_px * k_px).max(least);
-            // cos((j + 1) a) = 2 cos a cos(j a) - cos((j - 1) a)
-            let twice = 2.0 * cos(k / COARSE as f64);
-            let (mut before, mut here) = (0.5 * twice, 1.0);
-            for weight in &mut self.coarse {
-                *weight += height * here;
-                (before, here) = (here, twice * here - before);
-            }
+            let density = exp(-0.5 * k * k);
+            let share = density / noise.spectrum(k_px * k_px).max(least);
+            *height = radius * step * k / blur_px * share * self.bessel.j1(k * radius);
+            slopes += share * density;
+            bends += share * density * k_px * k_px;
         }
+        self.curvature_per_px2 = bends / slopes;
+        for (j, weight) in self.coarse.iter_mut().enumerate() {
+            let from_centre = radius + j as f64 / COARSE as f64 - REACH as f64;
+            let rate = step * from_centre;
+            // Beyond the centre lies the other side.
+            *weight =
+                (1..=count).zip(&heights).map(|(n, height)| height * self.bessel.j1(n as f64 * rate)).sum();
+        }
+        self.spread(blur_px);
+    }
+
+    /// Weights between those of the coarse nodes, and their integrals.
+    fn spread(&mut self, blur_px: f64) {
         let mut across = Across::default();
-        let (middle, per) = (REACH * PER_UNIT, PER_UNIT / COARSE);
+        const PER: usize = PER_UNIT / COARSE;
         for (k, node) in self.nodes.iter_mut().enumerate() {
-            let from_edge = k.abs_diff(middle);
-            let (first, part) = (from_edge / per, (from_edge % per) as f64 / per as f64);
+            let (first, part) = (k / PER, (k % PER) as f64 / PER as f64);
             let weight = self.coarse[first] + (self.coarse[first + 1] - self.coarse[first]) * part;
             node[2] = weight as f32;
             across.slope += weight * f64::from(node[1]);
@@ -95,6 +123,11 @@ impl Edge {
         let (per_node, px) = (1.0 / PER_UNIT as f64, blur_px / PER_UNIT as f64);
         let Across { slope, weight, inside } = across;
         self.across = Across { slope: slope * per_node, weight: weight * px, inside: inside * px };
+    }
+
+    /// Mean square of the edge's angular frequencies, each with its weight in the step, 1/px²: 1 / (2 b²) in white noise.
+    pub const fn curvature_per_px2(&self) -> f64 {
+        self.curvature_per_px2
     }
 
     /// Integrals across a straight edge.

@@ -10,14 +10,14 @@ const SIDE: usize = 2 * REACH as usize + 1;
 
 /// Something's variance for a variance of 1 of the white noise, and of the grain.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Variances {
+pub(in crate::detect) struct Variances {
     pub white: f64,
     pub grain: f64,
 }
 
 /// How a centre answers to the pixels of a window, px per grey level.
 #[derive(Clone, Debug)]
-pub(super) struct Influence {
+pub(in crate::detect) struct Influence {
     answers: Vec<DVec2>,
     blurred: Vec<DVec2>,
     fits: bool,

@@ -5,29 +5,33 @@
 //! edge, balance. In white noise that is least squares; in grain, which makes neighbouring pixels alike,
 //! least squares would be half as precise again as the bound (Kay, Estimation Theory, section 4.5: whitened residuals).
 
+mod bessel;
 mod contour;
 mod disc;
 mod edge;
 mod influence;
 mod lanes;
+mod learn;
 mod noise;
 mod solve;
 
+pub(super) use influence::Influence;
 pub use noise::Noise;
-pub(super) use noise::NoiseMeter;
+pub(super) use noise::{CLEARANCE_PX, NoiseMeter};
 pub(super) use solve::Factor;
 
 use super::Markers;
 use super::components::Most;
 use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
-use crate::math::{DVec2, median, round, sqrt};
+use crate::math::{DVec2, round, sqrt};
 use crate::params::DetectParams;
 use crate::track::grid::Grid;
 use alloc::vec::Vec;
 use disc::{Levels, Matrix, Outline, Window};
 use edge::Edge;
-use influence::{Influence, Variances};
+use influence::Variances;
+use learn::Sample;
 
 /// Gel around the outline that takes part: farther pixels say nothing of the edge and little of the light.
 const REACH_PX: f64 = 3.5;
@@ -37,11 +41,6 @@ const LEAST_REACH_PX: f64 = 1.0;
 const LEAST_FAR_PX: f64 = 2.0 + REACH_PX + 4.0 * FIRST_BLUR_PX;
 /// Steps at most; two are the rule.
 const MOST_STEPS: usize = 8;
-/// Markers from which an image's blur is estimated, spread evenly over the list, and rounds.
-const SAMPLES: usize = 15;
-const ROUNDS: usize = 4;
-/// Blurs that are believed.
-const BLURS_PX: core::ops::RangeInclusive<f64> = 0.35..=5.0;
 /// Where the search begins: a pixel's own width and a little defocus.
 const FIRST_BLUR_PX: f64 = 0.8;
 /// Residuals larger than this times what the noise explains widen the covariance: below, it is chance and the profile's
@@ -50,14 +49,10 @@ const CHANCE: f64 = 3.0;
 /// Shares of the covariance that are believed.
 const LEAST_INFLATION: f64 = 0.5;
 const MOST_INFLATION: f64 = 10.0;
-/// Samples over which the covariance is calibrated: one alone is a few percent off.
-const INFLUENCES: f64 = 5.0;
 /// A step of the outline that is shorter leaves the model's slopes as they are.
 const SAME_SLOPES_PX: f64 = 0.25;
 /// A step that moves the outline by less leaves its shape as it is.
 const SAME_SHAPE_PX: f64 = 0.15;
-/// Ratios of the normal matrix to the integral along the outline for which the latter is believed.
-const OVER_CONTOUR: core::ops::RangeInclusive<f64> = 0.7..=1.4;
 /// Steps by the integral along the outline, and the least radius that the outline may have for it, in blurs.
 const QUICK_STEPS: usize = 2;
 const STRAIGHT_BLURS: f64 = 2.0;
@@ -131,16 +126,6 @@ pub struct DiscFit {
     scratch: Vec<f64>,
 }
 
-/// A marker of which the blur is learned.
-#[derive(Clone, Copy, Debug)]
-struct Sample {
-    start: Start,
-    outline: Outline,
-    contrast: f64,
-    ground: f64,
-    alive: bool,
-}
-
 impl DiscFit {
     /// With these settings.
     #[must_use]
@@ -181,73 +166,6 @@ impl DiscFit {
         self.blur_px
     }
 
-    /// Learns noise and blur of an image from its gel (`mask` is 0 there) and some of its markers.
-    pub fn learn(&mut self, image: GrayView<'_>, mask: &[u8], starts: &[Start]) {
-        self.noise = self.meter.run(image, mask, 1).unwrap_or_default();
-        self.blur_px = self.given_blur_px.unwrap_or(FIRST_BLUR_PX);
-        self.radius_off_px = 0.0;
-        self.edge.weigh(self.blur_px, &self.noise);
-        self.samples.clear();
-        self.samples.reserve(SAMPLES);
-        let count = starts.len().min(SAMPLES);
-        for k in 0..count {
-            let start = starts[k * starts.len() / count];
-            let Some(outline) = Outline::new(DVec2::ZERO, &start.spread_px2) else { continue };
-            self.samples.push(Sample { start, outline, contrast: 0.0, ground: 0.0, alive: true });
-        }
-        for _ in 0..ROUNDS {
-            self.scratch.clear();
-            self.scratch.reserve(SAMPLES);
-            for k in 0..self.samples.len() {
-                if let Some(wider_px) = self.sample_step(image, k) {
-                    self.scratch.push(wider_px);
-                }
-            }
-            if self.given_blur_px.is_none() {
-                let wider_px = median(&mut self.scratch).unwrap_or(0.0);
-                let step_px = wider_px.clamp(-0.5 * self.blur_px, self.blur_px);
-                self.blur_px = (self.blur_px + step_px).clamp(*BLURS_PX.start(), *BLURS_PX.end());
-            }
-        }
-        self.radius_off_px = self.median_of(|sample| {
-            let spread_px2 = sample.outline.spread_px2()?;
-            Some(Start { spread_px2, ..sample.start }.radius_px() - sample.start.radius_px())
-        });
-        self.contrast = self.median_of(|sample| Some(sample.contrast));
-        let gel_level = self.median_of(|sample| Some(sample.ground));
-        self.noise = self.noise.at(gel_level);
-        self.edge.weigh(self.blur_px, &self.noise);
-        self.measure_sandwich(image);
-    }
-
-    /// Median over the samples; 0 without any.
-    fn median_of(&mut self, value: impl Fn(&Sample) -> Option<f64>) -> f64 {
-        self.scratch.clear();
-        self.scratch.extend(self.samples.iter().filter(|sample| sample.alive).filter_map(value));
-        median(&mut self.scratch).unwrap_or(0.0)
-    }
-
-    /// Moves one sample's outline and says by how much more blur would fit it better.
-    fn sample_step(&mut self, image: GrayView<'_>, k: usize) -> Option<f64> {
-        let Sample { start, mut outline, alive, .. } = self.samples[k];
-        if !alive {
-            return None;
-        }
-        self.samples[k].alive = false;
-        self.load(image, &start)?;
-        outline.centre += start.centre_px - self.window.origin;
-        self.window.draw(&outline, self.blur_px, &self.edge);
-        let (levels, follow) = self.window.levels()?;
-        let wider_px = self.window.blur_step(self.blur_px)?;
-        let factor = Factor::new(&self.window.matrix(&follow))?;
-        apply(&mut outline, &step(&factor, &self.window.pull(&levels).right, &levels)?);
-        outline.centre -= start.centre_px - self.window.origin;
-        self.samples[k].outline = outline;
-        (self.samples[k].contrast, self.samples[k].ground) = (levels.contrast, levels.ground);
-        self.samples[k].alive = plausible(&start, outline.centre, outline.spread_px2());
-        self.samples[k].alive.then_some(wider_px)
-    }
-
     /// Fits one marker with the noise and blur last learned. `None` when the fit does not settle, or not on a disc like
     /// the start's.
     #[must_use]
@@ -279,7 +197,7 @@ impl DiscFit {
                 let inflation = self.inflation(&levels) * (surprise / CHANCE).max(1.0);
                 return Some(Fitted {
                     centre_px: self.window.origin + outline.centre,
-                    covariance_px2: covariance(&factor, &levels, inflation)?,
+                    covariance_px2: self.of_second_order(covariance(&factor, &levels, inflation)?),
                     spread_px2: outline.spread_px2()?,
                     contrast_levels: levels.contrast,
                     steps,
@@ -297,54 +215,17 @@ impl DiscFit {
         (white * white_levels2 + grain * grain_levels2).clamp(LEAST_INFLATION, MOST_INFLATION)
     }
 
-    /// Measures variances of some samples' centres over what the inverse information says.
-    fn measure_sandwich(&mut self, image: GrayView<'_>) {
-        let mut sums = Variances::default();
-        let (mut count, mut straight, mut ratios) = (0.0, 0.0, [0.0; 5]);
-        for k in 0..self.samples.len() {
-            if count < INFLUENCES
-                && let Some((Variances { white, grain }, ratio)) = self.sandwich_of(image, k)
-            {
-                sums.white += white;
-                sums.grain += grain;
-                if let Some(ratio) = ratio {
-                    ratios.iter_mut().zip(ratio).for_each(|(sum, ratio)| *sum += ratio);
-                    straight += 1.0;
-                }
-                count += 1.0;
-            }
-        }
-        self.over_contour = (straight > 0.0).then(|| ratios.map(|sum| sqrt(sum / straight)));
-        self.sandwich = if count > 0.0 {
-            Variances { white: sums.white / count, grain: sums.grain / count }
-        } else {
-            let all = 1.0 / self.noise.variance_levels2();
-            Variances { white: all, grain: all }
-        };
-    }
-
-    /// The sample's part of both, and the normal matrix's diagonal over that of the integral.
-    fn sandwich_of(&mut self, image: GrayView<'_>, k: usize) -> Option<(Variances, Option<[f64; 5]>)> {
-        let Sample { start, mut outline, alive, .. } = self.samples[k];
-        if !alive {
-            return None;
-        }
-        self.load(image, &start)?;
-        outline.centre += start.centre_px - self.window.origin;
-        self.window.draw(&outline, self.blur_px, &self.edge);
-        let (levels, follow) = self.window.levels()?;
-        let matrix = self.window.matrix(&follow);
-        let quick = self.is_straight(&outline).then(|| self.along(&outline, &levels, &follow)).flatten();
-        let over: Option<[f64; 5]> = quick.map(|quick| core::array::from_fn(|i| matrix[i][i] / quick[i][i]));
-        let factor = Factor::new(&matrix)?;
-        let [[xx, _], [_, yy]] = covariance(&factor, &levels, 1.0)?;
-        let Self { window, influence, .. } = self;
-        influence.clear();
-        window.influence(&factor, &follow, levels.contrast, |place, answer| influence.set(place, answer));
-        let Variances { white, grain } = influence.variances_px2(self.noise.grain_size_px)?;
-        let ratios = Variances { white: white / (xx + yy), grain: grain / (xx + yy) };
-        let over = over.filter(|over| over.iter().all(|over| OVER_CONTOUR.contains(over)));
-        (ratios.white.is_finite() && ratios.grain.is_finite()).then_some((ratios, over))
+    /// The covariance with what the noise adds to it in second order.
+    ///
+    /// Noise also bends the level's slope across the edge, so that a stretch of outline that is displaced by u is pulled by
+    /// too much or too little: the step's error grows by M⁻¹ Σ B n u, of variance 1 + <u²> <k²> times that of the step (B
+    /// the displacements by each parameter, M = Σ B Bᵀ, n the noise of the second derivative, whose variance is <k²> times
+    /// that of the first). Terms of third order cancel. The mean <u²> of an outline with five parameters, by its trace, is 5/4 of
+    /// that of the centre.
+    fn of_second_order(&self, covariance_px2: Symmetric<2>) -> Symmetric<2> {
+        let displaced_px2 = 1.25 * (covariance_px2[0][0] + covariance_px2[1][1]);
+        let more = 1.0 + displaced_px2 * self.edge.curvature_per_px2();
+        covariance_px2.map(|row| row.map(|entry| entry * more))
     }
 
     /// Factor of the normal matrix: by the integral along the outline, or pixel by pixel where the outline bends within a

@@ -1,14 +1,14 @@
 //! Noise of the image, measured on the gel between the markers.
 
 use crate::image::GrayView;
-use crate::math::{exp, median, sqrt};
+use crate::math::{abs, exp, median, sqrt};
 use alloc::vec::Vec;
 use core::f64::consts::PI;
 
 /// Variance of rounding to whole grey levels: no image has less noise.
 const ROUNDING_LEVELS2: f64 = 1.0 / 12.0;
-/// Pixels between the gel that counts and a marker's pixels: out of its blurred edge.
-const CLEARANCE_PX: usize = 4;
+/// Pixels between the gel that counts and a marker's pixels: out of any blurred edge.
+pub(in crate::detect) const CLEARANCE_PX: usize = 4;
 /// Differences from which the slope of the light is taken: few enough that it is the same for all of them, and enough that
 /// the noise of their mean, of which a share of 4 stretches / differences² is lost with it, is below a percent.
 const SLOPE_DIFFERENCES: usize = 64;
@@ -19,12 +19,13 @@ const USUAL_SIZE_PX: f64 = 1.3;
 const SPREAD_OF_SIZES: f64 = 0.4;
 /// Logarithm of the largest size over the usual one: 4.3 px and 0.4 px. Coarser grain is light, finer grain is white.
 const LARGEST_LOG_SIZE: f64 = 1.2;
-/// Grain must explain this much more of the sum of squares than none at all (Akaike's criterion, one parameter).
-const LEAST_GAIN: f64 = 2.0;
 /// Grain is believed to differ by at most this factor from that of the gel on which it was measured.
 const MOST_SHARE: f64 = 16.0;
-/// Standard deviation of a median over that of the mean.
-const MEDIAN: f64 = 1.2533;
+/// Grain must explain this much more of the sum of squares than none at all (Akaike's criterion, one parameter) where only
+/// some rows are looked at: chance is then larger than grain that matters, and its share above 0 would count.
+const LEAST_GAIN: f64 = 2.0;
+/// Rows that are farther from the median than this many times the median distance from it show something else than gel.
+const MOST_OFF: f64 = 7.0;
 /// Distances at which pixels are compared.
 const LAGS: [usize; 3] = [1, 2, 4];
 
@@ -78,8 +79,9 @@ impl Noise {
     ///
     /// With x = exp(-1 / (4 l²)), half the variances of the differences of pixels 1, 2 and 4 px apart (a variogram
     /// without its drift) are w + g (1 - x), w + g (1 - x^4), w + g (1 - x^16). Faint grain says too little about its
-    /// size l: that has the usual one as its prior.
-    fn from_variogram(variogram: &Variogram) -> Self {
+    /// size l: that has the usual one as its prior. Without a least gain, grain too faint to be told from chance counts all the
+    /// same: else the noise would be too small in the mean.
+    fn from_variogram(variogram: &Variogram, least_gain: f64) -> Self {
         let Variogram { one, more: [two, four], sigma } = *variogram;
         let cost = |grain: f64, at: &[f64; 2]| {
             let (e, f) = ((two - grain * at[0]) / sigma, (four - grain * at[1]) / sigma);
@@ -106,9 +108,8 @@ impl Noise {
             }
             reach /= 8.0;
         }
-        let white_only = Self { white_levels2: one.max(ROUNDING_LEVELS2), ..Self::default() };
-        if !(cost(0.0, &[0.0; 2]) - best.0 > LEAST_GAIN) {
-            return white_only; // less than chance
+        if cost(0.0, &[0.0; 2]) - best.0 < least_gain {
+            return Self { white_levels2: one.max(ROUNDING_LEVELS2), ..Self::default() };
         }
         let (grain_levels2, grain_size_px) = (best.1, USUAL_SIZE_PX * exp(centre));
         let white_levels2 = (one - grain_levels2 * (1.0 - correlation(grain_size_px))).max(ROUNDING_LEVELS2);
@@ -135,20 +136,31 @@ struct Variogram {
 pub(in crate::detect) struct NoiseMeter {
     /// Non-zero where a row's pixel is near a marker.
     near: Vec<u8>,
-    /// One value per row for each entry of the variogram.
-    rows: [Vec<f64>; 3],
-    /// Pairs of pixels at each lag, and the sum of the levels of the first ones.
-    pairs: u64,
-    levels: u64,
+    rows: Vec<Row>,
+    scratch: Vec<f64>,
+}
+
+/// What one row of the image says.
+#[derive(Clone, Copy, Debug)]
+struct Row {
+    /// Half the variance of differences at the first lag, and how much more it is at the others.
+    entries: [f64; 3],
+    pairs: usize,
 }
 
 impl NoiseMeter {
-    /// From the pixels of every so many rows of `image` (faint grain shows in no fewer than all) that lie [`CLEARANCE_PX`]
-    /// off the set pixels of `mask`: medians over the rows, which a scratch or a smear does not reach. `None` when there is
-    /// no such gel.
-    pub fn run(&mut self, image: GrayView<'_>, mask: &[u8], every: usize) -> Option<Noise> {
+    /// From the pixels of every so many rows of `image` (faint grain shows in no fewer than all) that lie so many pixels off
+    /// the set pixels of `mask`: means over the rows, without those that a scratch or a smear reaches. `None` when there is no
+    /// such gel.
+    pub fn run(
+        &mut self,
+        image: GrayView<'_>,
+        mask: &[u8],
+        every: usize,
+        clearance_px: usize,
+    ) -> Option<Noise> {
         let width = image.width();
-        self.run_rows(image, every, |rows, near| {
+        self.run_rows(image, every, clearance_px, |rows, near| {
             // A marker is at least two rows high.
             for row in rows.step_by(2) {
                 for (near, &set) in near.iter_mut().zip(&mask[row * width..]) {
@@ -163,52 +175,71 @@ impl NoiseMeter {
         &mut self,
         image: GrayView<'_>,
         every: usize,
+        clearance_px: usize,
         mut cover: impl FnMut(core::ops::RangeInclusive<usize>, &mut [u8]),
     ) -> Option<Noise> {
         let (width, height) = (image.width(), image.height());
-        for rows in &mut self.rows {
-            rows.clear();
-            rows.reserve(height);
-        }
-        (self.pairs, self.levels) = (0, 0);
-        for y in (CLEARANCE_PX..height.saturating_sub(CLEARANCE_PX)).step_by(every) {
+        self.rows.clear();
+        self.rows.reserve(height);
+        self.scratch.clear();
+        self.scratch.reserve(height);
+        let (mut pairs, mut levels) = (0, 0);
+        for y in (clearance_px..height.saturating_sub(clearance_px)).step_by(every) {
             self.near.clear();
             self.near.resize(width, 0);
-            cover(y - CLEARANCE_PX..=y + CLEARANCE_PX, &mut self.near);
-            self.row(image.row(y));
+            cover(y - clearance_px..=y + clearance_px, &mut self.near);
+            let row = spread_of(image.row(y), &self.near, clearance_px);
+            if row.count >= LEAST_DIFFERENCES {
+                let [one, two, four] = row.sums.map(|sum| sum / (2 * row.count) as f64);
+                self.rows.push(Row { entries: [one, two - one, four - one], pairs: row.count });
+                pairs += row.count as u64;
+                levels += row.levels;
+            }
         }
-        let [one, two, four] = &mut self.rows;
-        let (one, more) = (median(one)?, [median(two)?, median(four)?]);
+        let (one, more) = (self.mean(0)?, [self.mean(1)?, self.mean(2)?]);
         // In white noise, as the difference of two covariances of so many pairs.
-        let sigma = MEDIAN * (one + more[1].max(0.0)).max(ROUNDING_LEVELS2) * sqrt(2.0 / self.pairs as f64);
-        let noise = Noise::from_variogram(&Variogram { one, more, sigma });
-        Some(Noise { gel_level: self.levels as f64 / self.pairs as f64, ..noise })
+        let sigma = (one + more[1].max(0.0)).max(ROUNDING_LEVELS2) * sqrt(2.0 / pairs as f64);
+        let least_gain = if every == 1 { 0.0 } else { LEAST_GAIN };
+        let noise = Noise::from_variogram(&Variogram { one, more, sigma }, least_gain);
+        Some(Noise { gel_level: levels as f64 / pairs as f64, ..noise })
     }
 
-    /// Adds one row.
-    fn row(&mut self, levels: &[u8]) {
-        let (mut row, mut group, mut end) = (Spread::default(), Differences::default(), 0);
-        for clear in self.near.split(|&near| near != 0) {
-            let start = end;
-            end += clear.len() + 1;
-            // What is left has its farthest partner clear of the next marker.
-            if clear.len() > 2 * CLEARANCE_PX + LAGS[2] {
-                group.add(&levels[start + CLEARANCE_PX..start + clear.len() - CLEARANCE_PX]);
-            }
-            if group.count >= SLOPE_DIFFERENCES {
-                row.add(&core::mem::take(&mut group));
-            }
+    /// Mean of an entry over the rows, each as often as it has pairs; a median would be too small, for variances are skewed.
+    fn mean(&mut self, entry: usize) -> Option<f64> {
+        let Self { rows, scratch, .. } = self;
+        let mut middle = |value: &dyn Fn(&Row) -> f64| {
+            scratch.clear();
+            scratch.extend(rows.iter().map(value));
+            median(scratch)
+        };
+        let usual = middle(&|row| row.entries[entry])?;
+        let off = |row: &Row| abs(row.entries[entry] - usual);
+        let most = MOST_OFF * middle(&off)?;
+        let (mut sum, mut pairs) = (0.0, 0.0);
+        for row in rows.iter().filter(|row| off(row) <= most) {
+            sum += row.pairs as f64 * row.entries[entry];
+            pairs += row.pairs as f64;
         }
-        row.add(&group);
-        if row.count >= LEAST_DIFFERENCES {
-            let [one, two, four] = row.sums.map(|sum| sum / (2 * row.count) as f64);
-            for (rows, value) in self.rows.iter_mut().zip([one, two - one, four - one]) {
-                rows.push(value);
-            }
-            self.pairs += row.count as u64;
-            self.levels += row.levels;
+        Some(sum / pairs)
+    }
+}
+
+/// Differences of the gel of one row.
+fn spread_of(levels: &[u8], near: &[u8], clearance_px: usize) -> Spread {
+    let (mut row, mut group, mut end) = (Spread::default(), Differences::default(), 0);
+    for clear in near.split(|&near| near != 0) {
+        let start = end;
+        end += clear.len() + 1;
+        // What is left has its farthest partner clear of the next marker.
+        if clear.len() > 2 * clearance_px + LAGS[2] {
+            group.add(&levels[start + clearance_px..start + clear.len() - clearance_px]);
+        }
+        if group.count >= SLOPE_DIFFERENCES {
+            row.add(&core::mem::take(&mut group));
         }
     }
+    row.add(&group);
+    row
 }
 
 /// Differences at every lag between pixels of one region of a row.

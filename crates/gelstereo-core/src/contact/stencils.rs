@@ -1,0 +1,130 @@
+//! The lattice of markers and the stencils of their pressures.
+
+use super::{ContactError, RestSurface};
+use alloc::vec::Vec;
+
+/// Squared standard deviations beyond `WEAK` that a region must show in all; by chance one marker in a million shows 4.75
+/// standard deviations.
+const SURE: f64 = 18.5;
+/// Squared standard deviations of a marker that say nothing about its region.
+const WEAK: f64 = 4.0;
+
+/// Weights of p = h - l² Δh for every marker of a lattice, row by row.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Stencils {
+    pub rows: usize,
+    pub cols: usize,
+    pub decay_mm: f64,
+    /// The marker, left, right, up, down; 0 where there is none.
+    pub weights: Vec<[f64; 5]>,
+}
+
+impl Stencils {
+    pub fn new(rest: &RestSurface, rows: usize, cols: usize, decay_mm: f64) -> Result<Self, ContactError> {
+        let points = rest.points_mm();
+        if rows.checked_mul(cols) != Some(points.len()) {
+            return Err(ContactError::LengthMismatch {
+                rest: points.len(),
+                found: rows.saturating_mul(cols),
+            });
+        }
+        if !(1e-3..=1e3).contains(&decay_mm) {
+            return Err(ContactError::Decay { found_mm: decay_mm });
+        }
+        let l2 = decay_mm * decay_mm;
+        let stencil = |i: usize| {
+            let (row, col) = (i / cols, i % cols);
+            let apart = |exists: bool, j: usize| exists.then(|| points[i].distance(points[j]));
+            let [left, right] =
+                second_difference(apart(col > 0, i.wrapping_sub(1)), apart(col + 1 < cols, i + 1));
+            let [up, down] =
+                second_difference(apart(row > 0, i.wrapping_sub(cols)), apart(row + 1 < rows, i + cols));
+            [1.0 + l2 * (left + right + up + down), -l2 * left, -l2 * right, -l2 * up, -l2 * down]
+        };
+        Ok(Self { rows, cols, decay_mm, weights: (0..points.len()).map(stencil).collect() })
+    }
+
+    /// The stencil's marker, left, right, upper and lower neighbour, with their weights.
+    pub fn taps(&self, i: usize) -> impl Iterator<Item = (usize, f64)> {
+        let places = [i, i.wrapping_sub(1), i + 1, i.wrapping_sub(self.cols), i + self.cols];
+        places.into_iter().zip(self.weights[i]).filter(|&(_, weight)| weight != 0.0)
+    }
+
+    /// The markers up to so many rows and columns from one.
+    pub fn window(&self, i: usize, reach: usize) -> impl Iterator<Item = usize> + use<> {
+        let (row, col, cols) = (i / self.cols, i % self.cols, self.cols);
+        let across = col.saturating_sub(reach)..(col + reach + 1).min(self.cols);
+        let down = row.saturating_sub(reach)..(row + reach + 1).min(self.rows);
+        down.flat_map(move |r| across.clone().map(move |c| r * cols + c))
+    }
+
+    /// The marker so many rows down and columns across from one that is at least as far from the border.
+    pub const fn beside(&self, i: usize, row: isize, col: isize) -> usize {
+        i.wrapping_add_signed(row * self.cols as isize + col)
+    }
+
+    /// The same from any marker, if it exists.
+    pub fn within(&self, i: usize, row: isize, col: isize) -> Option<usize> {
+        let down = (i / self.cols).checked_add_signed(row).filter(|&row| row < self.rows)?;
+        let across = (i % self.cols).checked_add_signed(col).filter(|&col| col < self.cols)?;
+        Some(down * self.cols + across)
+    }
+
+    /// Whether a marker is so many rows and columns from the border.
+    pub fn is_inside(&self, i: usize, reach: usize) -> bool {
+        let inside = |at: usize, end: usize| at >= reach && at + reach < end;
+        inside(i / self.cols, self.rows) && inside(i % self.cols, self.cols)
+    }
+}
+
+/// Weights of the neighbours at these distances in a second difference; beyond the border the surface goes on as its
+/// mirror image.
+fn second_difference(before: Option<f64>, after: Option<f64>) -> [f64; 2] {
+    match (before, after) {
+        (Some(a), Some(b)) => [2.0 / (a * (a + b)), 2.0 / (b * (a + b))],
+        (Some(a), None) => [1.0 / (a * a), 0.0],
+        (None, Some(b)) => [0.0, 1.0 / (b * b)],
+        (None, None) => [0.0; 2],
+    }
+}
+
+/// Regions of 8-connected markers; scratch.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Regions {
+    seen: Vec<bool>,
+    region: Vec<u32>,
+}
+
+impl Regions {
+    /// Takes away the regions that could be chance, given the signed squared standard deviations of every marker's pressure.
+    pub fn drop_unsure(&mut self, lattice: &Stencils, evidence: &[f64], contact: &mut [bool]) {
+        let Self { seen, region } = self;
+        region.clear();
+        region.reserve(contact.len());
+        seen.clear();
+        seen.resize(contact.len(), false);
+        for seed in 0..contact.len() {
+            if !contact[seed] || seen[seed] {
+                continue;
+            }
+            region.clear();
+            region.push(seed as u32);
+            seen[seed] = true;
+            let (mut next, mut excess) = (0, 0.0);
+            while next < region.len() {
+                let i = region[next] as usize;
+                next += 1;
+                excess += (evidence[i] - WEAK).max(0.0);
+                for j in lattice.window(i, 1) {
+                    if contact[j] && !seen[j] {
+                        seen[j] = true;
+                        region.push(j as u32);
+                    }
+                }
+            }
+            if excess < SURE {
+                region.iter().for_each(|&i| contact[i as usize] = false);
+            }
+        }
+    }
+}
