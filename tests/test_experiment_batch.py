@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import fcntl
 import importlib.util
 import json
@@ -281,9 +280,8 @@ def test_what_was_finished_when_stopped_is_kept(
         if seen >= 3:
             running.send_signal(stop)
             break
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        running.communicate(timeout=30)
-    assert running.returncode not in (0, None)
+    running.communicate(timeout=200)
+    assert running.returncode != 0
     with Store(tmp_path, {"seed": 1}, resume=True) as store:
         assert seen <= len(store.records) < len(TRIALS)
         assert run_batch(draw, TRIALS, store=store) == expected
