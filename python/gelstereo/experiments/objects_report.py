@@ -77,8 +77,9 @@ def _row(results: Sequence[Mapping[str, Any]]) -> list[str]:
     """Figures of one method over some contacts."""
     located = [result for result in results if "refused" not in result]
     both, salient, touching = (sum(r[key] for r in results) for key in ("both", "salient", "touching"))
+    squared = [result["height_um"] ** 2 for result in results if result["height_um"] is not None]
     return [
-        f"{np.sqrt(np.mean([r['height_um'] ** 2 for r in results])):.1f}",
+        f"{np.sqrt(np.mean(squared)):.1f}" if squared else "-",
         f"{100.0 * both / salient:.0f}" if salient else "-",
         f"{100.0 * both / touching:.0f}",
         f"{sum(r['within'] for r in located)} of {len(results)}",
