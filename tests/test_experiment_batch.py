@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import fcntl
 import importlib.util
 import json
@@ -10,60 +9,21 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-import gelstereo
-import numpy as np
 import pytest
 from gelstereo.experiments import batch
 from gelstereo.experiments.batch import BatchError, Trial, keyed_seed, run_batch
 from gelstereo.experiments.store import Record, Store, StoreError
 from hypothesis import given
 from hypothesis import strategies as st
-
-TRIALS = [Trial({"case": case}, keyed_seed(1, "draw", case, turn)) for case in "abc" for turn in range(5)]
-
-
-def draw(configuration: Any, seed: int) -> Record:
-    """Numbers of a keyed stream, in a time of its own, so that late trials overtake early ones."""
-    random = np.random.default_rng(seed)
-    time.sleep(0.002 * (seed % 7))
-    return {"case": configuration["case"], "values": random.normal(size=3).tolist()}
-
-
-def slowly(configuration: Any, seed: int) -> Record:
-    """The same, a few to a task."""
-    time.sleep(0.15)
-    return draw(configuration, seed)
-
-
-def refuses(configuration: Any, seed: int) -> Record:
-    raise gelstereo.Error(f"no {configuration['case']} today")
-
-
-def not_json(configuration: Any, seed: int) -> Record:
-    return {"value": float("nan")}
+from trials import TRIALS, draw, not_json, refuses
 
 
 @pytest.fixture(scope="module")
 def expected() -> list[Record]:
     """What the trials give when each is run by itself."""
     return [draw(trial.configuration, trial.seed) for trial in TRIALS]
-
-
-@pytest.fixture(scope="module")
-def cluster() -> Iterator[str]:
-    """A real scheduler with two workers of a thread each."""
-    distributed = pytest.importorskip("distributed")
-    with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=False, protocol="tcp://", dashboard_address=":0"
-        ) as local,
-    ):
-        yield local.scheduler_address
 
 
 def test_one_worker_needs_no_library(expected: list[Record], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -80,65 +40,6 @@ def test_one_worker_needs_no_library(expected: list[Record], monkeypatch: pytest
 def test_processes_change_nothing(workers: int, expected: list[Record]) -> None:
     pytest.importorskip("joblib")
     assert run_batch(draw, TRIALS, workers=workers) == expected
-
-
-def test_a_cluster_changes_nothing(cluster: str, expected: list[Record]) -> None:
-    assert run_batch(draw, TRIALS, scheduler_address=cluster) == expected
-
-
-def test_a_cluster_tells_of_a_trial_that_fails(cluster: str) -> None:
-    with pytest.raises(BatchError, match=f"case.*a.*seed {TRIALS[0].seed}.*no a today"):
-        run_batch(refuses, TRIALS[:1], scheduler_address=cluster)
-
-
-def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("distributed")
-    monkeypatch.setattr(batch, "_CLUSTER_TIMEOUT_S", 0.3)
-    with pytest.raises(BatchError, match=r"no dask scheduler answers at tcp://127\.0\.0\.1:9"):
-        run_batch(draw, TRIALS, scheduler_address="tcp://127.0.0.1:9")
-
-
-@pytest.mark.parametrize("address", ["x", "tcp://10.0.0.2", "10.0.0.2:port", "tcp://:8786", ""])
-def test_what_is_no_address_is_refused_at_once(address: str) -> None:
-    pytest.importorskip("distributed")
-    with pytest.raises(BatchError, match=r"is no scheduler's address; valid is .*tcp://10\.0\.0\.2:8786"):
-        run_batch(draw, TRIALS, scheduler_address=address)
-
-
-def test_a_scheduler_without_workers_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr(batch, "_CLUSTER_TIMEOUT_S", 0.3)
-    with (
-        distributed.LocalCluster(
-            n_workers=0, processes=False, protocol="tcp://", dashboard_address=":0"
-        ) as local,
-        pytest.raises(BatchError, match="has no workers; start some: dask worker"),
-    ):
-        run_batch(draw, TRIALS, scheduler_address=local.scheduler_address)
-
-
-def test_a_cluster_that_goes_away_is_told_of_and_what_it_did_is_kept(
-    tmp_path: Path, expected: list[Record], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr(batch, "_CLUSTER_TIMEOUT_S", 2.0)
-    with (
-        distributed.LocalCluster(
-            n_workers=1, threads_per_worker=1, processes=False, protocol="tcp://", dashboard_address=":0"
-        ) as local,
-        Store(tmp_path, {}) as store,
-        pytest.raises(BatchError, match=r"the cluster at .* gave trials up"),
-    ):
-        run_batch(
-            slowly,
-            TRIALS,
-            scheduler_address=local.scheduler_address,
-            store=store,
-            progress=lambda done, total: local.close() if done == 2 else None,
-        )
-    with Store(tmp_path, {}, resume=True) as store:
-        assert len(store.records) >= 2
-        assert run_batch(draw, TRIALS, store=store) == expected
 
 
 def test_a_worker_of_another_build_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -248,7 +149,7 @@ SLOW = """
 import sys
 from pathlib import Path
 sys.path.insert(0, {tests!r})
-from test_experiment_batch import TRIALS, slowly
+from trials import TRIALS, slowly
 from gelstereo.experiments.batch import run_batch
 from gelstereo.experiments.store import Store
 
@@ -281,9 +182,8 @@ def test_what_was_finished_when_stopped_is_kept(
         if seen >= 3:
             running.send_signal(stop)
             break
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        running.communicate(timeout=30)
-    assert running.returncode not in (0, None)
+    running.communicate(timeout=200)
+    assert running.returncode != 0
     with Store(tmp_path, {"seed": 1}, resume=True) as store:
         assert seen <= len(store.records) < len(TRIALS)
         assert run_batch(draw, TRIALS, store=store) == expected

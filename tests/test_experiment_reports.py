@@ -290,10 +290,28 @@ def test_a_contact_that_was_refused_everywhere_has_no_figures(contacts: Records)
     trials, records = contacts
     changed = copy.deepcopy(records[1:])
     changed[0]["methods"] = {
-        "preset fast": {**changed[0]["methods"]["preset fast"], "refused": "x", "salient": 0}
+        "preset fast": {
+            **changed[0]["methods"]["preset fast"],
+            "refused": "x",
+            "salient": 0,
+            "height_um": None,
+        }
     }
     row = objects.EXPERIMENT.report(trials[1:], changed).summary[0].rows[0]
-    assert row[3] == "-" and row[5:] == ["0 of 1", "-", "-", "1"]
+    assert row[2:4] == ["-", "-"] and row[5:] == ["0 of 1", "-", "-", "1"]
+
+
+def test_a_method_that_senses_nothing_is_refused_alone(
+    contacts: Records, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    blind = Params.preset("fast").replace({"detect": {"threshold": "fixed", "threshold_levels": 255}})
+    monkeypatch.setattr(objects, "methods", lambda: {"blind": blind, "preset fast": Params.preset("fast")})
+    trial, record = contacts[0][1], contacts[1][1]
+    found = objects.run(trial.configuration, trial.seed)["methods"]
+    assert found["preset fast"] == record["methods"]["preset fast"]
+    assert found["blind"].pop("refused")
+    touching = found["preset fast"]["touching"]
+    assert found["blind"] == {"height_um": None, "touching": touching, "salient": 0, "both": 0}
 
 
 # The whole command

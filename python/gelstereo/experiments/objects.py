@@ -82,16 +82,22 @@ def run(configuration: Configuration, seed: int) -> dict[str, Any]:
         mesh.export(path)
         simulator, pose = _press(item, mesh, path, seed)
         frames = [simulator[index] for index in range(len(simulator))]
-    sensed = {name: _sense(simulator, params, frames) for name, params in methods().items()}
     template = Template.from_mesh(mesh, units="mm", spacing_mm=0.3).with_grid()
     grasp = _grasp(item, mesh, template, pose, frames[-1])
     guess = grasp.guess(START, seed)
     found: dict[str, Any] = {"methods": {}, "depth_mm": _depth_mm(frames[-1])}
     for name, params in methods().items():
-        result = _method(grasp, guess, params, frames[-1], sensed[name][1])
+        try:
+            rest, frame = _sense(simulator, params, frames)
+        except Error as error:
+            touching = int(frames[-1].in_contact.sum())
+            nothing = {"height_um": None, "touching": touching, "salient": 0, "both": 0}
+            found["methods"][name] = nothing | {"refused": str(error)}
+            continue
+        result = _method(grasp, guess, params, frames[-1], frame)
         found["methods"][name] = {key: value for key, value in result.items() if key != "pose"}
         if name == BEST and configuration["press"] == 1:
-            found |= _shown(item, grasp, result, frames[-1], *sensed[name])
+            found |= _shown(item, grasp, result, frames[-1], rest, frame)
     return found
 
 
@@ -101,7 +107,7 @@ def _depth_mm(frame: SimulatedFrame) -> float:
 
 
 def _press(item: Press, mesh: Any, path: Path, seed: int) -> tuple[Simulator, Array]:
-    """A sensor into which the object comes down along its normal, and the pose where it stops."""
+    """A sensor into which the object comes down along the camera's axis, and the pose where it stops."""
     random = np.random.default_rng(seed)
     scene = VGA.scene().replace(
         {"seed": seed, "indenter": {"kind": "mesh", "path": str(path), "units": "mm"}}
