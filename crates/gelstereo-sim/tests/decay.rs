@@ -3,10 +3,13 @@
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 use gelstereo_core::contact::{Decay, DecayFit, Pressure, RestSurface};
+use gelstereo_core::image::GrayView;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec3, Pose};
+use gelstereo_core::params::{ContactParams, Params, Search};
+use gelstereo_core::pipeline::{Frame, Pipeline};
 use gelstereo_core::track::MarkerState;
-use gelstereo_sim::effects::Effects;
+use gelstereo_sim::effects::{Defocus, Effects, SensorNoise};
 use gelstereo_sim::{ContactState, Scene, Shape, Simulator, Truth};
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -110,4 +113,52 @@ fn frames_without_contact_tell_nothing() {
     // A list of another length is not this frame.
     fit.add(&pressure, &presses[3][1..], &SEEN, &[true; 625]);
     assert_eq!(fit.decay(), None);
+}
+
+/// The pipeline begins with a length that is 60 % too long, and learns from presses of a ball until it judges by what it found. The
+/// noise of the rest frame is in all heights alike, so that it counts as one frame's does: four standard deviations of that are
+/// 0.2 mm.
+#[test]
+fn a_pipeline_learns_the_decay_length() {
+    let effects = Effects {
+        defocus: Some(Defocus::default()),
+        sensor_noise: Some(SensorNoise::default()),
+        ..Effects::of_gel()
+    };
+    let scene = Scene { indenter: Some(Shape::Sphere { radius_mm: 4.0 }), effects, ..Scene::default() };
+    let mut simulator = Simulator::new(&scene, None).unwrap();
+    let mut params = Params::preset("balanced").unwrap();
+    params.contact = ContactParams { decay_mm: 4.0, learn_decay: true, ..params.contact };
+    params.detect.search = Search::Whole;
+    let mut pipeline = Pipeline::new(&scene.rig, &params).unwrap();
+    let (mut truth, mut left, mut right) = (Truth::default(), Vec::new(), Vec::new());
+    let mut frame = Frame::default();
+    for index in 0..16_u64 {
+        let above = Pose::from_translation_mm(DVec3::new(4.5, -0.4, 40.0));
+        let press_mm = 0.2 * (index as f64).min(7.0);
+        let contact = (index > 0).then(|| ContactState::pressed(simulator.pressed(above, press_mm).unwrap()));
+        simulator.truth(contact.as_ref(), &mut truth);
+        simulator.render(&truth, index, &mut left, &mut right);
+        let view = |pixels| GrayView::new(pixels, 640, 480, 640).unwrap();
+        pipeline.process(view(&left), view(&right), &mut frame).unwrap();
+        if index == 0 {
+            assert_eq!(pipeline.decay(), None);
+        }
+    }
+    let found = pipeline.decay().unwrap();
+    println!("{found:?}");
+    assert!((found.decay_mm - DECAY_MM).abs() < 0.2 && found.sigma_mm < 0.02 * found.decay_mm, "{found:?}");
+    let both = |salient: &[bool]| salient.iter().zip(&truth.in_contact).filter(|&(&a, &b)| a && b).count();
+    let all = frame.salient.iter().chain(&truth.in_contact).filter(|&&b| b).count();
+    assert!(2.0 * both(&frame.salient) as f64 / all as f64 > 0.9);
+    pipeline.reset();
+    assert_eq!(pipeline.decay(), None);
+}
+
+#[test]
+fn only_the_rung_of_pressure_learns() {
+    let mut params = Params::preset("fast").unwrap();
+    params.contact.learn_decay = true;
+    let error = params.validate().unwrap_err().to_string();
+    assert!(error.contains("contact.learn_decay") && error.contains("pressure"), "{error}");
 }

@@ -45,6 +45,16 @@ pub struct DecayFit {
 }
 
 impl DecayFit {
+    /// Forgets all frames, and makes room for so many markers: none is allocated later.
+    pub fn start(&mut self, markers: usize) {
+        self.free.clear();
+        self.free.reserve(markers);
+        self.gradient.clear();
+        self.gradient.reserve(markers);
+        let (free, gradient) = (core::mem::take(&mut self.free), core::mem::take(&mut self.gradient));
+        *self = Self { free, gradient, ..Self::default() };
+    }
+
     /// Adds the frame that `pressure` was run on last, with its indentations and states and the salient markers that it gave. A
     /// frame without contact adds nothing.
     pub fn add(

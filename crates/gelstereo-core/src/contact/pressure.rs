@@ -71,10 +71,28 @@ impl Pressure {
     pub fn new(rest: &RestSurface, rows: usize, cols: usize, decay_mm: f64) -> Result<Self, ContactError> {
         let stencils = Stencils::new(rest, rows, cols, decay_mm)?;
         let mut pressure = Self { stencils, ..Self::default() };
-        let weights = &pressure.stencils.weights;
-        pressure.covariances.measure(cols, weights, &alloc::vec![1.0; weights.len()]);
-        pressure.filters = (0..pressure.len()).map(|i| pressure.filter(i)).collect();
+        pressure.make_filters();
         Ok(pressure)
+    }
+
+    /// Takes another decay length from now on, such as [`DecayFit`](super::DecayFit) found. No allocation.
+    ///
+    /// # Errors
+    /// [`ContactError::Decay`] for what is no length; the last one then holds.
+    pub fn set_decay(&mut self, decay_mm: f64) -> Result<(), ContactError> {
+        self.stencils.set_decay(decay_mm)?;
+        self.make_filters();
+        Ok(())
+    }
+
+    fn make_filters(&mut self) {
+        self.variance_mm2.clear();
+        self.variance_mm2.resize(self.len(), 1.0);
+        self.covariances.measure(self.stencils.cols, &self.stencils.weights, &self.variance_mm2);
+        let mut filters = core::mem::take(&mut self.filters);
+        filters.clear();
+        filters.extend((0..self.len()).map(|i| self.filter(i)));
+        self.filters = filters;
     }
 
     fn filter(&self, i: usize) -> Filter {

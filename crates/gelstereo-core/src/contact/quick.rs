@@ -124,7 +124,17 @@ impl QuickPressure {
         let even = Even::new(mean([1, 2]), mean([3, 4]));
         let noise = all.iter().map(|w| w.iter().map(|w| w * w).sum()).collect();
         let inner = all.iter().map(|w| w.iter().all(|&w| w != 0.0)).collect();
-        Ok(Self { noise, inner, even, stencils, ..Self::default() })
+        let mut quick = Self { noise, inner, even, stencils, ..Self::default() };
+        quick.reserve(rows * cols);
+        Ok(quick)
+    }
+
+    /// Makes all room: the first contact may come late.
+    fn reserve(&mut self, markers: usize) {
+        let Self { pressure_mm, score, evidence, valid, asked, next, regions, .. } = self;
+        [pressure_mm, score, evidence].into_iter().for_each(|list| list.reserve(markers));
+        [valid, asked, next].into_iter().for_each(|list| list.reserve(markers));
+        regions.reserve(markers);
     }
 
     /// Markers in contact, as [`Pressure::run`](super::Pressure::run) gives them; markers that are not seen are never salient,

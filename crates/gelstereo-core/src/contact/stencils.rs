@@ -28,9 +28,7 @@ impl Stencils {
                 found: rows.saturating_mul(cols),
             });
         }
-        if !(1e-3..=1e3).contains(&decay_mm) {
-            return Err(ContactError::Decay { found_mm: decay_mm });
-        }
+        check_decay(decay_mm)?;
         let l2 = decay_mm * decay_mm;
         let stencil = |i: usize| {
             let (row, col) = (i / cols, i % cols);
@@ -42,6 +40,18 @@ impl Stencils {
             [1.0 + l2 * (left + right + up + down), -l2 * left, -l2 * right, -l2 * up, -l2 * down]
         };
         Ok(Self { rows, cols, decay_mm, weights: (0..points.len()).map(stencil).collect() })
+    }
+
+    /// The same lattice with another decay length, which the second differences are multiplied by the square of.
+    pub fn set_decay(&mut self, decay_mm: f64) -> Result<(), ContactError> {
+        check_decay(decay_mm)?;
+        let times = (decay_mm / self.decay_mm) * (decay_mm / self.decay_mm);
+        for [own, around @ ..] in &mut self.weights {
+            around.iter_mut().for_each(|weight| *weight *= times);
+            *own = 1.0 - around.iter().sum::<f64>();
+        }
+        self.decay_mm = decay_mm;
+        Ok(())
     }
 
     /// The stencil's marker, left, right, upper and lower neighbour, with their weights.
@@ -77,6 +87,10 @@ impl Stencils {
     }
 }
 
+fn check_decay(found_mm: f64) -> Result<(), ContactError> {
+    if (1e-3..=1e3).contains(&found_mm) { Ok(()) } else { Err(ContactError::Decay { found_mm }) }
+}
+
 /// Weights of the neighbours at these distances in a second difference; beyond the border the surface goes on as its
 /// mirror image.
 fn second_difference(before: Option<f64>, after: Option<f64>) -> [f64; 2] {
@@ -96,12 +110,18 @@ pub(super) struct Regions {
 }
 
 impl Regions {
+    /// Makes room for so many markers.
+    pub fn reserve(&mut self, markers: usize) {
+        self.seen.clear();
+        self.seen.reserve(markers);
+        self.region.clear();
+        self.region.reserve(markers);
+    }
+
     /// Takes away the regions that could be chance, given the signed squared standard deviations of every marker's pressure.
     pub fn drop_unsure(&mut self, lattice: &Stencils, evidence: &[f64], contact: &mut [bool]) {
+        self.reserve(contact.len());
         let Self { seen, region } = self;
-        region.clear();
-        region.reserve(contact.len());
-        seen.clear();
         seen.resize(contact.len(), false);
         for seed in 0..contact.len() {
             if !contact[seed] || seen[seed] {

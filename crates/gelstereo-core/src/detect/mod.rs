@@ -210,7 +210,9 @@ impl Detector {
             kind => Eye::<32>::new(kind, flip).centre(image, at_px),
         };
         bands.clear();
-        bands.reserve(most);
+        if kind.is_some() {
+            bands.reserve(most);
+        }
         for blob in whole.clone().filter(in_range) {
             let mut grey = || grey_centre.run(image, blob, components.runs(blob), params.polarity);
             let (centre_px, band) = match params.centre {
@@ -218,7 +220,9 @@ impl Detector {
                 Centre::Band => at_a_glance(centre::binary(blob)).unwrap_or_else(|| (grey(), 0)),
                 Centre::Grey | Centre::Fit => (grey(), 0),
             };
-            bands.push(band);
+            if kind.is_some() {
+                bands.push(band);
+            }
             out.push(centre_px, [[variance, 0.0], [0.0, variance]], blob.area_px2);
             if let Some(fit) = disc_fit.as_mut() {
                 fit.add(centre_px, blob.spread_px2(components.runs(blob)));

@@ -31,6 +31,10 @@ pub struct ContactParams {
     /// thickness is a fair guess. Rather too long than too short: 20 % too short takes half of the shoulder. A few presses of
     /// any part tell it to some percent: [`DecayFit`](crate::contact::DecayFit). Default: `2.5` mm.
     pub decay_mm: f64,
+    /// Whether to learn the decay length from contacts, for `saliency = pressure`, beginning with `decay_mm`, which should then
+    /// be too long rather than too short. What was learned counts once it is known to 2 %, and is what
+    /// [`Pipeline::decay`](crate::pipeline::Pipeline::decay) says. Default: `false`.
+    pub learn_decay: bool,
     /// Indentation from which a marker is salient, for `saliency = depth` (Eq. 4). Default: `0.35` mm.
     pub saliency_mm: f64,
     /// Share of the deepest indentation that a salient marker must reach to belong to the contact patch, which is what is
@@ -48,6 +52,7 @@ impl Default for ContactParams {
         Self {
             saliency: Saliency::Depth,
             decay_mm: 2.5,
+            learn_decay: false,
             saliency_mm: 0.35,
             patch_share: 0.0,
             grasp_trigger_px: 10.0,
@@ -65,6 +70,8 @@ impl ContactParams {
         positive("contact.saliency_mm", self.saliency_mm)?;
         let decay = self.decay_mm;
         check((1e-3..=1e3).contains(&decay), "contact.decay_mm", decay, "0.001 to 1000 mm")?;
+        let learns = !self.learn_decay || self.saliency == Saliency::Pressure;
+        check(learns, "contact.learn_decay", 1.0, "0 (false), or contact.saliency = pressure")?;
         let share = self.patch_share;
         check((0.0..1.0).contains(&share), "contact.patch_share", share, "from 0 to below 1")?;
         positive("contact.grasp_trigger_px", self.grasp_trigger_px)?;

@@ -11,7 +11,7 @@ pub use error::{PipelineError, View};
 pub use frame::{Frame, LabelSource, Searched, Touch, ViewEvidence};
 pub use rest_record::{RestRecord, RestRecordError, RestView};
 
-use crate::contact::{self, LabelSlips, Pressure, QuickPressure, RestSurface};
+use crate::contact::{self, Decay, DecayFit, LabelSlips, Pressure, QuickPressure, RestSurface};
 use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, DVec3};
@@ -33,6 +33,7 @@ pub struct Pipeline {
     rest: Option<RestSurface>,
     pressure: Pressure,
     quick_pressure: QuickPressure,
+    decay: DecayFit,
     rest_variance_mm2: Vec<f64>,
     reference_px: Vec<DVec2>,
     slips: LabelSlips,
@@ -61,6 +62,7 @@ impl Pipeline {
             rest: None,
             pressure: Pressure::default(),
             quick_pressure: QuickPressure::default(),
+            decay: DecayFit::default(),
             rest_variance_mm2: Vec::new(),
             reference_px: Vec::new(),
             slips: LabelSlips::default(),
@@ -90,9 +92,17 @@ impl Pipeline {
         self.rest.as_ref()
     }
 
+    /// The gel's decay length as the contacts since the rest frame tell it; `None` while they do not, or without
+    /// `contact.learn_decay`.
+    #[must_use]
+    pub fn decay(&self) -> Option<Decay> {
+        self.decay.decay()
+    }
+
     /// Forgets tracks, rest surface and reference: the next frame is the rest frame.
     pub fn reset(&mut self) {
         self.rest = None;
+        self.decay.start(0);
         self.frames = 0;
         self.resumes = false;
         self.left.forget();
@@ -220,6 +230,7 @@ impl Pipeline {
             Saliency::Depth => {}
             Saliency::Pressure => {
                 self.pressure = Pressure::new(&rest, rows, cols, decay_mm).map_err(PipelineError::Contact)?;
+                self.decay.start(if self.params.contact.learn_decay { rows * cols } else { 0 });
             }
             Saliency::PressureQuick => {
                 let quick = QuickPressure::new(&rest, rows, cols, decay_mm);
@@ -277,6 +288,22 @@ impl Pipeline {
         Ok(())
     }
 
+    /// Adds what this frame says of the decay length, which later ones are judged by.
+    fn learn_decay(&mut self, out: &Frame) -> Result<(), PipelineError> {
+        if !self.params.contact.learn_decay || self.rest.is_none() {
+            return Ok(());
+        }
+        self.decay.add(&self.pressure, &out.indentation_mm, &out.state, &out.salient);
+        let used_mm = self.pressure.decay_mm();
+        let apart = |found: &Decay| crate::math::abs(found.decay_mm - used_mm) > DECAY_KNOWN * used_mm;
+        match self.decay.decay().filter(|found| found.sigma_mm < DECAY_KNOWN * found.decay_mm) {
+            Some(found) if apart(&found) => {
+                self.pressure.set_decay(found.decay_mm).map_err(PipelineError::Contact)
+            }
+            _ => Ok(()),
+        }
+    }
+
     fn finish(&mut self, out: &mut Frame) -> Result<(), PipelineError> {
         out.index = self.frames;
         copy_into(&self.left.labelled().positions_px, &mut out.left_px);
@@ -305,10 +332,14 @@ impl Pipeline {
         out.motion_px = contact::mean_motion_px(&self.reference_px, &out.left_px, &out.state);
         out.left = self.left.evidence;
         out.right = self.right.evidence;
+        self.learn_decay(out)?;
         self.frames += 1;
         Ok(())
     }
 }
+
+/// How well the decay length must be known to be taken, and from what change on, over itself.
+const DECAY_KNOWN: f64 = 0.02;
 
 fn centres(tracks: &Tracks) -> Centres<'_> {
     Centres { positions_px: &tracks.positions_px, covariance_px2: &tracks.covariance_px2 }
