@@ -370,7 +370,7 @@ fn bounds_are_of_use() {
         ("grain", levels, 10.0),
         ("uneven_light", levels, 2.0),
         ("smears", levels, 2.0),
-        ("defocus", levels, 6.0),
+        ("defocus", levels, 7.0),
         ("sensor_noise", levels, 1.0),
         ("refraction", px, 1.5),
         ("lens_distortion", px, 4.0),
