@@ -377,7 +377,7 @@ fn bounds_are_of_use() {
         ("sensor_noise", levels, 1.0),
         ("refraction", px, 1.5),
         ("lens_distortion", px, 4.0),
-        ("ellipse_bias", px, 600.0),
+        ("ellipse_bias", px, 700.0),
     ];
     for (name, scene) in typical() {
         let plan = Plan::of(&scene, None).unwrap();
