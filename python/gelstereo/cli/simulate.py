@@ -42,8 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Render the scene; the exit code."""
     simulator = simulate(arguments.scene)
-    print(simulator.plan, end="")
     wanted = _wanted(arguments.frames, len(simulator))
+    print(simulator.plan, end="")
     frames = [_render(simulator, index, arguments.output) for index in progress(wanted, "rendering")]
     _write_truth(arguments.output / "truth.npz", frames)
     simulator.plan.scene.rig.save(arguments.output / "rig.toml")

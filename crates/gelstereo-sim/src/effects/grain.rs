@@ -43,7 +43,7 @@ impl Effect for Grain {
     }
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
-        0.1 * facts.pixels()
+        0.01 * facts.pixels()
     }
 }
 
