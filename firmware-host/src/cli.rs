@@ -5,7 +5,7 @@ use gelstereo_core::params::Params;
 use gelstereo_host::config::{Config, ConfigError};
 use gelstereo_host::report::{JobReport, Outcome, StageReport};
 use gelstereo_host::run::HostError;
-use gelstereo_host::simulate::SimulateError;
+use gelstereo_host::simulate::{SimulateError, Simulated};
 use gelstereo_host::{check, replay, run, simulate};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt;
@@ -242,12 +242,13 @@ fn count_style() -> ProgressStyle {
 fn simulate_scene(scene: &Path, folder: &Path) -> Result<bool, CliError> {
     let stop = stop_flag()?;
     let bar = ProgressBar::new(0);
-    let frames = simulate::simulate(scene, folder, &stop, &mut |done, all| {
+    let simulated = simulate::simulate(scene, folder, &stop, &mut |done, all| {
         bar.set_length(all as u64);
         bar.set_position(done as u64);
     });
     bar.finish_and_clear();
-    let frames = frames.map_err(CliError::Simulate)?;
+    let Simulated { frames, plan } = simulated.map_err(CliError::Simulate)?;
+    say(plan.to_string().trim_end())?;
     say(format_args!("{frames} pairs with truth in {}", folder.display()))?;
     Ok(!stop.load(Ordering::Relaxed))
 }

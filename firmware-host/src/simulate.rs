@@ -1,7 +1,7 @@
 //! A scene made into a folder of image pairs with its truth.
 
 use crate::part::{Part, PartError};
-use gelstereo_sim::{Scene, SceneError, Shape, Simulator, Truth};
+use gelstereo_sim::{Plan, Scene, SceneError, Shape, Simulator, Truth};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -49,8 +49,17 @@ impl std::fmt::Display for SimulateError {
 
 impl std::error::Error for SimulateError {}
 
+/// What became of a scene.
+#[derive(Clone, Debug)]
+pub struct Simulated {
+    /// Image pairs written.
+    pub frames: usize,
+    /// Which effects were computed and why.
+    pub plan: Plan,
+}
+
 /// Writes `left_00000.png`, `right_00000.png`, `truth_00000.csv` and so on, and the scene with all its defaults as
-/// `scene.toml`, and the rig as `rig.toml`; returns the number of frames.
+/// `scene.toml`, and the rig as `rig.toml`. Frames that the scene drops are left out; the others keep their numbers.
 ///
 /// The truth has a row per marker, `row * cols + col`: x_mm, y_mm, z_mm (sensor frame), indentation_mm, in_contact,
 /// left_x_px, left_y_px, right_x_px, right_y_px.
@@ -62,7 +71,7 @@ pub fn simulate(
     folder: &Path,
     stop: &AtomicBool,
     progress: &mut dyn FnMut(usize, usize),
-) -> Result<usize, SimulateError> {
+) -> Result<Simulated, SimulateError> {
     let text = std::fs::read_to_string(scene_path)
         .map_err(|error| SimulateError::Read { path: scene_path.to_owned(), error })?;
     let mut scene: Scene =
@@ -79,21 +88,24 @@ pub fn simulate(
     };
     let mut simulator = Simulator::new(&scene, mesh.as_ref()).map_err(SimulateError::Scene)?;
     create_folder(folder)?;
-    for (name, text) in [("scene.toml", toml::to_string(&scene)), ("rig.toml", toml::to_string(&scene.rig))] {
+    for (name, text) in
+        [("scene.toml", toml::to_string(&scene)), ("rig.toml", toml::to_string(&simulator.plan().scene.rig))]
+    {
         let path = folder.join(name);
         let text =
             text.map_err(|error| SimulateError::Write { path: path.clone(), message: error.to_string() })?;
         write(&path, text.as_bytes())?;
     }
     let sizes = [&scene.rig.left, &scene.rig.right].map(|c| (c.width_px as u32, c.height_px as u32));
+    let plan = simulator.plan().clone();
     let (mut truth, mut views) = (Truth::default(), [Vec::new(), Vec::new()]);
-    let frames = simulator.frames();
-    for frame in 0..frames {
-        if stop.load(Ordering::Relaxed) {
-            return Ok(frame);
-        }
+    let frames = simulator.delivered();
+    for arrived in 0..frames {
+        let Some(frame) = simulator.frame_of(arrived).filter(|_| !stop.load(Ordering::Relaxed)) else {
+            return Ok(Simulated { frames: arrived, plan });
+        };
         let contact = simulator.contact(frame);
-        simulator.truth(contact.as_ref(), &mut truth);
+        simulator.moment(contact.as_ref(), frame as u64, &mut truth);
         let [left, right] = &mut views;
         simulator.render(&truth, frame as u64, left, right);
         for ((name, pixels), (width, height)) in ["left", "right"].into_iter().zip(&views).zip(sizes) {
@@ -102,9 +114,9 @@ pub fn simulate(
                 .map_err(|error| SimulateError::Write { path: path.clone(), message: error.to_string() })?;
         }
         write(&folder.join(format!("truth_{frame:05}.csv")), table(&truth).as_bytes())?;
-        progress(frame + 1, frames);
+        progress(arrived + 1, frames);
     }
-    Ok(frames)
+    Ok(Simulated { frames, plan })
 }
 
 fn create_folder(folder: &Path) -> Result<(), SimulateError> {

@@ -77,8 +77,8 @@ fn the_job_runs_on_image_pairs_as_far_as_they_go() {
     .unwrap();
     let pairs = folder.path().join("pairs");
     let stop = AtomicBool::new(false);
-    let frames = simulate(&scene, &pairs, &stop, &mut |_, _| {}).unwrap();
-    assert_eq!(frames, 7, "0 to 0.2 s at 30 Hz");
+    let simulated = simulate(&scene, &pairs, &stop, &mut |_, _| {}).unwrap();
+    assert_eq!(simulated.frames, 7, "0 to 0.2 s at 30 Hz");
     let truth = std::fs::read_to_string(pairs.join("truth_00006.csv")).unwrap();
     assert_eq!(truth.lines().count(), 626);
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from gelstereo._native import Scene, Simulator
+from gelstereo._native import Plan, Scene, Simulator
 
 
 def simulate(scene: Scene | str | Path | Mapping[str, Any]) -> Simulator:
@@ -37,3 +38,24 @@ def simulate(scene: Scene | str | Path | Mapping[str, Any]) -> Simulator:
     elif isinstance(scene, Mapping):
         scene = Scene().replace(scene)
     return Simulator(scene)
+
+
+def plan_record(plan: Plan) -> dict[str, Any]:
+    """A plan as JSON can hold it: sums and a dictionary per effect; a bound that nobody knows is ``None``."""
+
+    def known(value: float) -> float | None:
+        return value if math.isfinite(value) else None
+
+    effects = [
+        {
+            "name": effect.name,
+            "on": effect.on,
+            "why": effect.why,
+            "bound_px": known(effect.bound_px),
+            "bound_um": known(effect.bound_um),
+            "bound_levels": known(effect.bound_levels),
+            "cost_ns": effect.cost_ns,
+        }
+        for effect in plan.effects
+    ]
+    return {"left_out": plan.left_out, "cost_ns": plan.cost_ns, "effects": effects}

@@ -62,7 +62,9 @@ mod _native {
     #[pymodule_export]
     use crate::rig::{Rectification, Rig};
     #[pymodule_export]
-    use crate::sim::{Scene, SimulatedDots, SimulatedFrame, Simulator, shape_mesh, sights};
+    use crate::sim::{
+        Plan, PlannedEffect, Scene, SimulatedDots, SimulatedFrame, Simulator, shape_mesh, sights,
+    };
     #[pymodule_export]
     use crate::surface::DenseSurface;
     #[pymodule_export]

@@ -3,13 +3,15 @@
 #![allow(clippy::unwrap_used)]
 
 use gelstereo_core::camera::{Camera, Layer, Layers};
-use gelstereo_core::math::{DVec3, Pose, so3};
+use gelstereo_core::math::{DVec2, DVec3, Pose, so3};
 use gelstereo_core::rig::Rig;
 use gelstereo_sim::effects::{
-    Defocus, Drag, Grain, Misprint, SensorNoise, Shoulder, Smears, Specks, Spread, UnevenLight,
+    Defocus, Drag, ElasticLayer, Grain, Misprint, SensorNoise, Shoulder, Smears, Specks, Spread, UnevenLight,
 };
 use gelstereo_sim::plan::Bound;
-use gelstereo_sim::{ContactState, Effects, Gel, Keyframe, Plan, Scene, Shape, Simulator, Switch, Truth};
+use gelstereo_sim::{
+    Asked, ContactState, Effects, Gel, Keyframe, Plan, Scene, Shape, Simulator, Switch, Truth,
+};
 use proptest::prelude::*;
 
 /// What the simulator gives for the frames of a scene.
@@ -38,13 +40,16 @@ fn largest(values: impl Iterator<Item = f64>) -> f64 {
     values.fold(0.0, f64::max)
 }
 
-/// How far two are apart.
-fn apart(a: &Seen, b: &Seen) -> Bound {
+/// How far two are apart, in dots that both show.
+fn apart(rig: &Rig, a: &Seen, b: &Seen) -> Bound {
     let truths = || a.truths.iter().zip(&b.truths);
     let dots = |truth: &Truth| -> Vec<_> {
         truth.left_dots.iter().chain(&truth.right_dots).map(|dot| dot.outline.centre_px).collect()
     };
-    let px = truths().flat_map(|(a, b)| dots(a).into_iter().zip(dots(b))).map(|(a, b)| (a - b).length());
+    let size = DVec2::new(rig.left.width_px as f64, rig.left.height_px as f64);
+    let within = |at: &DVec2| at.cmpge(DVec2::splat(-0.5)).all() && at.cmple(size - 0.5).all();
+    let pairs = truths().flat_map(|(a, b)| dots(a).into_iter().zip(dots(b)));
+    let px = pairs.filter(|(a, b)| within(a) && within(b)).map(|(a, b)| (a - b).length());
     let um = truths()
         .flat_map(|(a, b)| a.points_mm.iter().zip(&b.points_mm))
         .map(|(a, b)| 1e3 * (*a - *b).length());
@@ -53,7 +58,7 @@ fn apart(a: &Seen, b: &Seen) -> Bound {
     Bound { px: largest(px), um: largest(um), levels: largest(levels) }
 }
 
-const NAMES: [&str; 13] = [
+const NAMES: [&str; 14] = [
     "shoulder",
     "spread",
     "drag",
@@ -67,6 +72,7 @@ const NAMES: [&str; 13] = [
     "refraction",
     "lens_distortion",
     "ellipse_bias",
+    "elastic_layer",
 ];
 
 /// A scene whose effects of these bits are off.
@@ -87,6 +93,7 @@ fn switched(scene: &Scene, off: u32) -> Scene {
         &mut s.refraction,
         &mut s.lens_distortion,
         &mut s.ellipse_bias,
+        &mut s.elastic_layer,
     ];
     for (bit, switch) in all.into_iter().enumerate() {
         if off >> bit & 1 == 1 {
@@ -171,13 +178,22 @@ fn size(most: f64) -> impl Strategy<Value = f64> {
 
 fn effects() -> impl Strategy<Value = Effects> {
     let gel = (
+        // The elastic layer stands for the three below.
+        prop::option::weighted(
+            0.2,
+            (0.0..0.5_f64, 0.0..2.0_f64).prop_map(|(poisson_ratio, friction)| ElasticLayer {
+                poisson_ratio,
+                friction,
+                ..ElasticLayer::default()
+            }),
+        ),
         prop::option::of((0.05..1.5_f64).prop_map(|decay_thicknesses| Shoulder { decay_thicknesses })),
         prop::option::of(
             (size(1.0), 0.3..3.0_f64)
                 .prop_map(|(strength, decay_thicknesses)| Spread { strength, decay_thicknesses }),
         ),
         prop::option::of((0.1..1.5_f64).prop_map(|decay_thicknesses| Drag { decay_thicknesses })),
-        prop::option::of((size(0.2), size(0.5), prop::bool::ANY).prop_map(
+        prop::option::of((size(0.149), size(0.5), prop::bool::ANY).prop_map(
             |(shift_mm, radius_share, merged)| Misprint {
                 shift_mm,
                 radius_share,
@@ -207,12 +223,14 @@ fn effects() -> impl Strategy<Value = Effects> {
         prop::option::of((0.1..2.0_f64).prop_map(|sigma_px| Defocus { sigma_px })),
         prop::option::of(size(10.0).prop_map(|sigma_levels| SensorNoise { sigma_levels })),
     );
-    (gel, image).prop_map(|((shoulder, spread, drag, misprint, specks), image)| {
+    (gel, image).prop_map(|((elastic_layer, shoulder, spread, drag, misprint, specks), image)| {
+        let beside = elastic_layer.is_none();
         let (grain, uneven_light, smears, defocus, sensor_noise) = image;
         Effects {
-            shoulder,
-            spread,
-            drag,
+            elastic_layer,
+            shoulder: shoulder.filter(|_| beside),
+            spread: spread.filter(|_| beside),
+            drag: drag.filter(|_| beside),
             misprint,
             specks,
             grain,
@@ -250,14 +268,14 @@ fn scenes() -> impl Strategy<Value = Scene> {
 /// Changes of one effect, with those of `off` away.
 fn change(scene: &Scene, effect: usize, off: u32) -> Bound {
     let off = off & !(1 << effect);
-    apart(&see(&switched(scene, off), true), &see(&switched(scene, off | 1 << effect), true))
+    apart(&scene.rig, &see(&switched(scene, off), true), &see(&switched(scene, off | 1 << effect), true))
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(400))]
+    #![proptest_config(ProptestConfig::with_cases(120))]
 
     #[test]
-    fn no_effect_changes_more_than_its_bound(scene in scenes(), effect in 0..NAMES.len(), off in 0..1_u32 << 13) {
+    fn no_effect_changes_more_than_its_bound(scene in scenes(), effect in 0..NAMES.len(), off in 0..1_u32 << 14) {
         let plan = Plan::of(&scene, None).unwrap();
         let name = NAMES[effect];
         if let Some(entry) = plan.entries.iter().find(|entry| entry.effect == name) {
@@ -267,6 +285,104 @@ proptest! {
             prop_assert!(found.px <= bound.px + 1e-5, "{name}: {} px, bound {}", found.px, bound.px);
             // Rounded to whole levels.
             prop_assert!(found.levels <= bound.levels.ceil(), "{name}: {} levels, bound {}", found.levels, bound.levels);
+        }
+    }
+
+    /// Whatever is switched off on auto, what is left is within the tolerance of the whole scene.
+    #[test]
+    fn together_they_stay_within_the_tolerance(scene in scenes(), kind in 0..3_usize, exponent in -3.0..2.5_f64) {
+        let tolerance = 10.0_f64.powf(exponent);
+        let asked = match kind {
+            0 => Asked::Positions { tolerance_px: tolerance },
+            1 => Asked::Points { tolerance_um: tolerance },
+            _ => Asked::Images { tolerance_levels: tolerance },
+        };
+        let planned = Scene { asked: Some(asked), ..scene.clone() };
+        let plan = Plan::of(&planned, None).unwrap();
+        prop_assert!(plan.left_out() <= tolerance);
+        let least_on = plan.entries.iter().filter(|e| e.on).map(|e| asked.of(&e.bound)).fold(f64::INFINITY, f64::min);
+        prop_assert!(plan.left_out() + least_on > tolerance, "one more could be off");
+        let found = asked.of(&apart(&scene.rig, &see(&scene, kind == 2), &see(&planned, kind == 2)));
+        let slack = [1e-5, 2e-3, 1.0][kind];
+        prop_assert!(found <= tolerance + slack, "{found} {}, asked {tolerance}", asked.unit());
+    }
+}
+
+fn keyframe(time_s: f64, at_mm: [f64; 3], turn_rad: f64, shear_mm: f64, twist_rad: f64) -> Keyframe {
+    let rotation = so3::exp(DVec3::new(turn_rad, 0.0, 0.0));
+    let t_sensor_object = Pose { rotation, translation_mm: DVec3::from_array(at_mm) };
+    Keyframe { time_s, contact: ContactState { t_sensor_object, shear_mm: [shear_mm, 0.0], twist_rad } }
+}
+
+/// A ball and a peg on the default sensor behind lenses that distort, and a board behind layers, with every effect; and the
+/// peg on an elastic layer.
+fn typical() -> [(&'static str, Scene); 4] {
+    let effects = Effects {
+        misprint: Some(Misprint { shift_mm: 0.04, radius_share: 0.15, ..Misprint::default() }),
+        specks: Some(Specks::default()),
+        grain: Some(Grain::default()),
+        uneven_light: Some(UnevenLight::default()),
+        smears: Some(Smears { random: 8, ..Smears::default() }),
+        defocus: Some(Defocus::default()),
+        sensor_noise: Some(SensorNoise::default()),
+        ..Effects::of_gel()
+    };
+    let mut plain = Scene { frame_rate_hz: 2.0, effects: effects.clone(), ..Scene::default() };
+    for camera in [&mut plain.rig.left, &mut plain.rig.right] {
+        camera.distortion = [-0.2, 0.05, 0.001, -0.001, 0.0];
+    }
+    let ball = Scene {
+        indenter: Some(Shape::Sphere { radius_mm: 4.0 }),
+        trajectory: vec![keyframe(0.0, [4.0, 0.0, 31.2], 0.0, 0.0, 0.0)],
+        ..plain.clone()
+    };
+    let lying = core::f64::consts::FRAC_PI_2;
+    let peg = Scene {
+        indenter: Some(Shape::Cylinder { radius_mm: 4.0, length_mm: 20.0 }),
+        trajectory: vec![keyframe(0.0, [4.5, 0.0, 30.7], lying, 0.5, 0.1)],
+        ..plain
+    };
+    let board = Scene {
+        indenter: Some(Shape::Board { size_mm: [30.0, 30.0], block_mm: [8.0, 8.0], protrusion_mm: 0.8 }),
+        trajectory: vec![keyframe(0.0, [5.0, 0.0, 28.0], core::f64::consts::PI, 0.0, 0.0)],
+        effects,
+        ..Scene::preset("640x480-25-refraction").unwrap()
+    };
+    let layer = Effects { elastic_layer: Some(ElasticLayer::default()), ..Effects::default() };
+    let layer = Scene { effects: layer, ..peg.clone() };
+    [("ball", ball), ("peg", peg), ("board", board), ("peg on a layer", layer)]
+}
+
+/// Bounds are loose where they ask little of a scene, but not without limit: in typical scenes they are at most so many
+/// times what happens. (Manual: the table of effects.)
+#[test]
+fn bounds_are_of_use() {
+    let um = |bound: Bound| bound.um;
+    let px = |bound: Bound| bound.px;
+    let levels = |bound: Bound| bound.levels;
+    let factors: [(&str, fn(Bound) -> f64, f64); 14] = [
+        ("shoulder", um, 10.0),
+        ("spread", um, 20.0),
+        ("drag", um, 5.0),
+        ("elastic_layer", um, 10.0),
+        ("misprint", levels, 2.0),
+        ("specks", levels, 1.1),
+        ("grain", levels, 10.0),
+        ("uneven_light", levels, 2.0),
+        ("smears", levels, 2.0),
+        ("defocus", levels, 7.0),
+        ("sensor_noise", levels, 1.0),
+        ("refraction", px, 1.5),
+        ("lens_distortion", px, 4.0),
+        ("ellipse_bias", px, 600.0),
+    ];
+    for (name, scene) in typical() {
+        let plan = Plan::of(&scene, None).unwrap();
+        for (effect, part, factor) in factors {
+            let Some(entry) = plan.entries.iter().find(|entry| entry.effect == effect) else { continue };
+            let bit = NAMES.iter().position(|&name| name == effect).unwrap();
+            let (bound, found) = (part(entry.bound), part(change(&scene, bit, 0)));
+            assert!(bound <= factor * found, "{name}, {effect}: bound {bound}, found {found}");
         }
     }
 }

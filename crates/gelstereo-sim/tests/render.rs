@@ -7,7 +7,7 @@ use common::{images, press, rest, truth};
 use core::f64::consts::{PI, TAU};
 use gelstereo_core::math::{DVec2, DVec3, cos, sin};
 use gelstereo_sim::effects::{Defocus, Grain, SensorNoise, UnevenLight};
-use gelstereo_sim::{ContactState, Effects, Gel, Scene, Shape, Sight, Simulator, Truth};
+use gelstereo_sim::{ContactState, Effects, Gel, Images, Scene, Shape, Sight, Simulator, Truth};
 use proptest::prelude::*;
 
 /// Four dots, 4.5 mm (88 px) apart.
@@ -217,4 +217,29 @@ fn a_truth_of_another_lattice_shows_no_dots() {
     let (mut left, mut right) = (Vec::new(), Vec::new());
     simulator.render(&truth(&sparse(), None), 0, &mut left, &mut right);
     assert!(left.len() == 640 * 480 && left.iter().chain(&right).all(|&v| v == 170));
+}
+
+/// Both rungs of `images`, on whatever a scene can hold: dots of other sizes, merged, cut, covered and among dust, in uneven
+/// light. Levels differ by 0.02 (0.2 where dots merge) before they are rounded, so few round to another number.
+#[test]
+fn fast_images_are_the_exact_ones() {
+    let rough: Scene = toml::from_str(include_str!("../../../scenes/rough_ride.toml")).unwrap();
+    for missing in [vec![], vec![[3, 3]]] {
+        let mut scene = rough.clone();
+        scene.gel.missing = missing;
+        scene.gel.centre_mm = [1.0, -3.0];
+        scene.effects.sensor_noise = None;
+        let contact = press(&scene, DVec3::ZERO, DVec2::ZERO, 1.2);
+        let (truth, fast) = render(&scene, Some(&contact));
+        scene.images = Images::Exact;
+        let (_, exact) = render(&scene, Some(&contact));
+        for sight in [Sight::Whole, Sight::Cut, Sight::Merged, Sight::Outside] {
+            assert!(truth.left_dots.iter().any(|dot| dot.sight == sight), "{sight:?}");
+        }
+        for (fast, exact) in fast.iter().zip(&exact) {
+            assert!(fast.iter().zip(exact).all(|(a, b)| a.abs_diff(*b) <= 1));
+            let other = fast.iter().zip(exact).filter(|(a, b)| a != b).count();
+            assert!(other < fast.len() / 500, "{other} pixels");
+        }
+    }
 }

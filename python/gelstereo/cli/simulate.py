@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 from gelstereo import Error, SimulatedFrame, Simulator, simulate
 from gelstereo.cli.files import write_image
 from gelstereo.cli.progress import progress
+from gelstereo.simulation import plan_record
 
 EXAMPLES = """examples:
   gelstereo simulate scenes/press_sphere.toml --output out/sphere
@@ -26,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--output",
         type=Path,
         required=True,
-        help="folder for left/NNNN.png, right/NNNN.png, truth.npz, rig.toml",
+        help="folder for left/NNNN.png, right/NNNN.png, truth.npz, rig.toml, scene.toml, plan.json",
     )
     parser.add_argument(
         "--frames",
@@ -41,9 +43,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Render the scene; the exit code."""
     simulator = simulate(arguments.scene)
     wanted = _wanted(arguments.frames, len(simulator))
+    print(simulator.plan, end="")
     frames = [_render(simulator, index, arguments.output) for index in progress(wanted, "rendering")]
     _write_truth(arguments.output / "truth.npz", frames)
-    simulator.scene.rig.save(arguments.output / "rig.toml")
+    simulator.plan.scene.rig.save(arguments.output / "rig.toml")
+    record = json.dumps(plan_record(simulator.plan), indent=1)
+    (arguments.output / "plan.json").write_text(record + "\n", encoding="utf-8")
     simulator.scene.save(arguments.output / "scene.toml")
     print(f"wrote {len(frames)} stereo frames and their truth to {arguments.output}")
     return 0

@@ -1,7 +1,7 @@
 //! Blur of the lens.
 
 use crate::plan::{Bound, Effect, Facts};
-use crate::render::FINE;
+use crate::render::Lens;
 use crate::scene::{Gel, SceneError};
 use alloc::vec::Vec;
 use gelstereo_core::math::{ceil, erf};
@@ -34,21 +34,24 @@ impl Effect for Defocus {
 
     fn bound(&self, facts: &Facts<'_>) -> Bound {
         let [low, high] = facts.levels();
-        let smeared = facts.scene.effects.smears.is_some();
-        let range = if smeared { high.max(255.0) - low.min(0.0) } else { high - low };
-        Bound::of_levels(range * Blur::new(&self.on_canvas()).beyond_pixel())
+        // Of evenly bright pixels, and of ink too, what a pixel gains is what others see of it. (1e-4: what is cut off.)
+        let own = self.lens().pixel(0.0);
+        Bound::of_levels((high - low) * (1.0 - own * own + 1e-4))
     }
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
-        let taps = 2.0 * ceil(4.0 * self.sigma_px * FINE as f64) + 1.0;
-        facts.pixels() * (FINE * FINE) as f64 * (1.5 + 0.15 * taps)
+        let dot_px = facts.dot_radius_mm() * facts.optics.lateral_px_per_mm;
+        let lines = 2.0 + 2.2 * dot_px / self.sigma_px;
+        let reach_px = self.lens().reach_px();
+        // Of every line so many rows of so many columns are added up, four at once.
+        2.0 * facts.markers() * lines * (80.0 + 2.0 * reach_px * (1.0 + 0.6 * (dot_px + reach_px)))
     }
 }
 
 impl Defocus {
-    /// The same blur on a canvas of finer pixels.
-    pub(crate) fn on_canvas(&self) -> Self {
-        Self { sigma_px: FINE as f64 * self.sigma_px }
+    /// What it makes of the pixels.
+    pub(crate) fn lens(&self) -> Lens {
+        Lens { sigma_px: self.sigma_px }
     }
 }
 
@@ -69,7 +72,17 @@ impl Blur {
         let cumulative = |x: f64| 0.5 * erf(x * scale);
         let whole = 2.0 * cumulative(radius as f64 + 0.5);
         let weight = |k: usize| (cumulative(k as f64 + 0.5) - cumulative(k as f64 - 0.5)) / whole;
-        let weights = (0..=radius).map(|k| weight(k) as f32).collect();
+        Self::weighted((0..=radius).map(|k| weight(k) as f32).collect())
+    }
+
+    /// What a lens shows of pixels that are evenly bright each.
+    pub(crate) fn of_pixels(lens: Lens) -> Self {
+        let weights: Vec<f64> = (0..=lens.reach()).map(|k| lens.pixel(k as f64)).collect();
+        let whole = 2.0 * weights.iter().sum::<f64>() - weights[0];
+        Self::weighted(weights.into_iter().map(|weight| (weight / whole) as f32).collect())
+    }
+
+    fn weighted(weights: Vec<f32>) -> Self {
         Self { weights, rows: Vec::new(), padded: Vec::new() }
     }
 
@@ -78,12 +91,6 @@ impl Blur {
     pub(crate) fn remaining_sigma(&self) -> f32 {
         let beside: f32 = self.weights[1..].iter().map(|w| w * w).sum();
         self.weights[0] * self.weights[0] + 2.0 * beside
-    }
-
-    /// Share of a pixel's light that comes from other pixels, for a pixel of 2 by 2 of the canvas.
-    pub(crate) fn beyond_pixel(&self) -> f64 {
-        let within = f64::from(self.weights[0] + self.weights.get(1).copied().unwrap_or_default());
-        1.0 - within * within
     }
 
     pub(crate) fn apply(&mut self, image: &mut [f32], width: usize) {

@@ -2,7 +2,6 @@
 
 use super::{Blur, Defocus};
 use crate::plan::{Bound, Effect, Facts};
-use crate::render::rows_of;
 use crate::scene::{Gel, SceneError};
 use alloc::vec::Vec;
 use gelstereo_core::camera::Camera;
@@ -44,7 +43,7 @@ impl Effect for Grain {
     }
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
-        0.4 * facts.pixels() * facts.fineness()
+        0.01 * facts.pixels()
     }
 }
 
@@ -75,12 +74,8 @@ impl Texture {
         Self(levels)
     }
 
-    /// On a canvas whose pixels are so many `times` as narrow as the view's.
-    pub(crate) fn apply(&self, canvas: &mut [f32], width: usize, times: usize) {
-        for (row, grains) in rows_of(canvas, &self.0, width, times) {
-            for (pixels, grain) in row.chunks_exact_mut(times).zip(grains) {
-                pixels.iter_mut().for_each(|pixel| *pixel += grain);
-            }
-        }
+    /// On the view's levels.
+    pub(crate) fn apply(&self, levels: &mut [f32]) {
+        levels.iter_mut().zip(&self.0).for_each(|(level, grain)| *level += grain);
     }
 }

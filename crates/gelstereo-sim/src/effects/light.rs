@@ -1,7 +1,6 @@
 //! Uneven light.
 
 use crate::plan::{Bound, Effect, Facts};
-use crate::render::rows_of;
 use crate::scene::{Gel, SceneError};
 use alloc::vec::Vec;
 use gelstereo_core::camera::Camera;
@@ -55,7 +54,7 @@ impl Effect for UnevenLight {
     }
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
-        0.4 * facts.pixels() * facts.fineness()
+        0.4 * facts.pixels()
     }
 }
 
@@ -81,27 +80,44 @@ impl UnevenLight {
         let share = 1.0 + self.across * x + self.down * y - self.corner_loss * 2.0 * (x * x + y * y);
         (self.gain * share).max(0.0)
     }
+
+    /// How fast its logarithm grows at a pixel, per px; 0 where there is no light.
+    pub(crate) fn growth(&self, at: DVec2, size: DVec2) -> DVec2 {
+        let gain = self.gain(at, size);
+        if gain <= 0.0 {
+            return DVec2::ZERO;
+        }
+        let place = (at + 0.5) / size - 0.5;
+        let slope = DVec2::new(self.across, self.down) - place * (4.0 * self.corner_loss);
+        slope * (self.gain / gain) / size
+    }
 }
 
-/// The gain of every pixel of a view.
+/// The gain of every pixel of a view: its column's share and its row's, added up.
 #[derive(Clone, Debug)]
-pub(crate) struct Gain(Vec<f32>);
+pub(crate) struct Gain {
+    columns: Vec<f32>,
+    rows: Vec<f32>,
+}
 
 impl Gain {
     pub(crate) fn new(light: &UnevenLight, camera: &Camera) -> Self {
-        let (w, h) = (camera.width_px, camera.height_px);
-        let size = DVec2::new(w as f64, h as f64);
-        let gain = |row, col| light.gain(DVec2::new(col as f64, row as f64), size) as f32;
-        let gain = &gain;
-        Self((0..h).flat_map(|row| (0..w).map(move |col| gain(row, col))).collect())
+        let places = |side: usize| (0..side).map(move |k| (k as f64 + 0.5) / side as f64 - 0.5);
+        let bend = -2.0 * light.corner_loss;
+        let column = |x: f64| (light.gain * x * (light.across + bend * x)) as f32;
+        let row = |y: f64| (light.gain * (1.0 + y * (light.down + bend * y))) as f32;
+        Self {
+            columns: places(camera.width_px).map(column).collect(),
+            rows: places(camera.height_px).map(row).collect(),
+        }
     }
 
-    /// On a canvas whose pixels are so many `times` as narrow as the view's.
-    pub(crate) fn apply(&self, canvas: &mut [f32], width: usize, times: usize) {
-        for (row, gains) in rows_of(canvas, &self.0, width, times) {
-            for (pixels, gain) in row.chunks_exact_mut(times).zip(gains) {
-                pixels.iter_mut().for_each(|pixel| *pixel *= gain);
-            }
-        }
+    /// Of the pixels of a row.
+    pub(crate) fn of_row(&self, y: usize) -> impl Iterator<Item = f32> {
+        let row = self.rows[y];
+        self.columns.iter().map(move |column| {
+            let gain = column + row;
+            if gain > 0.0 { gain } else { 0.0 }
+        })
     }
 }

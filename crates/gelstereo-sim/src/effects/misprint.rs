@@ -75,7 +75,7 @@ impl Effect for Misprint {
     }
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
-        40.0 * facts.markers() + 2e3 * self.merged.len() as f64
+        15.0 * facts.markers() + 2e3 * self.merged.len() as f64
     }
 
     fn sideways_mm(&self, _facts: &Facts<'_>) -> f64 {

@@ -3,7 +3,7 @@
 //! An effect that is absent costs nothing and draws no random number, so the others' bits do not depend on it:
 //! every stream is keyed by (seed, effect's name). On the gel: [`Shoulder`], [`Spread`], [`Drag`], or
 //! [`ElasticLayer`] in their place, with [`Relaxation`] and [`LargeStrain`]. In the print:
-//! [`Misprint`], [`Specks`]. On the images, in this order: [`Grain`], [`UnevenLight`], [`Smears`], [`Defocus`],
+//! [`Misprint`], [`Specks`]. On the images, in this order: [`Grain`], [`UnevenLight`], [`Defocus`], [`Smears`],
 //! [`SensorNoise`]. On the way: [`DroppedFrames`]. Lens distortion and refraction are the rig's own.
 
 mod blur;

@@ -2,6 +2,7 @@
 
 use crate::plan::{Bound, Effect, Facts};
 use crate::scene::{Gel, SceneError};
+use alloc::boxed::Box;
 use alloc::vec::Vec;
 use gelstereo_core::digest::Digest;
 use gelstereo_core::math::{erf, exp, random::Stream, sqrt};
@@ -42,7 +43,7 @@ impl Effect for SensorNoise {
     }
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
-        0.8 * facts.pixels()
+        2.0 * facts.pixels()
     }
 }
 
@@ -52,29 +53,39 @@ const QUANTILES: usize = 4096;
 #[derive(Clone, Debug)]
 pub(crate) struct Noise {
     seed: u64,
-    quantiles: Vec<f32>,
+    quantiles: Box<[f32; QUANTILES]>,
 }
 
 impl Noise {
     pub(crate) fn new(noise: &SensorNoise, seed: u64) -> Self {
-        let mut quantiles: Vec<f64> =
+        let quantiles: Vec<f64> =
             (0..QUANTILES).map(|i| normal_quantile((i as f64 + 0.5) / QUANTILES as f64)).collect();
         let variance = quantiles.iter().map(|q| q * q).sum::<f64>() / QUANTILES as f64;
         let scale = noise.sigma_levels / sqrt(variance);
-        quantiles.iter_mut().for_each(|q| *q *= scale);
-        Self { seed, quantiles: quantiles.into_iter().map(|q| q as f32).collect() }
+        Self { seed, quantiles: Box::new(core::array::from_fn(|i| (quantiles[i] * scale) as f32)) }
     }
 
-    /// Adds the noise of one view (by name) of one frame.
-    pub(crate) fn apply(&self, view: &str, frame: u64, image: &mut [f32]) {
+    /// Of one view (by name) of one frame.
+    pub(crate) fn stream(&self, view: &str, frame: u64) -> Stream {
         let key = Digest::new().u64(self.seed).u64(frame).bytes(view.as_bytes()).value();
-        let mut stream = Stream::new(key, "sensor_noise");
-        for pixels in image.chunks_mut(5) {
-            let mut bits = stream.next_u64();
-            for pixel in pixels {
-                *pixel += self.quantiles[bits as usize % QUANTILES];
-                bits >>= 12;
-            }
+        Stream::new(key, "sensor_noise")
+    }
+
+    /// Adds the noise of the next row.
+    pub(crate) fn add(&self, stream: &mut Stream, row: &mut [f32]) {
+        let (fives, rest) = row.as_chunks_mut::<5>();
+        for pixels in fives {
+            self.add_few(stream.next_u64(), pixels);
+        }
+        if !rest.is_empty() {
+            self.add_few(stream.next_u64(), rest);
+        }
+    }
+
+    fn add_few(&self, mut bits: u64, pixels: &mut [f32]) {
+        for pixel in pixels {
+            *pixel += self.quantiles[bits as usize % QUANTILES];
+            bits >>= 12;
         }
     }
 }

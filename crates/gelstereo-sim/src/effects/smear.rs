@@ -6,7 +6,7 @@ use crate::scene::{Gel, Scene, SceneError};
 use alloc::vec::Vec;
 use gelstereo_core::camera::Camera;
 use gelstereo_core::digest::Digest;
-use gelstereo_core::math::{DVec2, cos, floor, random::Stream, sin, sqrt};
+use gelstereo_core::math::{DVec2, ceil, cos, floor, random::Stream, sin, sqrt};
 
 /// Streaks of reflected light, and dirt: soft-edged bright or dark ellipses on the image that come and go.
 ///
@@ -70,7 +70,7 @@ impl Effect for Smears {
         let area_px = |[a, b]: [f64; 2]| 4.0 * a * b;
         let listed: f64 = self.patches.iter().map(|patch| 2.0 * area_px(patch.half_size_px)).sum();
         let drawn = 2.0 * self.random as f64 * area_px(self.half_size_px);
-        8.0 * (listed + drawn).min(facts.pixels()) * facts.fineness()
+        25.0 * (listed + drawn).min(facts.pixels())
     }
 }
 
@@ -209,27 +209,18 @@ impl SmearsOfView {
         self.0.iter().filter(move |ready| (ready.patch.from_s..ready.patch.until_s).contains(&time_s))
     }
 
-    /// Lays the patches that are there at that time over a canvas whose pixels are so many `times` as narrow as the view's,
-    /// in their order.
-    pub(crate) fn apply(&self, time_s: f64, canvas: &mut [f32], width: usize, times: usize) {
-        let columns = width * times;
-        let rows = canvas.len() / columns;
-        let (per, half) = (1.0 / times as f64, 0.5 * (times as f64 - 1.0));
+    /// Lays the patches that are there at that time over a row of the view, in their order.
+    pub(crate) fn apply(&self, time_s: f64, y: usize, row: &mut [f32]) {
         for ready in self.present(time_s) {
             let reach = ready.reach_px();
-            let span = |low: f64, high: f64, end: usize| {
-                let (low, high) = (low * times as f64, (high + 1.0) * times as f64);
-                (low.max(0.0) as usize).min(end)..(high.max(0.0) as usize).min(end)
-            };
-            let (low, high) = (ready.centre - reach, ready.centre + reach);
-            let across = span(floor(low.x), floor(high.x), columns);
-            for y in span(floor(low.y), floor(high.y), rows) {
-                for x in across.clone() {
-                    let at = (DVec2::new(x as f64, y as f64) - half) * per;
-                    let opacity = ready.opacity(at) as f32;
-                    let pixel = &mut canvas[y * columns + x];
-                    *pixel += (f32::from(ready.patch.level) - *pixel) * opacity;
-                }
+            if (y as f64 - ready.centre.y).abs() > reach.y {
+                continue;
+            }
+            let (low, high) = (ceil(ready.centre.x - reach.x), floor(ready.centre.x + reach.x) + 1.0);
+            let (low, high) = (low.max(0.0) as usize, (high.max(0.0) as usize).min(row.len()));
+            for x in low..high {
+                let opacity = ready.opacity(DVec2::new(x as f64, y as f64)) as f32;
+                row[x] += (f32::from(ready.patch.level) - row[x]) * opacity;
             }
         }
     }

@@ -5,7 +5,7 @@ use crate::lattice::Lattice;
 use crate::plan::{Bound, Effect, Facts};
 use crate::scene::{Gel, SceneError};
 use alloc::vec::Vec;
-use gelstereo_core::math::{DVec2, sqrt};
+use gelstereo_core::math::{DVec2, exp};
 
 /// Gel that a part displaces moves sideways, away from the contact.
 ///
@@ -29,6 +29,9 @@ pub struct Spread {
     pub decay_thicknesses: f64,
 }
 
+/// Length of the membrane of (1 + 0.3 x²), in gel thicknesses: sqrt(0.3).
+const SMOOTHING: f64 = 0.547_722_557_505_166_1;
+
 impl Default for Spread {
     fn default() -> Self {
         Self { strength: 1.0, decay_thicknesses: 2.0 }
@@ -48,23 +51,29 @@ impl Effect for Spread {
     }
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
-        facts.relaxation_ns(sqrt(0.3)) + facts.relaxation_ns(self.decay_thicknesses)
+        facts.relaxation_ns(SMOOTHING) + facts.relaxation_ns(self.decay_thicknesses)
     }
 
-    /// The gradient of p, which solves p / l² - Δp = s for heights s between 0 and the part's depth that fill no more than
-    /// the pressed area times that depth. It is at most depth / (2 l) whatever the footprint, and
-    /// depth √(2 A) / (π^1.5 l²) for an area A all on one side, the kernel K1(r / l) / (2 π l³) being below 1 / (2 π l² r).
+    /// The gradient of p under heights between 0 and the part's depth. Summed across its direction, the two membranes'
+    /// kernel is g(x) = (l e^(-x/l) - s e^(-x/s)) / (2 (l² - s²)): heights all on one side, over a width w, give depth
+    /// (g(0) - g(w)). A free border mirrors them, which doubles the width. A tenth more for the lattice's directions.
     fn sideways_mm(&self, facts: &Facts<'_>) -> f64 {
-        let (gel, touch) = (&facts.scene.gel, &facts.touch);
-        let length_mm = self.decay_thicknesses * gel.thickness_mm;
-        let reach = length_mm / gel.pitch_mm;
-        // On the lattice depth / (2 l) is depth / (pitch √(1 + 4 l²)) along each axis.
-        let anywhere = core::f64::consts::SQRT_2 / (gel.pitch_mm * sqrt(1.0 + 4.0 * reach * reach));
-        let pi = core::f64::consts::PI;
-        // Free borders mirror the heights: up to four copies at a corner.
-        let small = sqrt(2.0 * 4.0 * facts.pressed_mm2()) / (pi * sqrt(pi) * length_mm * length_mm);
-        let gradient = touch.depth_mm * anywhere.min(small);
-        self.strength * 1.5 / gel.thickness_mm * length_mm * length_mm * gradient
+        let thickness_mm = facts.scene.gel.thickness_mm;
+        let (long, short) = (self.decay_thicknesses * thickness_mm, SMOOTHING * thickness_mm);
+        // Equal lengths would divide by 0; a longer one only widens the bound.
+        let long = if (long - short).abs() < 0.01 * short { 1.01 * short } else { long };
+        let kernel = |x: f64| {
+            let tails = long * exp(-x / long) - short * exp(-x / short);
+            tails / (2.0 * (long * long - short * short))
+        };
+        let gradient = facts.touch.depth_mm * (kernel(0.0) - kernel(2.0 * facts.pressed_mm()));
+        1.1 * self.strength * 1.5 / thickness_mm * long * long * gradient
+    }
+
+    /// p / l² - Δp = s leaves Δp between -s and p / l²; a second derivative may be twice that where s is smooth.
+    fn stretch(&self, facts: &Facts<'_>) -> f64 {
+        let steps = 2.0 * self.sideways_mm(facts) / facts.least_pitch_mm();
+        steps.min(2.0 * self.strength * 1.5 / facts.scene.gel.thickness_mm * facts.touch.depth_mm)
     }
 }
 
@@ -79,7 +88,7 @@ impl Spread {
     ) {
         smooth.clear();
         smooth.extend_from_slice(heights);
-        lattice.relax(sqrt(0.3) * lattice.thickness_mm, smooth, |i| heights[i], |_, h| h);
+        lattice.relax(SMOOTHING * lattice.thickness_mm, smooth, |i| heights[i], |_, h| h);
         let length = self.decay_thicknesses * lattice.thickness_mm;
         potential.clear();
         potential.extend_from_slice(smooth);

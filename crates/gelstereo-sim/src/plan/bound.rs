@@ -7,7 +7,7 @@ use crate::scene::{Gel, SceneError};
 /// are on. (So the bounds of several that are off add up: take them away one after the other.)
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Bound {
-    /// Of a dot's position in an image: the centroid of its outline.
+    /// Of a dot's position in an image: the centroid of its outline, for dots within the image.
     pub px: f64,
     /// Of a marker's position in space.
     pub um: f64,
@@ -36,11 +36,17 @@ pub(crate) trait Effect {
     /// The most that it changes; it costs no more than a few hundred operations.
     fn bound(&self, facts: &Facts<'_>) -> Bound;
 
-    /// Estimated time for one stereo frame, in nanoseconds, of a core that does 3e9 simple operations per second.
+    /// Estimated time for one stereo frame, nanoseconds: instructions as callgrind counts them for the example
+    /// `effect_costs`, at 4 to a nanosecond, in proportion to markers or pixels.
     fn cost_ns(&self, facts: &Facts<'_>) -> f64;
 
     /// The most that it moves a marker sideways: for effects on gel and print.
     fn sideways_mm(&self, _facts: &Facts<'_>) -> f64 {
         0.0
+    }
+
+    /// The most that it stretches the gel between two neighbours, as a share.
+    fn stretch(&self, facts: &Facts<'_>) -> f64 {
+        2.0 * self.sideways_mm(facts) / facts.least_pitch_mm()
     }
 }

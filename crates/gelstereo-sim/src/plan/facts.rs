@@ -1,7 +1,6 @@
 //! What a scene's numbers say before anything is simulated.
 
 use crate::plan::Bound;
-use crate::render::FINE;
 use crate::scene::{Scene, SceneError};
 use crate::shapes::Shape;
 use gelstereo_core::camera::Camera;
@@ -16,6 +15,8 @@ pub(crate) struct Facts<'a> {
     pub(crate) touch: Touch,
     /// The most that all effects together move a marker sideways from its place.
     pub(crate) sideways_mm: f64,
+    /// The most that they stretch the gel between two neighbours, as a share.
+    pub(crate) stretch: f64,
     pub(crate) optics: Optics,
 }
 
@@ -26,10 +27,10 @@ pub(crate) struct Touch {
     pub(crate) depth_mm: f64,
     /// How much the part's surface rises over a step sideways; infinite when it has a cliff.
     pub(crate) steepness: f64,
-    /// Area of the part's section with the rest surface, at most.
-    pub(crate) footprint_mm2: f64,
-    /// Longest distance between two points of it.
+    /// Longest distance between two points of the part's section with the rest surface.
     pub(crate) span_mm: f64,
+    /// Area of that section, at most.
+    pub(crate) footprint_mm2: f64,
     /// The part's shear.
     pub(crate) shear_mm: f64,
     /// The part's twist.
@@ -57,8 +58,9 @@ impl<'a> Facts<'a> {
     /// `mesh` is the indenter's surface when its shape is a mesh file.
     pub(crate) fn of(scene: &'a Scene, mesh: Option<&TriangleMesh>) -> Result<Self, SceneError> {
         let touch = Touch::of(scene, mesh)?;
-        let mut facts = Self { scene, touch, sideways_mm: 0.0, optics: Optics::default() };
+        let mut facts = Self { scene, touch, sideways_mm: 0.0, stretch: 0.0, optics: Optics::default() };
         facts.sideways_mm = scene.effects.listed().map(|(_, effect)| effect.sideways_mm(&facts)).sum();
+        facts.stretch = scene.effects.listed().map(|(_, effect)| effect.stretch(&facts)).sum();
         facts.optics = Optics::of(&facts);
         Ok(facts)
     }
@@ -73,15 +75,9 @@ impl<'a> Facts<'a> {
         [left, right].map(|camera| (camera.width_px * camera.height_px) as f64).iter().sum()
     }
 
-    /// Canvas pixels per pixel.
-    pub(crate) fn fineness(&self) -> f64 {
-        let fine = if self.scene.effects.defocus.is_some() { FINE } else { 1 };
-        (fine * fine) as f64
-    }
-
     /// Time to relax a field over the lattice: about 13 sweeps for every pitch of decay length.
     pub(crate) fn relaxation_ns(&self, decay_thicknesses: f64) -> f64 {
-        const PER_MARKER_NS: f64 = 3.0;
+        const PER_MARKER_NS: f64 = 23.0;
         if !(self.touch.depth_mm > 0.0) {
             return PER_MARKER_NS * self.markers();
         }
@@ -96,16 +92,13 @@ impl<'a> Facts<'a> {
         2.0 * (self.sideways_mm - print_mm).max(0.0)
     }
 
-    /// Area of all heights, were they as high as the part is deep: the footprint as a disc, wider by what the lattice leaves
-    /// open and by the shoulder's length (the membrane beside a disc holds l K1(c / l) / K0(c / l) < l + l² / 2c of its rim).
-    pub(crate) fn pressed_mm2(&self) -> f64 {
-        let (gel, effects, pi) = (&self.scene.gel, &self.scene.effects, core::f64::consts::PI);
+    /// Width of all heights, were they as high as the part is deep: the footprint, a pitch for what the lattice leaves open,
+    /// and the shoulder, which falls off as exp(-d / l) beside a strip and faster beside anything smaller.
+    pub(crate) fn pressed_mm(&self) -> f64 {
+        let (gel, effects) = (&self.scene.gel, &self.scene.effects);
         let shoulder =
             effects.shoulder.as_ref().map_or(0.0, |shoulder| shoulder.decay_thicknesses * gel.thickness_mm);
-        let print = gel.pitch_mm - self.least_pitch_mm();
-        let radius =
-            sqrt(self.touch.footprint_mm2 / pi) + gel.pitch_mm * core::f64::consts::FRAC_1_SQRT_2 + print;
-        pi * (radius + shoulder) * (radius + shoulder)
+        self.touch.span_mm + 2.0 * (shoulder + gel.pitch_mm)
     }
 
     /// Radius of the largest dot.
@@ -193,19 +186,18 @@ impl Touch {
         let thickness_mm = gel.thickness_mm;
         let depth_mm = part.depth_mm(scene).clamp(0.0, thickness_mm);
         let side = |count: usize| count as f64 * gel.pitch_mm;
-        let (gel_mm2, diagonal_mm) = (
-            side(gel.rows) * side(gel.cols),
-            sqrt(side(gel.rows) * side(gel.rows) + side(gel.cols) * side(gel.cols)),
-        );
-        let (area_mm2, span_mm, steepness) = part.footprint(depth_mm);
+        let (span_mm, steepness) = part.footprint(depth_mm);
         let all = scene.trajectory.iter().map(|k| k.contact);
         let shear = all.clone().map(|c| DVec2::from_array(c.shear_mm).length()).fold(0.0, f64::max);
         let twist = all.map(|c| c.twist_rad.abs()).fold(0.0, f64::max);
+        let span_mm = span_mm.min(DVec2::new(side(gel.rows), side(gel.cols)).length());
         Ok(Self {
             depth_mm,
             steepness,
-            footprint_mm2: area_mm2.min(gel_mm2),
-            span_mm: span_mm.min(diagonal_mm),
+            span_mm,
+            // Of all shapes of that span a disc has the largest area.
+            footprint_mm2: (0.25 * core::f64::consts::PI * span_mm * span_mm)
+                .min(side(gel.rows) * side(gel.cols)),
             // Without a trajectory any contact may come.
             shear_mm: if scene.trajectory.is_empty() { f64::INFINITY } else { shear },
             twist_rad: if scene.trajectory.is_empty() { f64::INFINITY } else { twist },
@@ -269,16 +261,15 @@ impl Part<'_> {
         deepest
     }
 
-    /// Area and longest chord of its section with a plane so deep, and the steepness of what lies before the plane.
-    fn footprint(&self, depth_mm: f64) -> (f64, f64, f64) {
+    /// Longest chord of its section with a plane so deep, and the steepness of what lies before the plane.
+    fn footprint(&self, depth_mm: f64) -> (f64, f64) {
         let radius_mm = self.radius_mm();
-        let disc = |squared: f64| core::f64::consts::PI * squared;
-        if let (Self::Solid(Shape::Sphere { .. }), true) = (self, depth_mm < radius_mm) {
-            let left = radius_mm - depth_mm;
-            let squared = radius_mm * radius_mm - left * left;
-            return (disc(squared), 2.0 * sqrt(squared), sqrt(squared) / left);
+        let left = radius_mm - depth_mm;
+        if matches!(self, Self::Solid(Shape::Sphere { .. })) && left > 0.0 {
+            let half = sqrt(radius_mm * radius_mm - left * left);
+            return (2.0 * half, half / left);
         }
-        (disc(radius_mm * radius_mm), 2.0 * radius_mm, f64::INFINITY)
+        (2.0 * radius_mm, f64::INFINITY)
     }
 }
 
@@ -303,6 +294,11 @@ impl Optics {
         for corner in facts.corners() {
             found.widen(&through, &bare, corner);
         }
+        // Farther out nothing is seen; the columns of the projection's Jacobian are f / z and f / z times the slope.
+        found.slope =
+            found.slope.min(cameras.iter().fold(0.0, |most, camera| most.max(widest_slope(camera))));
+        found.depth_px_per_mm =
+            found.depth_px_per_mm.min(found.lateral_px_per_mm * (found.slope + found.tilt));
         let stretch = cameras.iter().fold(1.0_f64, |most, camera| most.max(stretch(camera, found.slope)));
         found.lateral_px_per_mm *= stretch;
         found.depth_px_per_mm *= stretch;
@@ -335,6 +331,18 @@ impl Optics {
             self.refraction_px = self.refraction_px.max(apart);
         }
     }
+}
+
+/// Slope of the farthest corner of an image, with and without the lens's distortion; infinite where the distortion is
+/// not one-to-one.
+fn widest_slope(camera: &Camera) -> f64 {
+    let (right, bottom) = (camera.width_px as f64 - 0.5, camera.height_px as f64 - 0.5);
+    let corners =
+        [(-0.5, -0.5), (right, -0.5), (-0.5, bottom), (right, bottom)].map(|(x, y)| DVec2::new(x, y));
+    corners.into_iter().fold(0.0_f64, |most, at| {
+        let plain = (at - DVec2::new(camera.cx_px, camera.cy_px)) / DVec2::new(camera.fx_px, camera.fy_px);
+        most.max(plain.length()).max(camera.undistort(at).map_or(f64::INFINITY, |p| p.length()))
+    })
 }
 
 /// The larger singular value of a 2x2 matrix by its rows.

@@ -1,23 +1,34 @@
 //! Images of the printed dots.
+//!
+//! An image is the gel, which never changes and is worked out once ([`Base`]), and the ink on it, which every pixel sees
+//! through the lens. For the ink there are two rungs, [`Images`](crate::scene::Images): [`Soft`] adds up line integrals in
+//! closed form within every dot's window; [`Fine`], what it is tested against, draws on a canvas of fine pixels and
+//! filters that. Without a lens that blurs both are the share of every pixel that ink covers.
 
 mod dot;
+mod fine;
+mod finish;
+mod lens;
+mod overlap;
+mod profile;
+mod shape;
+mod soft;
 
 pub(crate) use dot::Dot;
 pub use dot::Ellipse;
+pub(crate) use lens::Lens;
 
-use crate::effects::{Blur, Bridge, Gain, Noise, SmearsOfView, Texture, UnevenLight};
-use crate::scene::Scene;
+use crate::effects::{Bridge, Defocus, Gain, Noise, SmearsOfView, Texture, UnevenLight};
+use crate::scene::{Images, Scene};
 use crate::simulator::{DotImage, Sight, Truth};
 use alloc::vec::Vec;
-use dot::cover_polygon;
+use fine::Fine;
+use finish::{Base, Finish};
 use gelstereo_core::camera::Camera;
 use gelstereo_core::math::DVec2;
-
-/// Pixels of the canvas per pixel of a blurred image, along each axis. The lens blurs before pixels sample: a dot that is
-/// sampled first and blurred then lies up to 0.01 px off, for what is finer than a pixel has become something coarse.
-/// With half a pixel that is a fifth (a disc's spectrum falls with k^1.5, and the share of it that half a pixel lets pass
-/// is half as large where it folds).
-pub(crate) const FINE: usize = 2;
+use overlap::Overlaps;
+use shape::{Shape, cover};
+use soft::Soft;
 
 /// When an image is taken.
 #[derive(Clone, Copy, Debug)]
@@ -36,10 +47,22 @@ pub(crate) struct Renderer {
     dot_level: f32,
     views: [View; 2],
     light: Option<UnevenLight>,
-    blur: Option<Blur>,
+    lens: Option<Lens>,
+    pen: Pen,
     noise: Option<Noise>,
-    /// Coverage by dots, then grey levels.
+    ink: Ink,
+    /// What every pixel sees of the ink; nothing between two images.
     canvas: Vec<f32>,
+    /// A row of grey levels.
+    levels: Vec<f32>,
+}
+
+/// How ink is drawn.
+#[derive(Clone, Debug)]
+enum Pen {
+    Sharp,
+    Soft(Soft),
+    Fine(Fine),
 }
 
 #[derive(Clone, Debug)]
@@ -47,9 +70,18 @@ struct View {
     name: &'static str,
     width: usize,
     height: usize,
-    grain: Option<Texture>,
-    light: Option<Gain>,
+    base: Base,
+    gain: Option<Gain>,
     smears: Option<SmearsOfView>,
+}
+
+/// Ink of one image: regions, those of the ellipses first. Where they overlap it counts once.
+#[derive(Clone, Debug, Default)]
+struct Ink {
+    ellipses: Vec<Ellipse>,
+    shapes: Vec<Shape>,
+    overlaps: Overlaps,
+    group: Vec<Shape>,
 }
 
 impl Renderer {
@@ -64,17 +96,23 @@ impl Renderer {
         let (dark, bright) = (f32::from(gel.dark_level), f32::from(gel.bright_level));
         let (gel_level, dot_level) = if gel.bright_dots { (dark, bright) } else { (bright, dark) };
         let effects = &scene.effects;
+        let lens = effects.defocus.as_ref().map(Defocus::lens);
         let view = |index, name, camera: &Camera| {
-            let smears = effects.smears.as_ref();
+            let (smears, size) = (effects.smears.as_ref(), [camera.width_px, camera.height_px]);
+            let grain = effects.grain.as_ref().map(|grain| Texture::new(grain, scene.seed, name, camera));
+            let gain = effects.uneven_light.as_ref().map(|light| Gain::new(light, camera));
             View {
                 name,
                 width: camera.width_px,
                 height: camera.height_px,
-                grain: effects.grain.as_ref().map(|grain| Texture::new(grain, scene.seed, name, camera)),
-                light: effects.uneven_light.as_ref().map(|light| Gain::new(light, camera)),
+                base: Base::new(gel_level, grain.as_ref(), gain.as_ref(), lens, size),
+                gain,
                 smears: smears.map(|s| SmearsOfView::new(s, scene, index, camera, [start_s, end_s])),
             }
         };
+        let rows = scene.rig.left.height_px.max(scene.rig.right.height_px);
+        let specks = effects.specks.as_ref().map_or(0, |specks| specks.count);
+        let regions = printed.len() + bridges.len() + specks;
         Self {
             printed,
             bridges,
@@ -82,9 +120,16 @@ impl Renderer {
             dot_level,
             views: [view(0, "left", &scene.rig.left), view(1, "right", &scene.rig.right)],
             light: effects.uneven_light.clone(),
-            blur: effects.defocus.as_ref().map(|defocus| Blur::new(&defocus.on_canvas())),
+            lens,
+            pen: match (lens, scene.images) {
+                (None, _) => Pen::Sharp,
+                (Some(lens), Images::Fast) => Pen::Soft(Soft::new(lens, rows, regions)),
+                (Some(lens), Images::Exact) => Pen::Fine(Fine::new(lens)),
+            },
             noise: effects.sensor_noise.as_ref().map(|noise| Noise::new(noise, scene.seed)),
+            ink: Ink::with_room(regions),
             canvas: Vec::new(),
+            levels: Vec::new(),
         }
     }
 
@@ -114,79 +159,108 @@ impl Renderer {
 
     /// One view (0 left, 1 right) of the dots that `truth` describes.
     pub(crate) fn draw(&mut self, view: usize, truth: &Truth, exposure: Exposure, image: &mut Vec<u8>) {
-        let View { name, width, height, grain, light, smears } = &self.views[view];
-        let fine = if self.blur.is_some() { FINE } else { 1 };
-        let (columns, rows) = (fine * width, fine * height);
-        self.canvas.clear();
-        self.canvas.resize(columns * rows, 0.0);
+        self.gather(view, truth);
+        let View { name, width, height, base, gain, smears } = &self.views[view];
+        self.canvas.resize(width * height, 0.0);
+        let mut gain = gain.as_ref();
+        match &mut self.pen {
+            Pen::Sharp => self.ink.sharp(&mut self.canvas, *width),
+            Pen::Soft(soft) => self.ink.soft(soft, &mut self.canvas, *width),
+            Pen::Fine(fine) => {
+                let Ink { shapes, overlaps, .. } = &self.ink;
+                fine.draw(shapes, overlaps, self.light.as_ref(), &mut self.canvas, *width);
+                gain = None;
+            }
+        }
+        let finish = Finish {
+            base,
+            contrast: self.dot_level - self.gel_level,
+            gain,
+            smears: smears.as_ref(),
+            time_s: exposure.time_s,
+            noise: self.noise.as_ref().map(|noise| (noise, noise.stream(name, exposure.frame))),
+        };
+        finish.develop(&mut self.canvas, *width, &mut self.levels, image);
+    }
+
+    /// Collects the ink that is in the image; a truth of another lattice has none.
+    fn gather(&mut self, view: usize, truth: &Truth) {
         let (dots, specks) = match view {
             0 => (&truth.left_dots, &truth.left_specks),
             _ => (&truth.right_dots, &truth.right_specks),
         };
-        if dots.len() == self.printed.len() {
-            for (dot, _) in dots.iter().zip(&self.printed).filter(|&(_, &printed)| printed) {
-                dot.outline.magnified(fine).cover(&mut self.canvas, columns, rows);
+        let size = [self.views[view].width, self.views[view].height];
+        let reach = self.lens.map_or(0.0, Lens::reach_px);
+        let Ink { ellipses, shapes, overlaps, .. } = &mut self.ink;
+        ellipses.clear();
+        shapes.clear();
+        if dots.len() != self.printed.len() {
+            return overlaps.find(shapes);
+        }
+        let lit = match (&self.pen, &self.light, self.lens) {
+            (Pen::Soft(_), Some(light), Some(lens)) => Some((light, lens)),
+            _ => None,
+        };
+        let displaced =
+            |at: DVec2| lit.map_or(DVec2::ZERO, |(light, lens)| displacement(light, lens, at, size));
+        let printed = dots.iter().zip(&self.printed).filter(|&(_, &printed)| printed);
+        for outline in printed.map(|(dot, _)| &dot.outline).chain(specks) {
+            let centre_px = outline.centre_px + displaced(outline.centre_px);
+            let outline = Ellipse { centre_px, ..*outline };
+            if let Some(shape) = Shape::ellipse(&outline).filter(|shape| shape.seen(reach, size)) {
+                ellipses.push(outline);
+                shapes.push(shape);
             }
-            for bridge in &self.bridges {
-                let corners = bridge.corners(dots).map(|corner| magnified(corner, fine));
-                cover_polygon(&corners, &mut self.canvas, columns, rows);
-            }
-            for speck in specks {
-                speck.magnified(fine).cover(&mut self.canvas, columns, rows);
-            }
         }
-        let contrast = self.dot_level - self.gel_level;
-        for pixel in &mut self.canvas {
-            *pixel = self.gel_level + contrast * pixel.min(1.0);
-        }
-        if let Some(grain) = grain {
-            grain.apply(&mut self.canvas, *width, fine);
-        }
-        if let Some(light) = light {
-            light.apply(&mut self.canvas, *width, fine);
-        }
-        if let Some(smears) = smears {
-            smears.apply(exposure.time_s, &mut self.canvas, *width, fine);
-        }
-        if let Some(blur) = &mut self.blur {
-            blur.apply(&mut self.canvas, columns);
-            bin(&mut self.canvas, columns);
-        }
-        if let Some(noise) = &self.noise {
-            noise.apply(name, exposure.frame, &mut self.canvas);
-        }
-        image.clear();
-        // To the nearest level; `as` clamps to 0 and 255.
-        image.extend(self.canvas.iter().map(|&level| (level + 0.5) as u8));
+        let bars = self.bridges.iter().map(|bridge| bridge.corners(dots));
+        let bars = bars.filter_map(|corners| Shape::bar(corners.map(|corner| corner + displaced(corner))));
+        shapes.extend(bars.filter(|shape| shape.seen(reach, size)));
+        overlaps.find(shapes);
     }
 }
 
-/// Means of squares of [`FINE`] by [`FINE`] pixels, in place.
-fn bin(canvas: &mut Vec<f32>, columns: usize) {
-    let share = 1.0 / (FINE * FINE) as f32;
-    let mut out = 0;
-    for top in (0..canvas.len()).step_by(FINE * columns) {
-        for left in (0..columns).step_by(FINE) {
-            let row = |dy: usize| canvas[top + dy * columns + left..][..FINE].iter().sum::<f32>();
-            canvas[out] = (0..FINE).map(row).sum::<f32>() * share;
-            out += 1;
+/// Light is weighed where the ink is, before the lens spreads it: with light L that grows evenly over a pixel's view, and
+/// weights w of variance s² that are a Gaussian's, or nearly, ∫ w(u) L(x - u) c(x - u) du = L(x) b(x) + s² ∇L · ∇b(x) for
+/// ink c and its blurred image b (Stein 1981), which is L(x) b(x + s² ∇L / L): the light of the pixel on ink that is that
+/// much nearer to the dark.
+fn displacement(light: &UnevenLight, lens: Lens, at: DVec2, size: [usize; 2]) -> DVec2 {
+    let size = DVec2::new(size[0] as f64, size[1] as f64);
+    // Light that doubles within a pixel is as good as none; a step by half a sigma is far more than it takes.
+    let most = 0.5 * lens.sigma_px;
+    -(light.growth(at, size) * lens.variance_px2()).clamp_length_max(most)
+}
+
+impl Ink {
+    fn with_room(regions: usize) -> Self {
+        let mut overlaps = Overlaps::default();
+        overlaps.reserve(regions);
+        Self {
+            ellipses: Vec::with_capacity(regions),
+            shapes: Vec::with_capacity(regions),
+            overlaps,
+            group: Vec::with_capacity(regions),
         }
     }
-    canvas.truncate(out);
-}
 
-/// A place as counted in pixels so many times as narrow.
-fn magnified(at: DVec2, times: usize) -> DVec2 {
-    at * times as f64 + 0.5 * (times as f64 - 1.0)
-}
+    fn sharp(&mut self, canvas: &mut [f32], width: usize) {
+        for regions in self.overlaps.groups() {
+            self.group.clear();
+            self.group.extend(regions.iter().map(|&i| self.shapes[i]));
+            cover(&self.group, canvas, width);
+        }
+    }
 
-/// Every row of a magnified canvas of a view so wide, with the values of the row of pixels that it lies in.
-pub(crate) fn rows_of<'a>(
-    canvas: &'a mut [f32],
-    values: &'a [f32],
-    width: usize,
-    times: usize,
-) -> impl Iterator<Item = (&'a mut [f32], &'a [f32])> {
-    let row = move |y: usize| &values[y / times * width..][..width];
-    canvas.chunks_exact_mut(times * width).enumerate().map(move |(y, pixels)| (pixels, row(y)))
+    fn soft(&mut self, soft: &mut Soft, canvas: &mut [f32], width: usize) {
+        for regions in self.overlaps.groups() {
+            if let &[i] = regions
+                && let Some(ellipse) = self.ellipses.get(i)
+            {
+                soft.ellipse(ellipse, canvas, width);
+                continue;
+            }
+            self.group.clear();
+            self.group.extend(regions.iter().map(|&i| self.shapes[i]));
+            soft.union(&self.group, canvas, width);
+        }
+    }
 }

@@ -11,7 +11,7 @@ use crate::plan::{Asked, Switches};
 use crate::shapes::Shape;
 use alloc::vec::Vec;
 use gelstereo_core::camera::Camera;
-use gelstereo_core::math::{DVec2, DVec3, Pose, so3};
+use gelstereo_core::math::{DQuat, DVec2, DVec3, Pose, so3};
 use gelstereo_core::rig::Rig;
 
 /// What there is, and which effects act. A file states only what differs from [`Scene::default`].
@@ -26,6 +26,8 @@ pub struct Scene {
     pub seed: u64,
     /// Frames per second. Default: `30`.
     pub frame_rate_hz: f64,
+    /// How images are drawn. Default: `fast`.
+    pub images: Images,
     /// Default: [`Scene::default_rig`].
     pub rig: Rig,
     /// The gel and its lattice.
@@ -50,6 +52,7 @@ impl Default for Scene {
         Self {
             seed: 1,
             frame_rate_hz: 30.0,
+            images: Images::default(),
             rig: Self::default_rig(),
             gel: Gel::default(),
             indenter: None,
@@ -60,6 +63,17 @@ impl Default for Scene {
             gel_motion: Vec::new(),
         }
     }
+}
+
+/// How images of blurred dots are drawn: the rungs of one ladder.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
+pub enum Images {
+    /// Line integrals in closed form within every dot's window.
+    #[default]
+    Fast,
+    /// On a canvas of eight by eight fine pixels to a pixel, filtered by the lens: the reference, some hundred times as slow.
+    Exact,
 }
 
 /// The gel and its lattice, seen from the left camera: a plane at z = `surface_mm`, facing the camera.
@@ -133,13 +147,14 @@ pub struct GelKeyframe {
 /// The indenter at one time.
 ///
 /// In a file the pose is `position_mm` (the object's origin in the sensor frame) and `rotation_rad` (rotation
-/// vector, default zero): `{ time_s = 0.5, position_mm = [4, 0, 31], rotation_rad = [0, 1.5708, 0], shear_mm =
-/// [0.5, 0] }`.
+/// vector, default zero) or `rotation_xyzw` (unit quaternion): `{ time_s = 0.5, position_mm = [4, 0, 31], rotation_rad =
+/// [0, 1.5708, 0], shear_mm = [0.5, 0] }`. A rotation that its vector does not give back to the last bit is written as a
+/// quaternion, so that a scene that is written and read again is the same.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
     derive(serde::Serialize, serde::Deserialize),
-    serde(from = "KeyframeFields", into = "KeyframeFields")
+    serde(try_from = "KeyframeFields", into = "KeyframeFields")
 )]
 pub struct Keyframe {
     /// Time, seconds.
@@ -154,32 +169,42 @@ pub struct Keyframe {
 struct KeyframeFields {
     time_s: f64,
     position_mm: [f64; 3],
-    #[cfg_attr(feature = "serde", serde(default))]
-    rotation_rad: [f64; 3],
+    #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
+    rotation_rad: Option<[f64; 3]>,
+    #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
+    rotation_xyzw: Option<[f64; 4]>,
     #[cfg_attr(feature = "serde", serde(default))]
     shear_mm: [f64; 2],
     #[cfg_attr(feature = "serde", serde(default))]
     twist_rad: f64,
 }
 
-impl From<KeyframeFields> for Keyframe {
-    fn from(fields: KeyframeFields) -> Self {
-        let t_sensor_object = Pose {
-            rotation: so3::exp(DVec3::from_array(fields.rotation_rad)),
-            translation_mm: DVec3::from_array(fields.position_mm),
+impl TryFrom<KeyframeFields> for Keyframe {
+    type Error = &'static str;
+
+    fn try_from(fields: KeyframeFields) -> Result<Self, Self::Error> {
+        let rotation = match (fields.rotation_rad, fields.rotation_xyzw) {
+            (vector, None) => so3::exp(DVec3::from_array(vector.unwrap_or_default())),
+            (None, Some(quaternion)) => DQuat::from_array(quaternion),
+            _ => return Err("a keyframe has both rotation_rad and rotation_xyzw; valid is one of them"),
         };
+        let t_sensor_object = Pose { rotation, translation_mm: DVec3::from_array(fields.position_mm) };
         let KeyframeFields { time_s, shear_mm, twist_rad, .. } = fields;
-        Self { time_s, contact: ContactState { t_sensor_object, shear_mm, twist_rad } }
+        Ok(Self { time_s, contact: ContactState { t_sensor_object, shear_mm, twist_rad } })
     }
 }
 
 impl From<Keyframe> for KeyframeFields {
     fn from(Keyframe { time_s, contact }: Keyframe) -> Self {
         let ContactState { t_sensor_object, shear_mm, twist_rad } = contact;
+        let rotation = t_sensor_object.rotation;
+        let vector = so3::log(rotation);
+        let exact = so3::exp(vector) == rotation;
         Self {
             time_s,
             position_mm: t_sensor_object.translation_mm.to_array(),
-            rotation_rad: so3::log(t_sensor_object.rotation).to_array(),
+            rotation_rad: exact.then_some(vector.to_array()),
+            rotation_xyzw: (!exact).then_some(rotation.to_array()),
             shear_mm,
             twist_rad,
         }

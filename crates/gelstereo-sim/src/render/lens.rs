@@ -1,0 +1,52 @@
+//! What a pixel sees through a lens that blurs: a Gaussian of the lens, integrated over the pixel's square.
+
+use gelstereo_core::math::{ceil, erf, exp, sqrt};
+
+/// The weights along one axis; those of the two axes multiply.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Lens {
+    pub(crate) sigma_px: f64,
+}
+
+impl Lens {
+    /// Weight of a point `x_px` from the pixel's centre.
+    pub(crate) fn point(self, x_px: f64) -> f64 {
+        self.below(x_px + 0.5) - self.below(x_px - 0.5)
+    }
+
+    /// Weight of all that lies below `x_px`: the integral of [`Self::point`].
+    pub(crate) fn edge(self, x_px: f64) -> f64 {
+        self.ramp(x_px + 0.5) - self.ramp(x_px - 0.5)
+    }
+
+    /// Weight of a pixel that is evenly bright, `x_px` away: the mean of [`Self::point`] over it.
+    pub(crate) fn pixel(self, x_px: f64) -> f64 {
+        self.edge(x_px + 0.5) - self.edge(x_px - 0.5)
+    }
+
+    /// Variance along one axis, px²: the Gaussian's and the square's.
+    pub(crate) fn variance_px2(self) -> f64 {
+        self.sigma_px * self.sigma_px + 1.0 / 12.0
+    }
+
+    /// How far from a pixel's centre points count along each axis: beyond lie 2e-5 of the weight.
+    pub(crate) fn reach_px(self) -> f64 {
+        0.5 + 3.75 * self.sigma_px
+    }
+
+    /// The same in whole pixels.
+    pub(crate) fn reach(self) -> usize {
+        ceil(self.reach_px()) as usize
+    }
+
+    /// The normal distribution function.
+    fn below(self, x_px: f64) -> f64 {
+        0.5 + 0.5 * erf(x_px / (self.sigma_px * core::f64::consts::SQRT_2))
+    }
+
+    /// Its integral.
+    fn ramp(self, x_px: f64) -> f64 {
+        let t = x_px / self.sigma_px;
+        x_px * self.below(x_px) + self.sigma_px * exp(-0.5 * t * t) / sqrt(core::f64::consts::TAU)
+    }
+}

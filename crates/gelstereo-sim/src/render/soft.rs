@@ -1,0 +1,368 @@
+//! Ink through a lens that blurs, without a fine canvas.
+//!
+//! A pixel that weighs points by k(x) k(y) about its centre (see [`Lens`]) sees of a region
+//! ∫ k(v) [K(right(v)) - K(left(v))] dv, where K is the integral of k and the region is cut from left to right at height v:
+//! along a line the integral is exact, and lines are summed. For an ellipse the sum over the lines v = h sin t, t in
+//! equal steps, is the trapezoid rule on a smooth periodic function (its outline once around), which converges faster
+//! than any power: with steps of 1.3 sigma along the outline 2e-5 of the contrast is left, the transform of the lens's
+//! Gaussian at that step, 2 exp(-2 π² / 1.3²).
+
+use super::Ellipse;
+use super::lens::Lens;
+use super::profile::{BLOCK, Block, Profile};
+use super::shape::{Shape, each_interval};
+use alloc::vec::Vec;
+use core::f64::consts::PI;
+use gelstereo_core::math::{DVec2, ceil, cos, sin};
+
+/// Lines of an ellipse, beyond two, per sigma of its longest half diameter: a step along the outline is at most π / 2.2
+/// sigma.
+const LINES_PER_SIGMA: f64 = 2.2;
+
+/// Ellipses so large that they take more lines are cut like any other region, where the image is.
+const MOST_LINES: usize = 256;
+
+/// Lines per pixel, or per half a sigma of the lens if that is more, over a region that is no ellipse. They lie as an
+/// ellipse's do between any two heights where a part of the region begins or ends.
+const DENSE_LINES: f64 = 32.0;
+
+/// Most columns of a window; wider ones are drawn in parts.
+const MOST_COLUMNS: usize = 32;
+
+/// Draws blurred ink.
+#[derive(Clone, Debug)]
+pub(crate) struct Soft {
+    lens: Lens,
+    edges: Profile,
+    points: Profile,
+    /// (sine, cosine) of half a step, by the number of lines.
+    half_steps: Vec<(f64, f64)>,
+    /// A line's weight for the rows about it.
+    weights: Vec<f32>,
+    /// What the window's pixels see, row by row.
+    tile: Vec<Block>,
+    /// Heights between which a region is smooth.
+    breaks: Vec<f64>,
+}
+
+/// A part of the image: pixels that see anything of a region.
+#[derive(Clone, Copy, Debug)]
+struct Window {
+    left: usize,
+    top: usize,
+    columns: usize,
+    rows: usize,
+}
+
+impl Soft {
+    /// For images of at most so many rows and so many regions that overlap.
+    pub(crate) fn new(lens: Lens, rows: usize, regions: usize) -> Self {
+        let half_step = |lines: usize| {
+            let angle = 0.5 * PI / lines.max(1) as f64;
+            (sin(angle), cos(angle))
+        };
+        let reach = lens.reach();
+        Self {
+            lens,
+            // Any column of a window from any place that one of its columns sees.
+            edges: Profile::new(reach + MOST_COLUMNS, |x| lens.edge(x)),
+            points: Profile::new(reach, |x| lens.point(x)),
+            half_steps: (0..=MOST_LINES).map(half_step).collect(),
+            weights: alloc::vec![0.0; 2 * reach],
+            tile: Vec::with_capacity(rows * MOST_COLUMNS.div_ceil(BLOCK)),
+            breaks: Vec::with_capacity(2 * regions),
+        }
+    }
+
+    /// Adds what every pixel sees of an ellipse.
+    pub(crate) fn ellipse(&mut self, ellipse: &Ellipse, canvas: &mut [f32], width: usize) {
+        let Some(shape) = Shape::ellipse(ellipse) else { return };
+        let lines = 2.0 + LINES_PER_SIGMA * ellipse.longest_px() / self.lens.sigma_px;
+        if !(lines < MOST_LINES as f64) {
+            return self.union(&[shape], canvas, width);
+        }
+        self.draw(&[shape], [shape.low, shape.high], ceil(lines) as usize, canvas, width);
+    }
+
+    /// Adds what every pixel sees of regions that overlap, each point once.
+    pub(crate) fn union(&mut self, shapes: &[Shape], canvas: &mut [f32], width: usize) {
+        // Lines that no row sees are left out.
+        let reach = self.lens.reach_px();
+        let end = (canvas.len() / width) as f64 - 1.0 + reach;
+        let mut breaks = core::mem::take(&mut self.breaks);
+        breaks.clear();
+        breaks.extend(shapes.iter().flat_map(|shape| [shape.low.y, shape.high.y]));
+        breaks.iter_mut().for_each(|y| *y = y.clamp(-reach, end));
+        breaks.sort_unstable_by(f64::total_cmp);
+        let left = shapes.iter().fold(f64::INFINITY, |left, shape| left.min(shape.low.x));
+        let right = shapes.iter().fold(f64::NEG_INFINITY, |right, shape| right.max(shape.high.x));
+        let per_px = DENSE_LINES.min(2.0 * DENSE_LINES / self.lens.sigma_px);
+        for ends in breaks.windows(2).filter(|ends| ends[1] > ends[0]) {
+            let corners = [DVec2::new(left, ends[0]), DVec2::new(right, ends[1])];
+            let lines = (ceil((ends[1] - ends[0]) * per_px) as usize).max(4);
+            self.draw(shapes, corners, lines, canvas, width);
+        }
+        self.breaks = breaks;
+    }
+
+    /// What lies between two corners, cut by so many lines.
+    fn draw(
+        &mut self,
+        shapes: &[Shape],
+        corners: [DVec2; 2],
+        lines: usize,
+        canvas: &mut [f32],
+        width: usize,
+    ) {
+        let Some(whole) = self.window(corners, canvas.len(), width) else { return };
+        let (end, heights) = (whole.left + whole.columns, corners.map(|corner| corner.y));
+        for left in (whole.left..end).step_by(MOST_COLUMNS) {
+            let window = Window { left, columns: MOST_COLUMNS.min(end - left), ..whole };
+            match window.columns.div_ceil(BLOCK) {
+                1..=4 => self.cut::<4>(window, shapes, heights, lines),
+                5 => self.cut::<5>(window, shapes, heights, lines),
+                6 => self.cut::<6>(window, shapes, heights, lines),
+                _ => self.cut::<8>(window, shapes, heights, lines),
+            }
+            self.add(window, canvas, width);
+        }
+    }
+
+    /// Pixels that see anything between these corners.
+    fn window(&self, [low, high]: [DVec2; 2], pixels: usize, width: usize) -> Option<Window> {
+        let reach = self.lens.reach_px();
+        let end = DVec2::new((width - 1) as f64, (pixels / width - 1) as f64);
+        let first = (low - reach).ceil().max(DVec2::ZERO);
+        let last = (high + reach).floor().min(end);
+        first.cmple(last).all().then(|| Window {
+            left: first.x as usize,
+            top: first.y as usize,
+            columns: (last.x - first.x) as usize + 1,
+            rows: (last.y - first.y) as usize + 1,
+        })
+    }
+
+    /// Fills the tile. Lines crowd towards both heights: y = middle + half sin t.
+    fn cut<const BLOCKS: usize>(
+        &mut self,
+        window: Window,
+        shapes: &[Shape],
+        [from, to]: [f64; 2],
+        lines: usize,
+    ) {
+        self.tile.clear();
+        self.tile.resize(window.rows * BLOCKS, Block::default());
+        let (middle, half) = (0.5 * (from + to), 0.5 * (to - from));
+        let angle = 0.5 * PI / lines as f64;
+        let (s, c) = self.half_steps.get(lines).copied().unwrap_or_else(|| (sin(angle), cos(angle)));
+        // From -π/2 + half a step, turned on by whole steps.
+        let (turn_sin, turn_cos) = (2.0 * s * c, c * c - s * s);
+        let (mut sin_t, mut cos_t) = (-c, s);
+        for _ in 0..lines {
+            let y = middle + half * sin_t;
+            let line: [Block; BLOCKS] = self.share(window, shapes, y);
+            self.lay(window, y, (2.0 * angle * half * cos_t) as f32, line);
+            (sin_t, cos_t) = (sin_t * turn_cos + cos_t * turn_sin, cos_t * turn_cos - sin_t * turn_sin);
+        }
+    }
+
+    /// A line's share of the window's columns.
+    #[inline]
+    fn share<const BLOCKS: usize>(&self, window: Window, shapes: &[Shape], y: f64) -> [Block; BLOCKS] {
+        if let [shape] = shapes {
+            return self.between(window, shape.cut(y)); // nothing to add up
+        }
+        let mut line = [Block::default(); BLOCKS];
+        each_interval(shapes, y, |ends| {
+            let interval = self.between::<BLOCKS>(window, ends);
+            let sums = line.as_flattened_mut().iter_mut().zip(interval.as_flattened());
+            sums.for_each(|(sum, share)| *sum += share);
+        });
+        line
+    }
+
+    /// An interval's share of every column.
+    #[inline]
+    fn between<const BLOCKS: usize>(&self, window: Window, (from, to): (f64, f64)) -> [Block; BLOCKS] {
+        // Beyond so far no column sees a difference.
+        let (reach, left) = (self.lens.reach() as f64, window.left as f64);
+        let end = window.columns as f64 - 1.0 + reach;
+        let (from, first) = self.edges.about((from - left).max(-reach).min(end));
+        let (to, last) = self.edges.about((to - left).max(-reach).min(end));
+        // The columns begin at 0.
+        let (from, to) = (from.blocks::<BLOCKS>(-first as usize), to.blocks::<BLOCKS>(-last as usize));
+        let (Some(mut line), Some(to)) = (from, to) else { return [Block::default(); BLOCKS] };
+        for (shares, to) in line.iter_mut().zip(&to) {
+            for (share, to) in shares.iter_mut().zip(to) {
+                *share -= to;
+            }
+        }
+        line
+    }
+
+    /// Adds the line at `y` to the rows that see it.
+    fn lay<const BLOCKS: usize>(&mut self, window: Window, y: f64, weight: f32, line: [Block; BLOCKS]) {
+        let (weights, first) = self.points.about(y - window.top as f64);
+        // The first row of those that there are, and the first weight that has a row.
+        let (row, skipped) = (first.max(0) as usize, first.min(0).unsigned_abs() as usize);
+        weights.weigh(weight, &mut self.weights);
+        let rows = self.tile.as_chunks_mut::<BLOCKS>().0.get_mut(row..).unwrap_or_default();
+        for (row, &weight) in rows.iter_mut().zip(self.weights.iter().skip(skipped)) {
+            let mut sums = *row; // by value: kept in registers
+            for (sums, shares) in sums.iter_mut().zip(&line) {
+                for (sum, share) in sums.iter_mut().zip(shares) {
+                    *sum += weight * share;
+                }
+            }
+            *row = sums;
+        }
+    }
+
+    fn add(&self, window: Window, canvas: &mut [f32], width: usize) {
+        let rows = canvas[window.top * width..].chunks_exact_mut(width);
+        let drawn = self.tile.as_flattened().chunks_exact(4 * self.tile.len() / window.rows);
+        for (row, drawn) in rows.zip(drawn) {
+            let row = &mut row[window.left..][..window.columns];
+            row.iter_mut().zip(drawn).for_each(|(pixel, seen)| *pixel += seen);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::effects::UnevenLight;
+    use crate::render::displacement;
+    use crate::render::fine::Fine;
+    use crate::render::overlap::Overlaps;
+    use proptest::prelude::*;
+
+    const SIDE: usize = 48;
+
+    /// Of the contrast. The lens is cut off where 2e-5 of its weight is left, lines leave 4e-5, and as much is what 16 fine
+    /// pixels per pixel leave in what this is compared with: 0.024 grey levels of 120.
+    const TOLERANCE: f64 = 2e-4;
+
+    fn ellipse(x: f64, y: f64, radius: f64, stretch: f64, turn: f64) -> Ellipse {
+        let (s, c) = (sin(turn), cos(turn));
+        let half_px = [DVec2::new(c, s) * (radius * stretch), DVec2::new(-s, c) * (radius / stretch)];
+        Ellipse { centre_px: DVec2::new(x, y), half_px }
+    }
+
+    fn shapes(ellipses: &[Ellipse]) -> Vec<Shape> {
+        ellipses.iter().filter_map(Shape::ellipse).collect()
+    }
+
+    fn most(a: &[f32], b: &[f32]) -> f64 {
+        a.iter().zip(b).map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max)
+    }
+
+    fn soft(ellipse: &Ellipse, lens: Lens) -> Vec<f32> {
+        let mut canvas = alloc::vec![0.0; SIDE * SIDE];
+        Soft::new(lens, SIDE, 9).ellipse(ellipse, &mut canvas, SIDE);
+        canvas
+    }
+
+    fn union(shapes: &[Shape], lens: Lens) -> Vec<f32> {
+        let mut canvas = alloc::vec![0.0; SIDE * SIDE];
+        Soft::new(lens, SIDE, 9).union(shapes, &mut canvas, SIDE);
+        canvas
+    }
+
+    fn fine(shapes: &[Shape], lens: Lens, light: Option<&UnevenLight>) -> Vec<f32> {
+        let mut canvas = alloc::vec![0.0; SIDE * SIDE];
+        let mut overlaps = Overlaps::default();
+        overlaps.find(shapes);
+        Fine::finer(lens, 16).draw(shapes, &overlaps, light, &mut canvas, SIDE);
+        canvas
+    }
+
+    fn centroid(canvas: &[f32]) -> DVec2 {
+        let (mut area, mut moment) = (0.0, DVec2::ZERO);
+        for (i, &share) in canvas.iter().enumerate() {
+            area += f64::from(share);
+            moment += DVec2::new((i % SIDE) as f64, (i / SIDE) as f64) * f64::from(share);
+        }
+        moment / area
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+
+        #[test]
+        fn an_ellipse_is_what_fine_pixels_say(
+            x in 18.0..30.0, y in 18.0..30.0, radius in 1.0..8.0, stretch in 0.8..1.25, turn in 0.0..3.2,
+            sigma_px in 0.7..2.5,
+        ) {
+            let (ellipse, lens) = (ellipse(x, y, radius, stretch, turn), Lens { sigma_px });
+            let found = soft(&ellipse, lens);
+            let off = most(&found, &fine(&shapes(&[ellipse]), lens, None));
+            prop_assert!(off < TOLERANCE, "{off}");
+            // Shares sum to the area, and their centroid is the ellipse's centre: windows end at whole pixels, so that more of
+            // the lens may be cut off on one side, and as much weighs more the farther out it is.
+            let area: f64 = found.iter().map(|&share| f64::from(share)).sum();
+            let share = area / (PI * ellipse.radius_px() * ellipse.radius_px());
+            prop_assert!((share - 1.0).abs() < 4.0 * TOLERANCE, "{share}");
+            let off = (centroid(&found) - ellipse.centre_px).length();
+            prop_assert!(off < 1e-4 * sigma_px * sigma_px, "{off} px");
+        }
+
+        /// Anywhere about the image's border, however much of it is seen.
+        #[test]
+        fn a_border_cuts_and_changes_nothing_else(
+            x in -10.0..58.0, y in -10.0..58.0, radius in 1.0..12.0, sigma_px in 0.6..2.0,
+        ) {
+            let (ellipse, lens) = (ellipse(x, y, radius, 1.1, 0.3), Lens { sigma_px });
+            let off = most(&soft(&ellipse, lens), &fine(&shapes(&[ellipse]), lens, None));
+            prop_assert!(off < TOLERANCE, "{off}");
+        }
+
+        #[test]
+        fn ink_that_overlaps_counts_once(
+            x in 18.0..30.0, y in 18.0..30.0, apart in 0.0..14.0, turn in 0.0..6.3, radius in 2.0..6.0,
+            sigma_px in 0.6..2.0,
+        ) {
+            let lens = Lens { sigma_px };
+            let (a, b) = (ellipse(x, y, radius, 1.1, 0.3), ellipse(x + apart * cos(turn), y + apart * sin(turn), 4.0, 1.0, 0.0));
+            let bar = [a.centre_px - a.half_px[1], a.centre_px + a.half_px[1], b.centre_px + b.half_px[1], b.centre_px - b.half_px[1]];
+            let mut all = shapes(&[a, b]);
+            all.extend(Shape::bar(bar.map(|corner| a.centre_px.lerp(corner, 0.7))));
+            // The corners of the region are bends that lines between two heights do not follow.
+            let off = most(&union(&all, lens), &fine(&all, lens, None));
+            prop_assert!(off < 5.0 * TOLERANCE, "{off}");
+            let off = most(&union(&all[..1], lens), &soft(&a, lens));
+            prop_assert!(off < TOLERANCE, "{off}");
+        }
+
+        /// Light as uneven as a scene may have it over an image of that size is several times what a camera's is.
+        #[test]
+        fn light_before_the_lens_is_light_behind_it_on_ink_nearer_to_the_dark(
+            x in 14.0..34.0, y in 14.0..34.0, across in -0.1..0.1, down in -0.1..0.1, corner_loss in 0.0..0.05,
+        ) {
+            let (light, lens) = (UnevenLight { gain: 1.0, across, down, corner_loss }, Lens { sigma_px: 0.8 });
+            let dot = ellipse(x, y, 4.3, 1.1, 0.3);
+            let size = [SIDE; 2];
+            let centre_px = dot.centre_px + displacement(&light, lens, dot.centre_px, size);
+            let lit = |(i, share): (usize, &f32)| {
+                let at = DVec2::new((i % SIDE) as f64, (i / SIDE) as f64);
+                share * light.gain(at, DVec2::splat(SIDE as f64)) as f32
+            };
+            let found: Vec<f32> = soft(&Ellipse { centre_px, ..dot }, lens).iter().enumerate().map(lit).collect();
+            let expected = fine(&shapes(&[dot]), lens, Some(&light));
+            let off = most(&found, &expected);
+            prop_assert!(off < 2.0 * TOLERANCE, "{off}");
+            let off = (centroid(&found) - centroid(&expected)).length();
+            prop_assert!(off < 1e-4, "{off} px");
+        }
+    }
+
+    #[test]
+    fn dots_that_are_huge_or_nowhere_are_drawn_in_no_time() {
+        let lens = Lens { sigma_px: 0.8 };
+        let whole = soft(&ellipse(20.0, 24.0, 1e9, 1.0, 0.0), lens);
+        assert!(whole.iter().all(|&share| (share - 1.0).abs() < 1e-3));
+        for (x, radius) in [(f64::NAN, 4.0), (1e300, 4.0), (20.0, 0.0), (-1e6, 4.0), (20.0, f64::INFINITY)] {
+            assert!(soft(&ellipse(x, 24.0, radius, 1.0, 0.0), lens).iter().all(|&share| share == 0.0));
+        }
+    }
+}
