@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 import gelstereo
 import numpy as np
 import numpy.typing as npt
 import pytest
 import tamaas
+from gelstereo.recordings import episodes, load_pytac3d, pytac3d_example
+from gelstereo.reports import physics
+from gelstereo.reports.recordings import SALIENCY_MM
 from layer_reference import Disc
 from scipy.interpolate import PchipInterpolator
 
@@ -97,3 +102,23 @@ def test_a_layer_refuses_what_is_none() -> None:
         contact.press(np.zeros((8, 8)), np.zeros(3))
     with pytest.raises(gelstereo.LayerError, match="heights_mm is NaN"):
         contact.press(np.full((8, 8), np.nan))
+
+
+@pytest.mark.skipif(find_spec("PyTac3D") is None, reason="the wheel pytac3d is absent")
+def test_a_recorded_gel_rises_between_two_layers() -> None:
+    recording = load_pytac3d(pytac3d_example("example_1", "AD2-0065L"))
+    for run in episodes(recording.indentation_mm(), SALIENCY_MM):
+        frames = physics.presses(recording, run, every=10)
+        if len(run) < 8:
+            continue
+
+        def rise(thickness_mm: float, frames: list[physics.Press] = frames) -> float:
+            gel = physics.Gel(thickness_mm, 0.5)
+            of = [physics.of_layer(press, gel, recording.pitch_mm) for press in frames]
+            pairs = zip(of, frames, strict=True)
+            return float(np.median([physics.beside(motion, press).rise_mm for motion, press in pairs]))
+
+        recorded = np.median([physics.beside(press.motion_mm, press).rise_mm for press in frames])
+        assert rise(14.0) < recorded < rise(6.0)
+        # The deepest of the free markers of a membrane lie on the contact's rim, and none rises.
+        assert physics.membrane(frames[0], 2.0, recording.pitch_mm).min() >= -1e-9

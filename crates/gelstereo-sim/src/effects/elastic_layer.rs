@@ -87,7 +87,7 @@ impl Effect for ElasticLayer {
     fn sideways_mm(&self, facts: &Facts<'_>) -> f64 {
         let touch = &facts.touch;
         let wide = 0.75 * touch.span_mm / facts.scene.gel.thickness_mm;
-        let carried = if self.friction > 0.0 { core::f64::consts::SQRT_2 * touch.grip_mm() } else { 0.0 };
+        let carried = if self.friction > 0.0 { touch.grip_mm() } else { 0.0 };
         touch.depth_mm * (1.0 + wide) + carried
     }
 }

@@ -65,7 +65,7 @@ impl Holding {
                 self.lag[axis].iter_mut().zip(&self.product[axis]).for_each(|(lag, g)| *lag += share * g);
             }
             // The two spectral lengths take turns (Dai and Fletcher 2005).
-            length = if found.products % 2 == 0 {
+            length = if found.products.is_multiple_of(2) {
                 both(&self.step, &self.step) / along
             } else {
                 along / both(&self.product, &self.product)
