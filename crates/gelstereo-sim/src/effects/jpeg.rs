@@ -68,7 +68,7 @@ impl Effect for Jpeg {
     }
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
-        12.0 * facts.pixels()
+        35.0 * facts.pixels()
     }
 }
 

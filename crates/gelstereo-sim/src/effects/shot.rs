@@ -55,7 +55,7 @@ impl Effect for ShotNoise {
     }
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
-        4.0 * facts.pixels()
+        5.7 * facts.pixels()
     }
 }
 
