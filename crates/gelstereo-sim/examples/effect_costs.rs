@@ -8,12 +8,13 @@
 
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_sim::effects::{
-    Defocus, Drag, Grain, Misprint, Patch, SensorNoise, Shoulder, Smears, Specks, Spread, UnevenLight,
+    Defocus, Drag, Grain, Jpeg, Misprint, Patch, SensorNoise, ShotNoise, Shoulder, Smears, Specks, Spread,
+    UnevenLight, Wear,
 };
 use gelstereo_sim::{ContactState, Effects, Keyframe, Scene, Shape, Simulator, Switch, Truth};
 use std::time::Instant;
 
-const NAMES: [&str; 13] = [
+const NAMES: [&str; 17] = [
     "shoulder",
     "spread",
     "drag",
@@ -27,6 +28,10 @@ const NAMES: [&str; 13] = [
     "refraction",
     "lens_distortion",
     "ellipse_bias",
+    "wear",
+    "shot_noise",
+    "jpeg",
+    "usual_image",
 ];
 
 /// The scene with one effect, and with the shoulder where an effect needs heights beside the contact.
@@ -52,6 +57,19 @@ fn scene(effect: &str) -> Scene {
         "uneven_light" => effects.uneven_light = Some(UnevenLight::default()),
         "smears" => effects.smears = Some(Smears { patches: vec![patch], ..Smears::default() }),
         "defocus" => effects.defocus = Some(Defocus::default()),
+        "wear" => effects.wear = Some(Wear::default()),
+        "shot_noise" => effects.shot_noise = Some(ShotNoise::default()),
+        "jpeg" => effects.jpeg = Some(Jpeg::default()),
+        // What most benchmarks of the project have.
+        "usual_image" => {
+            *effects = Effects {
+                grain: Some(Grain::default()),
+                uneven_light: Some(UnevenLight::default()),
+                defocus: Some(Defocus::default()),
+                sensor_noise: Some(SensorNoise::default()),
+                ..Effects::default()
+            }
+        }
         "sensor_noise" => effects.sensor_noise = Some(SensorNoise::default()),
         "lens_distortion" => {
             scene.rig.left.distortion[0] = -0.1;

@@ -1,10 +1,10 @@
-//! Noise of the image sensor, against the normal distribution it stands for.
+//! Noise of image sensor and light, against the normal distribution it stands for.
 #![allow(clippy::unwrap_used)]
 
 mod common;
 
 use common::images;
-use gelstereo_sim::effects::SensorNoise;
+use gelstereo_sim::effects::{SensorNoise, ShotNoise};
 use gelstereo_sim::{Effects, Scene};
 
 const SIGMA: f64 = 20.0;
@@ -76,5 +76,27 @@ fn pixels_views_and_frames_are_independent() {
         for b in &images[..i] {
             assert!(correlation(a, b).abs() < 5.0);
         }
+    }
+}
+
+/// Variance in proportion to the level, and no other frame's or view's numbers. Five standard errors, √(2/n), and a hundredth
+/// for rounding.
+#[test]
+fn shot_noise_grows_with_the_root_of_the_level() {
+    let noise = ShotNoise { full_well_electrons: 2000.0 };
+    for level in [40_u8, 90, 160, 215] {
+        let effects = Effects { shot_noise: Some(noise.clone()), ..Effects::default() };
+        let mut scene = Scene { effects, ..Scene::default() };
+        (scene.gel.rows, scene.gel.cols, scene.gel.centre_mm) = (2, 2, [200.0, 0.0]);
+        (scene.gel.bright_level, scene.gel.dark_level) = (level, 0);
+        let [left, right] = images(&scene, 0);
+        assert_ne!(left, right);
+        assert_ne!(left, images(&scene, 1)[0]);
+        let off: Vec<f64> = left.iter().map(|&found| f64::from(found) - f64::from(level)).collect();
+        let n = off.len() as f64;
+        let expected = 255.0 * f64::from(level) / 2000.0 + 1.0 / 12.0;
+        assert!(mean(off.iter().copied()).abs() < 5.0 * (expected / n).sqrt(), "{level}");
+        let variance = mean(off.iter().map(|v| v * v));
+        assert!((variance / expected - 1.0).abs() < 5.0 * (2.0 / n).sqrt() + 0.01, "{level}: {variance}");
     }
 }

@@ -6,7 +6,8 @@ use gelstereo_core::camera::{Camera, Layer, Layers};
 use gelstereo_core::math::{DVec2, DVec3, Pose, so3};
 use gelstereo_core::rig::Rig;
 use gelstereo_sim::effects::{
-    Defocus, Drag, ElasticLayer, Grain, Misprint, SensorNoise, Shoulder, Smears, Specks, Spread, UnevenLight,
+    Defocus, Drag, ElasticLayer, Grain, Jpeg, Misprint, SensorNoise, ShotNoise, Shoulder, Smears, Specks,
+    Spread, UnevenLight, Wear,
 };
 use gelstereo_sim::plan::Bound;
 use gelstereo_sim::{
@@ -58,7 +59,7 @@ fn apart(rig: &Rig, a: &Seen, b: &Seen) -> Bound {
     Bound { px: largest(px), um: largest(um), levels: largest(levels) }
 }
 
-const NAMES: [&str; 14] = [
+const NAMES: [&str; 17] = [
     "shoulder",
     "spread",
     "drag",
@@ -73,6 +74,9 @@ const NAMES: [&str; 14] = [
     "lens_distortion",
     "ellipse_bias",
     "elastic_layer",
+    "wear",
+    "shot_noise",
+    "jpeg",
 ];
 
 /// A scene whose effects of these bits are off.
@@ -94,6 +98,9 @@ fn switched(scene: &Scene, off: u32) -> Scene {
         &mut s.lens_distortion,
         &mut s.ellipse_bias,
         &mut s.elastic_layer,
+        &mut s.wear,
+        &mut s.shot_noise,
+        &mut s.jpeg,
     ];
     for (bit, switch) in all.into_iter().enumerate() {
         if off >> bit & 1 == 1 {
@@ -222,10 +229,19 @@ fn effects() -> impl Strategy<Value = Effects> {
         })),
         prop::option::of((0.1..2.0_f64).prop_map(|sigma_px| Defocus { sigma_px })),
         prop::option::of(size(10.0).prop_map(|sigma_levels| SensorNoise { sigma_levels })),
+        prop::option::of((300.0..1e6_f64).prop_map(|full_well_electrons| ShotNoise { full_well_electrons })),
+        prop::option::weighted(0.3, (1..=100_u8).prop_map(|quality| Jpeg { quality })),
+        prop::option::of(
+            (size(1.0), size(2.0), 0.0..1.0_f64).prop_map(|(share, share_per_s, uneven_share)| Wear {
+                share,
+                share_per_s,
+                uneven_share,
+            }),
+        ),
     );
     (gel, image).prop_map(|((elastic_layer, shoulder, spread, drag, misprint, specks), image)| {
         let beside = elastic_layer.is_none();
-        let (grain, uneven_light, smears, defocus, sensor_noise) = image;
+        let (grain, uneven_light, smears, defocus, sensor_noise, shot_noise, jpeg, wear) = image;
         Effects {
             elastic_layer,
             shoulder: shoulder.filter(|_| beside),
@@ -238,6 +254,9 @@ fn effects() -> impl Strategy<Value = Effects> {
             smears,
             defocus,
             sensor_noise,
+            shot_noise,
+            jpeg,
+            wear,
             ..Effects::default()
         }
     })
@@ -275,7 +294,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(120))]
 
     #[test]
-    fn no_effect_changes_more_than_its_bound(scene in scenes(), effect in 0..NAMES.len(), off in 0..1_u32 << 14) {
+    fn no_effect_changes_more_than_its_bound(scene in scenes(), effect in 0..NAMES.len(), off in 0..1_u32 << 17) {
         let plan = Plan::of(&scene, None).unwrap();
         let name = NAMES[effect];
         if let Some(entry) = plan.entries.iter().find(|entry| entry.effect == name) {

@@ -5,8 +5,8 @@ mod common;
 
 use common::{images, press, rest, truth};
 use gelstereo_core::math::{DVec2, DVec3};
-use gelstereo_sim::effects::{Misprint, Specks};
-use gelstereo_sim::{Effects, Scene, Shape, Sight};
+use gelstereo_sim::effects::{Misprint, Specks, Wear};
+use gelstereo_sim::{Effects, Scene, Shape, Sight, Simulator, Truth};
 use proptest::prelude::*;
 
 fn misprinted(misprint: Misprint) -> Scene {
@@ -166,4 +166,31 @@ fn specks_lie_between_the_dots_and_stay_on_the_gel() {
     }
     pressed.seed = 2;
     assert_ne!(truth(&pressed, None).left_specks, found.left_specks);
+}
+
+/// Radii shrink as the model says, which is written down again; centres stay, and so does what the gel does.
+#[test]
+fn dots_wear_off_over_time() {
+    let wear = Wear { share: 0.1, share_per_s: 0.6, uneven_share: 0.5 };
+    let scene = Scene { effects: Effects { wear: Some(wear), ..Effects::default() }, ..Scene::default() };
+    let fresh = rest(&Scene::default());
+    let mut simulator = Simulator::new(&scene, None).unwrap();
+    let mut truth = Truth::default();
+    let mut before = vec![1.0; 625];
+    for (frame, gone) in [(0, 0.1), (30, 0.7), (3000, 60.1)] {
+        simulator.moment(None, frame, &mut truth);
+        assert_eq!(truth.points_mm, fresh.points_mm);
+        for (i, (dot, fresh)) in truth.left_dots.iter().zip(&fresh.left_dots).enumerate() {
+            let left = dot.outline.radius_px() / fresh.outline.radius_px();
+            let [least, most] = [1.5, 0.5].map(|pace: f64| (1.0 - pace * gone).max(0.01));
+            assert!((least - 1e-9..=most + 1e-9).contains(&left), "{left} at frame {frame}");
+            assert!(left <= before[i] + 1e-9);
+            assert!((dot.outline.centre_px - fresh.outline.centre_px).length() < 1e-9);
+            before[i] = left;
+        }
+    }
+    // Nothing is left to see.
+    let (mut left, mut right) = (Vec::new(), Vec::new());
+    simulator.render(&truth, 3000, &mut left, &mut right);
+    assert!(left.iter().chain(&right).all(|&level| level >= 169));
 }

@@ -2,9 +2,9 @@
 //!
 //! An effect that is absent costs nothing and draws no random number, so the others' bits do not depend on it:
 //! every stream is keyed by (seed, effect's name). On the gel: [`Shoulder`], [`Spread`], [`Drag`], or
-//! [`ElasticLayer`] in their place, with [`Relaxation`] and [`LargeStrain`]. In the print:
-//! [`Misprint`], [`Specks`]. On the images, in this order: [`Grain`], [`UnevenLight`], [`Defocus`], [`Smears`],
-//! [`SensorNoise`]. On the way: [`DroppedFrames`]. Lens distortion and refraction are the rig's own.
+//! [`ElasticLayer`] in their place, with [`Relaxation`] and [`LargeStrain`]. In the print: [`Misprint`], [`Wear`],
+//! [`Specks`]. On the images, in this order: [`Grain`], [`UnevenLight`], [`Defocus`], [`Smears`], [`ShotNoise`],
+//! [`SensorNoise`], [`Jpeg`]. On the way: [`DroppedFrames`]. Lens distortion and refraction are the rig's own.
 
 mod blur;
 mod drag;
@@ -12,15 +12,18 @@ mod drops;
 mod elastic_layer;
 mod grain;
 mod large_strain;
+mod jpeg;
 mod light;
 mod misprint;
 mod noise;
 mod optics;
 mod relaxation;
+mod shot;
 mod shoulder;
 mod smear;
 mod specks;
 mod spread;
+mod wear;
 
 pub use blur::Defocus;
 pub use drag::Drag;
@@ -32,20 +35,29 @@ pub use light::UnevenLight;
 pub use misprint::Misprint;
 pub use noise::SensorNoise;
 pub use relaxation::Relaxation;
+pub use jpeg::Jpeg;
+pub use light::UnevenLight;
+pub use misprint::Misprint;
+pub use noise::SensorNoise;
+pub use shot::ShotNoise;
 pub use shoulder::Shoulder;
 pub use smear::{Patch, Smears, Views};
 pub use specks::Specks;
 pub use spread::Spread;
+pub use wear::Wear;
 
 pub(crate) use blur::Blur;
 pub(crate) use drag::Grip;
 pub(crate) use grain::Texture;
+pub(crate) use jpeg::Codec;
 pub(crate) use light::Gain;
 pub(crate) use misprint::{Bridge, Print};
 pub(crate) use noise::Noise;
 pub(crate) use optics::{Optics, ellipse_bias_px};
+pub(crate) use shot::Shots;
 pub(crate) use smear::SmearsOfView;
 pub(crate) use specks::Speck;
+pub(crate) use wear::Worn;
 
 use crate::plan::{Bound, Effect, Facts, Switch};
 use crate::scene::{Gel, SceneError};
@@ -138,6 +150,8 @@ effects! {
     large_strain: LargeStrain,
     /// Dots beside their places, of other sizes, or merged.
     misprint: Misprint,
+    /// Dots that are rubbed off.
+    wear: Wear,
     /// Dirt on the gel.
     specks: Specks,
     /// Grain of the paint.
@@ -148,8 +162,12 @@ effects! {
     smears: Smears,
     /// Blur of the lens.
     defocus: Defocus,
+    /// Noise of the light itself.
+    shot_noise: ShotNoise,
     /// Noise of the image sensor.
     sensor_noise: SensorNoise,
+    /// What compression leaves of the images.
+    jpeg: Jpeg,
     /// Frames that never arrive.
     dropped_frames: DroppedFrames,
 }

@@ -47,7 +47,7 @@ impl Effect for SensorNoise {
     }
 }
 
-const QUANTILES: usize = 4096;
+pub(super) const QUANTILES: usize = 4096;
 
 /// Ready-made quantiles.
 #[derive(Clone, Debug)]
@@ -56,13 +56,18 @@ pub(crate) struct Noise {
     quantiles: Box<[f32; QUANTILES]>,
 }
 
+/// The normal distribution's quantiles, scaled to that standard deviation.
+pub(super) fn quantiles_of(sigma: f64) -> Box<[f32; QUANTILES]> {
+    let quantiles: Vec<f64> =
+        (0..QUANTILES).map(|i| normal_quantile((i as f64 + 0.5) / QUANTILES as f64)).collect();
+    let variance = quantiles.iter().map(|q| q * q).sum::<f64>() / QUANTILES as f64;
+    let scale = sigma / sqrt(variance);
+    Box::new(core::array::from_fn(|i| (quantiles[i] * scale) as f32))
+}
+
 impl Noise {
     pub(crate) fn new(noise: &SensorNoise, seed: u64) -> Self {
-        let quantiles: Vec<f64> =
-            (0..QUANTILES).map(|i| normal_quantile((i as f64 + 0.5) / QUANTILES as f64)).collect();
-        let variance = quantiles.iter().map(|q| q * q).sum::<f64>() / QUANTILES as f64;
-        let scale = noise.sigma_levels / sqrt(variance);
-        Self { seed, quantiles: Box::new(core::array::from_fn(|i| (quantiles[i] * scale) as f32)) }
+        Self { seed, quantiles: quantiles_of(noise.sigma_levels) }
     }
 
     /// Of one view (by name) of one frame.

@@ -126,7 +126,22 @@ fn described(facts: &Facts<'_>) -> Vec<(&'static str, Bound, f64)> {
     let own = Optics::ALL.into_iter().filter(|effect| effect.is_in(facts.scene));
     let listed =
         facts.scene.effects.listed().map(|(name, effect)| (name, effect.bound(facts), effect.cost_ns(facts)));
-    listed.chain(own.map(|effect| (effect.name(), effect.bound(facts), effect.cost_ns(facts)))).collect()
+    let all = listed.chain(own.map(|effect| (effect.name(), effect.bound(facts), effect.cost_ns(facts))));
+    all.map(|(name, bound, cost_ns)| (name, behind(facts, name, bound), cost_ns)).collect()
+}
+
+/// What becomes of a bound in the images of effects that act later and depend on what they get.
+fn behind(facts: &Facts<'_>, effect: &str, bound: Bound) -> Bound {
+    let effects = &facts.scene.effects;
+    let mut levels = bound.levels;
+    let before = |later: &[&str]| levels > 0.0 && !later.contains(&effect);
+    let shots = effects.shot_noise.as_ref().filter(|_| before(&["shot_noise", "sensor_noise", "jpeg"]));
+    let jpeg = effects.jpeg.as_ref().filter(|_| before(&["jpeg"]));
+    // √a - √b <= √(a - b), and levels are rounded before they are looked up.
+    levels += shots.map_or(0.0, |shots| shots.most_levels(levels + 1.0));
+    // Each of two images is so far from what it was.
+    levels += jpeg.map_or(0.0, |jpeg| 2.0 * jpeg.bound(facts).levels + 1.0);
+    Bound { levels, ..bound }
 }
 
 /// Switches off what may be, from the smallest bound on.

@@ -1,7 +1,7 @@
 //! From ink to grey levels: the gel below it, light, smears, noise and rounding.
 
 use super::lens::Lens;
-use crate::effects::{Blur, Gain, Noise, SmearsOfView, Texture};
+use crate::effects::{Blur, Gain, Noise, Shots, SmearsOfView, Texture};
 use alloc::vec::Vec;
 use gelstereo_core::math::random::Stream;
 
@@ -14,6 +14,8 @@ pub(crate) struct Finish<'a> {
     pub(crate) gain: Option<&'a Gain>,
     pub(crate) smears: Option<&'a SmearsOfView>,
     pub(crate) time_s: f64,
+    /// As `noise`.
+    pub(crate) shots: Option<(&'a Shots, Stream)>,
     /// The noise and its numbers for this image.
     pub(crate) noise: Option<(&'a Noise, Stream)>,
 }
@@ -78,6 +80,9 @@ impl Finish<'_> {
             ink.fill(0.0);
             if let Some(smears) = self.smears {
                 smears.apply(self.time_s, y, levels);
+            }
+            if let Some((shots, stream)) = &mut self.shots {
+                shots.add(stream, levels);
             }
             if let Some((noise, stream)) = &mut self.noise {
                 noise.add(stream, levels);

@@ -18,7 +18,7 @@ pub(crate) use dot::Dot;
 pub use dot::Ellipse;
 pub(crate) use lens::Lens;
 
-use crate::effects::{Bridge, Defocus, Gain, Noise, SmearsOfView, Texture, UnevenLight};
+use crate::effects::{Bridge, Codec, Defocus, Gain, Noise, Shots, SmearsOfView, Texture, UnevenLight};
 use crate::scene::{Images, Scene};
 use crate::simulator::{DotImage, Sight, Truth};
 use alloc::vec::Vec;
@@ -49,7 +49,9 @@ pub(crate) struct Renderer {
     light: Option<UnevenLight>,
     lens: Option<Lens>,
     pen: Pen,
+    shots: Option<Shots>,
     noise: Option<Noise>,
+    codec: Option<Codec>,
     ink: Ink,
     /// What every pixel sees of the ink; nothing between two images.
     canvas: Vec<f32>,
@@ -126,6 +128,8 @@ impl Renderer {
                 (Some(lens), Images::Fast) => Pen::Soft(Soft::new(lens, rows, regions)),
                 (Some(lens), Images::Exact) => Pen::Fine(Fine::new(lens)),
             },
+            shots: effects.shot_noise.as_ref().map(|noise| Shots::new(noise, scene.seed)),
+            codec: effects.jpeg.as_ref().map(Codec::new),
             noise: effects.sensor_noise.as_ref().map(|noise| Noise::new(noise, scene.seed)),
             ink: Ink::with_room(regions),
             canvas: Vec::new(),
@@ -178,9 +182,13 @@ impl Renderer {
             gain,
             smears: smears.as_ref(),
             time_s: exposure.time_s,
+            shots: self.shots.as_ref().map(|shots| (shots, shots.stream(name, exposure.frame))),
             noise: self.noise.as_ref().map(|noise| (noise, noise.stream(name, exposure.frame))),
         };
         finish.develop(&mut self.canvas, *width, &mut self.levels, image);
+        if let Some(codec) = &self.codec {
+            codec.pass(image, *width);
+        }
     }
 
     /// Collects the ink that is in the image; a truth of another lattice has none.

@@ -8,7 +8,7 @@ mod truth;
 use layered::Layered;
 pub use truth::{DotImage, OUT_OF_SIGHT_PX, Sight, Truth};
 
-use crate::effects::{Bridge, Drag, Print, Shoulder, Speck, Spread};
+use crate::effects::{Bridge, Drag, Print, Shoulder, Speck, Spread, Worn};
 use crate::lattice::Lattice;
 use crate::plan::{Plan, Switch};
 use crate::render::{Dot, Exposure, Renderer};
@@ -75,6 +75,7 @@ pub struct Simulator {
     /// Markers where they are now when nothing touches.
     rest: Vec<DVec2>,
     print: Option<Print>,
+    worn: Option<Worn>,
     specks: Vec<Speck>,
     part: Option<Part>,
     shoulder: Option<Shoulder>,
@@ -140,6 +141,7 @@ impl Simulator {
             centre_mm,
             rest: Vec::new(),
             print: misprint.map(|misprint| Print::new(misprint, seed, gel.rows * gel.cols)),
+            worn: effects.wear.as_ref().map(|wear| Worn::new(wear, seed, gel.rows * gel.cols)),
             specks: effects.specks.as_ref().map_or_else(Vec::new, |specks| Speck::all(specks, seed, gel)),
             part,
             shoulder: effects.shoulder.clone(),

@@ -130,7 +130,7 @@ impl Simulator {
     fn write_dots(&mut self, time_s: f64, out: &mut Truth) {
         self.scratch.dots.clear();
         for marker in 0..out.points_mm.len() {
-            let dot = self.dot(&out.points_mm, marker);
+            let dot = self.dot(&out.points_mm, marker, time_s);
             self.scratch.dots.push(dot);
         }
         let Self { scratch, rig, renderer, specks, gel, .. } = &*self;
@@ -159,12 +159,13 @@ impl Simulator {
     }
 
     /// A marker's dot, which stretches and tilts with the surface between the neighbouring markers.
-    fn dot(&self, points_mm: &[DVec3], marker: usize) -> Dot {
-        let Self { lattice, print, gel, .. } = self;
+    fn dot(&self, points_mm: &[DVec3], marker: usize, time_s: f64) -> Dot {
+        let Self { lattice, print, worn, gel, .. } = self;
         let neighbours = lattice.neighbours(marker);
         let apart = neighbours.map(|(before, after, _)| points_mm[after] - points_mm[before]);
         let centre = points_mm[marker];
         let radius_mm = gel.dot_radius_mm * print.as_ref().map_or(1.0, |print| print.radius(marker));
+        let radius_mm = radius_mm * worn.as_ref().map_or(1.0, |worn| worn.radius(marker, time_s));
         let Some(shift_mm) = print.as_ref().and_then(|print| print.shift_mm()) else {
             let [along, across] = [0, 1].map(|axis| {
                 let stretch = apart[axis] / (neighbours[axis].2 * lattice.pitch_mm);
