@@ -307,6 +307,14 @@ def test_instructions_are_counted_and_repeat_exactly(tmp_path: Path) -> None:
     assert first is not None and first > 80 * 60
     assert counter.count("detect", files) == first
     assert counter.count("no such stage", files) is None
+    assert counter.count_each("no such stage", files) == []
+    press = sphere_press()[:3]
+    files = write_input(tmp_path, gelstereo.Params.preset("fast"), press, VGA.rig())
+    each = counter.count_each("frames", files)
+    # Two frames there and two back, twice; the first of them fits the map of points besides.
+    assert len(each) == 8 and min(each) > 25 * 25
+    assert max(each[1:]) < 1.5 * min(each[1:])
+    assert counter.count("frames", files) == sum(each)
 
 
 @pytest.mark.skipif(shutil.which("cargo") is None, reason="cargo is absent")

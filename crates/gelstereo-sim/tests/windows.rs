@@ -142,3 +142,36 @@ fn a_marker_is_lost_and_found_again_in_windows() {
     }
     assert_eq!(a.left_px[marker], b.left_px[marker]);
 }
+
+/// Markers 3 px wide and 7 px apart: the windows around larger ones would not fit between their neighbours. Centres are as good
+/// as their covariance says, in the first frame, which is searched whole, and after it.
+#[test]
+fn dense_lattices_are_searched_in_windows() {
+    let effects = Effects { sensor_noise: Some(SensorNoise::default()), ..Effects::of_gel() };
+    let indenter = Some(Shape::Sphere { radius_mm: 6.0 });
+    let scene = Scene { indenter, effects, ..Scene::preset("1280x720-71").unwrap() };
+    let params = params(LabelMethod::Lattice, Search::Windows);
+    let (mut simulator, mut pipeline) =
+        (Simulator::new(&scene, None).unwrap(), Pipeline::new(&scene.rig, &params).unwrap());
+    let (mut truth, mut frame) = (Truth::default(), Frame::default());
+    let (mut left, mut right) = (Vec::new(), Vec::new());
+    let pose = Pose::from_translation_mm(DVec3::new(4.0, 0.0, 40.0));
+    for (n, press_mm) in [0.0, 0.0, 0.2, 0.4].into_iter().enumerate() {
+        let contact = simulator.pressed(pose, press_mm).map(ContactState::pressed);
+        simulator.truth(contact.filter(|_| press_mm > 0.0).as_ref(), &mut truth);
+        simulator.render(&truth, n as u64, &mut left, &mut right);
+        let view = |pixels| GrayView::new(pixels, 1280, 720, 1280).unwrap();
+        pipeline.process(view(&left), view(&right), &mut frame).unwrap();
+        let searched = [frame.left.searched, frame.right.searched];
+        assert_eq!(searched, if n == 0 { WHOLE } else { WINDOWS }, "frame {n}");
+        let seen = (0..frame.state.len()).filter(|&i| frame.state[i] == MarkerState::Seen);
+        let (sum, count) = seen.fold((0.0, 0.0), |(sum, count), i| {
+            let off2 = frame.left_px[i].distance_squared(truth.left_px[i]);
+            (sum + off2 + frame.right_px[i].distance_squared(truth.right_px[i]), count + 2.0)
+        });
+        assert!(count > 1.95 * frame.state.len() as f64, "frame {n}: {count}");
+        // Two coordinates, and a tenth for what the lattice's few thousand dots have in common.
+        let most_px = 1.1 * f64::sqrt(2.0) * params.detect.centre_sigma_px;
+        assert!((sum / count).sqrt() < most_px, "frame {n}: {} px", (sum / count).sqrt());
+    }
+}

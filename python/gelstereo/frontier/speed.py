@@ -19,7 +19,7 @@ from gelstereo.frontier.rungs import EXACT, FAST, rungs_of
 from gelstereo.frontier.runners import geometry_of, write_input
 from gelstereo.frontier.scenes import FORMATS, LATTICES, Format, sphere_press
 from gelstereo.frontier.table import Report, Table, Target, figure
-from gelstereo.frontier.timing import Stopwatch, Times
+from gelstereo.frontier.timing import InstructionCounter, Stopwatch, Times
 
 __all__ = [
     "Growth",
@@ -50,6 +50,14 @@ class Speed:
     #: What the pipeline held at most, or none when it is not the core's own program that was timed.
     memory_bytes: int | None = None
     refused: str = ""
+    #: Of one frame after the other but the first, or none where they were not counted.
+    instructions: Sequence[int] = ()
+
+    @property
+    def unevenness(self) -> float:
+        """Instructions of the longest frame over their median: evenness of the code, whatever the machine does."""
+        counts = self.instructions
+        return max(counts) / float(np.median(counts)) if counts else float("nan")
 
     @property
     def track_ms(self) -> float:
@@ -61,20 +69,25 @@ def measure_speed(
     rounds: int, source: Path | None, report: Report, lattices: Sequence[int] = LATTICES
 ) -> list[Speed]:
     """Time every preset on every image size and lattice, in turn with OpenCV."""
-    program = Stopwatch.program(source)
+    program, counter = Stopwatch.program(source), InstructionCounter(source)
     found: list[Speed] = []
     for size in FORMATS:
         for markers in lattices:
             report(f"speed: {size.name}, {markers}x{markers} markers")
-            found += _measure(size, markers, rounds, program)
+            # Callgrind takes its time: one format shows how even the frames are.
+            counted = size is FORMATS[0] and markers == LATTICES[0]
+            found += _measure(size, markers, rounds, program, counter if counted else None)
     return found
 
 
-def _measure(size: Format, markers: int, rounds: int, program: Path | None) -> list[Speed]:
+def _measure(
+    size: Format, markers: int, rounds: int, program: Path | None, counter: InstructionCounter | None
+) -> list[Speed]:
     press = sphere_press(scene=size.scene(markers))
     calls: dict[str, Callable[[str, int], list[int]]] = {}
     memory: dict[str, int | None] = {BASELINE: None}
     refused: dict[str, str] = {}
+    instructions: dict[str, list[int]] = {}
     with contextlib.ExitStack() as stack:
         for rung in rungs_of("whole"):
             params = rung.params()
@@ -86,6 +99,8 @@ def _measure(size: Format, markers: int, rounds: int, program: Path | None) -> l
                     files = write_input(folder, params, press, size.rig())
                     watch = stack.enter_context(Stopwatch(program, files))
                     calls[rung.name], memory[rung.name] = watch.times_ns, watch.memory_bytes
+                    if counter is not None:
+                        instructions[rung.name] = counter.count_each("frames", files)
             except Error as error:
                 refused[rung.name] = str(error)
         calls[BASELINE] = _baseline(size, press)
@@ -97,7 +112,14 @@ def _measure(size: Format, markers: int, rounds: int, program: Path | None) -> l
                     if turn >= 0:
                         taken[name][stage] += nanoseconds
     speeds = [
-        Speed(size, markers, name, {s: Times.of(ns) for s, ns in stages.items() if ns}, memory[name])
+        Speed(
+            size,
+            markers,
+            name,
+            {s: Times.of(ns) for s, ns in stages.items() if ns},
+            memory[name],
+            instructions=instructions.get(name, ()),
+        )
         for name, stages in taken.items()
     ]
     return [*speeds, *(Speed(size, markers, name, {}, refused=why) for name, why in refused.items())]
@@ -184,9 +206,13 @@ def stage_table(found: Sequence[Speed]) -> Table:
         ms = {stage: speed.times[stage].median_ms for stage in _STAGES}
         rest_ms = ms["afresh"] - ms["detect"] - ms["triangulate"]
         row = [f"{speed.method}, {speed.size.name}", figure(ms["detect"]), figure(ms["triangulate"])]
-        rows.append([*row, figure(max(rest_ms, 0.0)), figure(ms["afresh"]), figure(ms["track"])])
+        row += [figure(max(rest_ms, 0.0)), figure(ms["afresh"]), figure(ms["track"])]
+        counts = speed.instructions
+        row += [figure(1e-6 * float(np.median(counts))), figure(speed.unevenness)] if counts else ["-", "-"]
+        rows.append(row)
     head = ["preset", "detect both views", "points and covariances", "labels, rest surface, contact"]
-    return Table("stages", [*head, "frame afresh", "frame tracking"], rows)
+    head += ["frame afresh", "frame tracking", "10^6 instructions, tracking", "largest / median"]
+    return Table("stages", head, rows)
 
 
 @dataclass(frozen=True)
@@ -269,6 +295,9 @@ def speed_targets(found: Sequence[Speed]) -> list[Target]:
                 times = speed.times["track"]
                 ratio = times.p99_ms / times.median_ms
                 targets.append(Target(f"speed, {method}, {place}, p99 over median", 1.5, ratio, ""))
+            if speed.instructions:
+                what = f"speed, {method}, {place}, largest over median instructions of a frame"
+                targets.append(Target(what, 1.5, speed.unevenness, ""))
     held = [
         speed.memory_bytes for speed in found if speed.memory_bytes is not None and speed.size is FORMATS[0]
     ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -74,13 +75,30 @@ class InstructionCounter:
 
     def count(self, stage: str, files: Sequence[Path]) -> int | None:
         """Count the instructions of the last piece of input, or `None` when that fails."""
+        finished = self._run(stage, files, "--callgrind-out-file=/dev/null")
+        found = re.search(r"Collected : (\d+)", finished.stderr) if finished else None
+        return int(found[1]) if found else None
+
+    def count_each(self, stage: str, files: Sequence[Path]) -> list[int]:
+        """Count the instructions of every piece of input that the stage measures, in order; empty when that fails."""
+        with tempfile.TemporaryDirectory() as folder:
+            out = f"--callgrind-out-file={folder}/count"
+            if self._run(stage, files, out, "--dump-after=rung::measured*") is None:
+                return []
+            parts = sorted(Path(folder).glob("count.*"), key=lambda part: int(part.suffix[1:]))
+            found = [re.search(r"^totals: (\d+)", part.read_text(), re.MULTILINE) for part in parts]
+        return [int(count[1]) for count in found if count]
+
+    def _run(
+        self, stage: str, files: Sequence[Path], *options: str
+    ) -> subprocess.CompletedProcess[str] | None:
+        """Run a stage under callgrind; `None` when that fails."""
         if self._program is None:
             return None
-        command = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null", "--collect-atstart=no"]
-        command += ["--toggle-collect=*measured*", str(self._program), stage, *map(str, files)]
+        command = ["valgrind", "--tool=callgrind", "--collect-atstart=no", "--toggle-collect=*measured*"]
+        command += [*options, str(self._program), stage, *map(str, files)]
         finished = subprocess.run(command, capture_output=True, text=True, check=False)
-        found = re.search(r"Collected : (\d+)", finished.stderr)
-        return int(found[1]) if finished.returncode == 0 and found else None
+        return finished if finished.returncode == 0 else None
 
 
 class Stopwatch:

@@ -1,9 +1,9 @@
 //! By how many whole pitches a lattice has moved, told by its border.
 
 use super::canvas::{Canvas, NONE};
-use super::grid::Grid;
 use crate::math::DVec2;
 use alloc::vec::Vec;
+use core::ops::Range;
 
 /// What a marker outside the lattice, or at a place that was never printed, costs against one that is not found.
 const STRAY: u32 = 3;
@@ -34,8 +34,8 @@ pub(super) enum Expectation {
 /// Every detection counts, whether it was matched or not: whether it is this marker or another one, or two in one, it is no
 /// empty gel. Matches alone would be biased, since a border row in poor sight is matched less easily where it is not expected.
 ///
-/// Linear in the places: a sum over a shifted lattice is a difference of sums from the first place on, and what is missing or
-/// misprinted is little.
+/// A sum over a shifted lattice is a difference of sums from the first place on; what is missing, misprinted or without a
+/// place is little.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Anchor {
     taken: Vec<bool>,
@@ -45,11 +45,19 @@ pub(super) struct Anchor {
     expected: Vec<u8>,
     /// Cost of each shift, rows first.
     costs: Vec<u32>,
-    /// Places about the view that a detection may lie at, and where they are.
-    places: Vec<u32>,
-    places_px: Vec<DVec2>,
-    grid: Grid,
+    stretches: Vec<Stretch>,
 }
+
+/// Places in a row, and where they lie.
+#[derive(Clone, Debug)]
+struct Stretch {
+    places: Range<usize>,
+    low_px: DVec2,
+    high_px: DVec2,
+}
+
+/// Places of a stretch.
+const STRETCH: usize = 16;
 
 /// Whether a marker at a position is whole in the image.
 pub(super) fn in_view(size_px: (usize, usize), pitch_px: f64) -> impl Fn(DVec2) -> bool {
@@ -103,13 +111,7 @@ pub(super) struct Anchored {
 
 impl Anchor {
     /// Makes room for a lattice with so many rows and columns on a canvas with up to so many rings, and for so many detections.
-    pub fn reserve(
-        &mut self,
-        (rows, cols): (usize, usize),
-        rings: usize,
-        detections: usize,
-        (size_px, pitch_px): ((usize, usize), f64),
-    ) {
+    pub fn reserve(&mut self, (rows, cols): (usize, usize), rings: usize, detections: usize) {
         let (height, width) = (rows + 2 * rings, cols + 2 * rings);
         self.taken.clear();
         self.taken.reserve(detections);
@@ -120,14 +122,12 @@ impl Anchor {
         for (list, most) in [
             (&mut self.before, (height + 1) * (width + 1)),
             (&mut self.costs, (2 * rings + 1) * (2 * rings + 1)),
-            (&mut self.places, height * width),
         ] {
             list.clear();
             list.reserve(most);
         }
-        self.places_px.clear();
-        self.places_px.reserve(height * width);
-        self.grid.reserve(height * width, size_px, pitch_px);
+        self.stretches.clear();
+        self.stretches.reserve(height * width.div_ceil(STRETCH));
     }
 
     /// The cheapest shift of at most the canvas's rings along rows and columns.
@@ -141,7 +141,7 @@ impl Anchor {
     ) -> Anchored {
         self.present.clear();
         self.present.extend(canvas.found.iter().map(|&m| u8::from(m != NONE)));
-        self.add_unmatched(canvas, detected_px, (size_px, pitch_px));
+        self.add_unmatched(canvas, detected_px, AT_PLACE * pitch_px);
         self.add_up_costs(canvas, expectations, in_view(size_px, pitch_px));
         let most = canvas.rings as isize;
         // With what a jump costs and without: both must give the same answer.
@@ -162,38 +162,45 @@ impl Anchor {
     }
 
     /// Something is present where a detection without a place lies.
-    fn add_unmatched(
-        &mut self,
-        canvas: &Canvas,
-        detected_px: &[DVec2],
-        (size_px, pitch_px): ((usize, usize), f64),
-    ) {
-        let Self { taken, present, places, places_px, grid, .. } = self;
-        taken.clear();
-        taken.resize(detected_px.len(), false);
+    fn add_unmatched(&mut self, canvas: &Canvas, detected_px: &[DVec2], reach_px: f64) {
+        self.taken.clear();
+        self.taken.resize(detected_px.len(), false);
         for &m in canvas.found.iter().filter(|&&m| m != NONE) {
-            taken[m as usize] = true;
+            self.taken[m as usize] = true;
         }
-        if !taken.contains(&false) {
+        if !self.taken.contains(&false) {
             return;
         }
-        let reach_px = AT_PLACE * pitch_px;
-        // Detections lie within the image.
-        let last_px = DVec2::new(size_px.0 as f64, size_px.1 as f64) + reach_px;
-        let about_view = |p: DVec2| p.cmpge(DVec2::splat(-reach_px)).all() && p.cmple(last_px).all();
-        places.clear();
-        places_px.clear();
-        for site in (0..canvas.found.len()).filter(|&s| canvas.located[s]) {
-            let at_px = canvas.position_px(site);
-            if about_view(at_px) {
-                places.push(site as u32);
-                places_px.push(at_px);
+        self.lay_stretches(canvas);
+        for (&at, _) in detected_px.iter().zip(&self.taken).filter(|&(_, &taken)| !taken) {
+            let mut nearest = (reach_px * reach_px, None);
+            let about =
+                |s: &&Stretch| at.cmpge(s.low_px - reach_px).all() && at.cmple(s.high_px + reach_px).all();
+            for stretch in self.stretches.iter().filter(about) {
+                for site in stretch.places.clone().filter(|&s| canvas.located[s]) {
+                    let distance2 = canvas.position_px(site).distance_squared(at);
+                    if distance2 < nearest.0 {
+                        nearest = (distance2, Some(site));
+                    }
+                }
+            }
+            if let Some(site) = nearest.1 {
+                self.present[site] = 1;
             }
         }
-        grid.build(places_px, pitch_px);
-        for (&at, _) in detected_px.iter().zip(taken).filter(|(_, taken)| !**taken) {
-            if let Some(place) = grid.nearest(places_px, at, reach_px, |_| true) {
-                present[places[place] as usize] = 1;
+    }
+
+    fn lay_stretches(&mut self, canvas: &Canvas) {
+        self.stretches.clear();
+        let width = canvas.width();
+        for row in (0..canvas.found.len()).step_by(width) {
+            for first in (row..row + width).step_by(STRETCH) {
+                let places = first..(first + STRETCH).min(row + width);
+                let (mut low_px, mut high_px) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+                for at in places.clone().filter(|&s| canvas.located[s]).map(|s| canvas.position_px(s)) {
+                    (low_px, high_px) = (low_px.min(at), high_px.max(at));
+                }
+                self.stretches.push(Stretch { places, low_px, high_px });
             }
         }
     }

@@ -107,7 +107,7 @@ impl CheckedTracker {
         self.matching.reserve(sites, most_detections, self.size_px, self.pitch_px);
         self.relabel.reserve(self.size_px, most_detections, self.rows.max(self.cols));
         let (lattice, rings) = ((self.rows, self.cols), RINGS[RINGS.len() - 1]);
-        self.anchor.reserve(lattice, rings, most_detections, (self.size_px, self.pitch_px));
+        self.anchor.reserve(lattice, rings, most_detections);
         self.carry.reserve(markers);
         self.canvas.lay(&self.rest_px, self.rows, self.cols, RINGS[RINGS.len() - 1]);
         for (n, detection) in rest.detection.iter().enumerate() {

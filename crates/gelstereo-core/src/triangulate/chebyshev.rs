@@ -20,28 +20,35 @@ impl<const N: usize> Series<N> {
     /// sum, and a lower degree a truncation. The degree must be below M.
     pub fn fit<const M: usize>(degree: usize, values: &[[f64; N]]) -> Self {
         let basis = roots::<M>().map(chebyshev);
-        let mut coefficients = Vec::new();
-        for [a, b, c] in exponents(degree) {
+        let mut coefficients = Vec::with_capacity((degree + 1) * (degree + 2) * (degree + 3) / 6);
+        for_exponents(degree, |[a, b, c]| {
             let mut total = [0.0; N];
-            for (n, value) in values.iter().enumerate() {
-                let at = basis[n % M][a] * basis[n / M % M][b] * basis[n / M / M][c];
-                total.iter_mut().zip(value).for_each(|(total, value)| *total += at * value);
+            let by_xy: [[f64; M]; M] =
+                core::array::from_fn(|y| core::array::from_fn(|x| basis[x][a] * basis[y][b]));
+            for (plane, z) in values.chunks_exact(M * M).zip(&basis) {
+                for (line, by_x) in plane.chunks_exact(M).zip(&by_xy) {
+                    for (value, by_x) in line.iter().zip(by_x) {
+                        let at = by_x * z[c];
+                        total.iter_mut().zip(value).for_each(|(total, value)| *total += at * value);
+                    }
+                }
             }
             let twos = [a, b, c].into_iter().filter(|&k| k > 0).count();
             let norm = f64::from(1 << twos) / (M * M * M) as f64;
             coefficients.push(total.map(|total| total * norm));
-        }
+        });
         Self { degree, coefficients }
     }
 
     /// The values at a point of the cube.
     pub fn at(&self, x: DVec3) -> [f64; N] {
         let basis = [chebyshev(x.x), chebyshev(x.y), chebyshev(x.z)];
-        let mut total = [0.0; N];
-        for ([a, b, c], coefficient) in exponents(self.degree).zip(&self.coefficients) {
+        let (mut total, mut coefficients) = ([0.0; N], self.coefficients.iter());
+        for_exponents(self.degree, |[a, b, c]| {
+            let Some(coefficient) = coefficients.next() else { return };
             let at = basis[0][a] * basis[1][b] * basis[2][c];
             total.iter_mut().zip(coefficient).for_each(|(total, value)| *total += at * value);
-        }
+        });
         total
     }
 
@@ -51,13 +58,26 @@ impl<const N: usize> Series<N> {
         const POWERS: [[f64; 4]; 4] =
             [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 2.0, 0.0], [0.0, -3.0, 0.0, 4.0]];
         exponents(self.degree).map(|[i, j, k]| {
-            let mut total = [0.0; N];
-            for ([a, b, c], coefficient) in exponents(self.degree).zip(&self.coefficients) {
+            let (mut total, mut coefficients) = ([0.0; N], self.coefficients.iter());
+            for_exponents(self.degree, |[a, b, c]| {
+                let Some(coefficient) = coefficients.next() else { return };
                 let share = POWERS[a][i] * POWERS[b][j] * POWERS[c][k];
                 total.iter_mut().zip(coefficient).for_each(|(total, value)| *total += share * value);
-            }
+            });
             ([i, j, k], total)
         })
+    }
+}
+
+/// As [`exponents`]: plain loops take a fraction of the time.
+#[inline]
+fn for_exponents(degree: usize, mut see: impl FnMut([usize; 3])) {
+    for c in 0..=degree {
+        for b in 0..=degree - c {
+            for a in 0..=degree - c - b {
+                see([a, b, c]);
+            }
+        }
     }
 }
 

@@ -79,8 +79,7 @@ impl Map {
     /// The most likely point to first order, or `None` beyond the map's reach.
     #[inline]
     pub fn point(&self, [left_px, right_px]: [DVec2; 2], roots: &[Root; 2]) -> Option<StereoPoint> {
-        let at = DVec3::new(left_px.x, 0.5 * (left_px.y + right_px.y), left_px.x - right_px.x);
-        let input = self.inputs.of(at);
+        let input = self.inputs.of(inputs_px(left_px, right_px));
         let ([x, y, z, rows_px], slopes) = self.tiles.at((input - self.centre) * self.scale)?;
         let epipolar_px = left_px.y - right_px.y - rows_px;
         let spread = Spread::new(&self.inputs.by_pixels(input.z, &slopes), roots);
@@ -232,11 +231,18 @@ fn reached(views: &[RigView<'_>; 2], rest_mm: &[DVec3], reach_mm: f64) -> Option
     for &rest in rest_mm {
         for along in [-1.0, 0.25] {
             for (x, y) in [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)] {
-                all.push(see(views, rest + DVec3::new(x, y, along) * reach_mm)?.at);
+                let point_mm = rest + DVec3::new(x, y, along) * reach_mm;
+                let [l, r] = [views[0].project(point_mm).ok()?, views[1].project(point_mm).ok()?];
+                all.push(inputs_px(l, r));
             }
         }
     }
     Some(all)
+}
+
+/// Column, mean row and disparity.
+fn inputs_px(left_px: DVec2, right_px: DVec2) -> DVec3 {
+    DVec3::new(left_px.x, 0.5 * (left_px.y + right_px.y), left_px.x - right_px.x)
 }
 
 /// Column, mean row and disparity at a point and the row difference, with their derivatives by the point.
@@ -253,7 +259,7 @@ fn see(views: &[RigView<'_>; 2], point_mm: DVec3) -> Option<Seen> {
     let (l, r) = (left.pixel_px, right.pixel_px);
     let ([u, v], [u_right, v_right]) = (left.jacobian, right.jacobian);
     Some(Seen {
-        at: DVec3::new(l.x, 0.5 * (l.y + r.y), l.x - r.x),
+        at: inputs_px(l, r),
         jacobian: DMat3::from_cols(u, (v + v_right) * 0.5, u - u_right).transpose(),
         rows_px: l.y - r.y,
         rows_gradient: v - v_right,

@@ -23,6 +23,8 @@ const LEAST_SHARE: f64 = 0.03;
 /// Residual of the conjugate gradients: the weights are rounded to 1e-4 later.
 const TOLERANCE: f64 = 1e-4;
 const MOST_ROUNDS: usize = 100;
+/// Columns that are summed at a time.
+const LANES: usize = 8;
 /// Most columns and rows of a support.
 pub(super) const MOST_SIDE_PX: usize = 31;
 /// Displacement at which the response's bend is measured.
@@ -92,7 +94,7 @@ impl Design {
         let all = own.into_iter().chain(&mut self.columns).chain(&mut self.whitened);
         for list in all.chain([&mut self.covariance.mask, &mut self.covariance.alike]) {
             list.clear();
-            list.reserve(side * side);
+            list.reserve(side * side.next_multiple_of(LANES));
         }
     }
 
@@ -200,7 +202,7 @@ struct Covariance {
     side: usize,
     white: f64,
     grain: f64,
-    /// G from the farthest pixel on one side to that on the other.
+    /// G from the farthest pixel on one side to that on the other, and zeros for the last lanes.
     alike: Vec<f64>,
     mask: Vec<f64>,
 }
@@ -229,27 +231,29 @@ impl Covariance {
         self.alike.clear();
         let last = support.side - 1;
         self.alike.extend((0..=2 * last).map(|k| k.abs_diff(last)).map(|d| exp(-0.25 * (d * d) as f64 / l2)));
+        self.alike.resize(2 * last + 1 + LANES, 0.0);
         self.mask.clear();
         self.mask.extend(support.places().map(|at| f64::from(u8::from(support.has(at)))));
     }
 
     fn times(&self, v: &[f64], out: &mut Vec<f64>, rows: &mut Vec<f64>) {
-        let side = self.side;
-        for list in [&mut *out, &mut *rows] {
-            list.clear();
-            list.resize(v.len(), 0.0);
-        }
+        let (side, stride) = (self.side, self.side.next_multiple_of(LANES));
+        out.clear();
+        out.resize(v.len(), 0.0);
         if self.grain > 0.0 {
-            for (v, row) in v.chunks_exact(side).zip(rows.chunks_exact_mut(side)) {
-                for (x, &value) in v.iter().enumerate() {
-                    let alike = &self.alike[side - 1 - x..][..side];
-                    row.iter_mut().zip(alike).for_each(|(sum, &share)| *sum += value * share);
+            rows.clear();
+            rows.resize(side * stride, 0.0);
+            for (v, row) in v.chunks_exact(side).zip(rows.chunks_exact_mut(stride)) {
+                for (block, row) in row.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
+                    let alike = self.alike[block * LANES..].windows(LANES).take(side).rev();
+                    *row = weighted(v.iter().zip(alike));
                 }
             }
             for (y, out) in out.chunks_exact_mut(side).enumerate() {
-                for (k, row) in rows.chunks_exact(side).enumerate() {
-                    let share = self.alike[side - 1 - y + k];
-                    out.iter_mut().zip(row).for_each(|(sum, &r)| *sum += share * r);
+                for (block, out) in out.chunks_mut(LANES).enumerate() {
+                    let rows = rows.chunks_exact(stride).map(|row| &row[block * LANES..]);
+                    let sum = weighted(self.alike[side - 1 - y..].iter().zip(rows));
+                    out.copy_from_slice(&sum[..out.len()]);
                 }
             }
         }
@@ -285,6 +289,17 @@ impl Covariance {
             left = next;
         }
     }
+}
+
+/// Sum of the first numbers of lists, each list times its share.
+#[inline]
+fn weighted<'a>(lists: impl Iterator<Item = (&'a f64, &'a [f64])>) -> [f64; LANES] {
+    let mut sum = [0.0; LANES];
+    for (share, list) in lists {
+        let Some(list) = list.first_chunk::<LANES>() else { break };
+        sum.iter_mut().zip(list).for_each(|(sum, x)| *sum += share * x);
+    }
+    sum
 }
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {
