@@ -80,7 +80,7 @@ fn a_followed_part_allocates_nothing_whether_held_or_lost() {
     for method in [RegisterMethod::SurfaceTrack, RegisterMethod::SurfaceClose] {
         let settings = RegisterParams { method, ..Default::default() };
         let mut localizer = Localizer::new(&settings, &guess);
-        let mut round = |localizer: &mut Localizer| {
+        let round = |localizer: &mut Localizer| {
             [&press.points_mm, &press.points_mm, &noise, &press.points_mm]
                 .map(|points| localizer.run(&Patch::new(points), &template).unwrap().standing)
         };

@@ -28,7 +28,7 @@ fn scan(whole: &Template, random: &mut Stream) -> Template {
             normals.push(normal + off * 0.03);
         }
     }
-    Template::new(&at, &normals, SPACING_MM).unwrap()
+    Template::new(&at, &normals, SPACING_MM).unwrap().with_surfels()
 }
 
 /// One triangle in twenty is missing.

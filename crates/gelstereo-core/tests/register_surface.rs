@@ -189,7 +189,7 @@ fn alternatives_are_about_as_likely_and_elsewhere() {
 fn row_06_contacts_without_meaning_are_refused_by_the_surface_rungs() {
     let (part, template) = some("square peg");
     let problem = Problem::press(part, Sensing::GOOD, &mut Stream::new(17, "bad"));
-    let points = template.clone().without_field();
+    let points = Template::new(template.points_mm(), template.normals(), 0.4).unwrap();
     for method in RUNGS {
         let run = |contact: &Contact<'_>, template: &Template, guess: &Pose| {
             Registrar::new(&params(method)).register(contact, template, guess).map(|_| ())

@@ -90,7 +90,8 @@ impl Template {
         Ok(Self { inner })
     }
 
-    /// From points that were sampled elsewhere.
+    /// From points that were sampled elsewhere, as those of a scan; the methods on the part's surface take each for a small square
+    /// in its tangent plane.
     ///
     /// Parameters
     /// ----------
@@ -112,7 +113,8 @@ impl Template {
     ) -> PyResult<Self> {
         let (points, normals) = (Numbers::new(points_mm, "points_mm")?, Numbers::new(normals, "normals")?);
         let (points, normals) = (points.rows::<DVec3, 3>()?, normals.rows::<DVec3, 3>()?);
-        let inner = cls.py().detach(|| core::Template::new(points, normals, spacing_mm)).map_err(raise)?;
+        let made = || core::Template::new(points, normals, spacing_mm).map(core::Template::with_surfels);
+        let inner = cls.py().detach(made).map_err(raise)?;
         Ok(Self { inner })
     }
 

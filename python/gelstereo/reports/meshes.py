@@ -66,7 +66,14 @@ def measure(part: MeshPart, folder: Path, rung: Rung, start: Start, seeds: range
     scores = []
     for seed, grasp in enumerate(grasps(part.press(folder), NOISES[0], seeds)):
         guess = grasp.guess(start, seed)
-        found = localize(grasp.points_mm, grasp.template, t_sensor_object=guess, params=params)
+        found = localize(
+            grasp.points_mm,
+            grasp.template,
+            t_sensor_object=guess,
+            all_points_mm=grasp.all_points_mm,
+            covariance_mm2=grasp.covariance_mm2,
+            params=params,
+        )
         scores.append(grasp.score(found.t_sensor_object))
     return scores
 

@@ -1,7 +1,7 @@
 //! A template as bytes, for files: little-endian, version 1.
 //!
 //! ```text
-//! magic 8 | version u32 | flags u32 (1 surface, 2 grid) | spacing f64
+//! magic 8 | version u32 | flags u32 (1 surface, 2 grid, 4 squares of the points, made again) | spacing f64
 //! points u64, then 3 f64 each | normals 3 f64 each
 //! surface: places u64, 3 f64 each | triangles u64, 3 u32 each
 //! grid: cell f64, reach f64 (it is made again)
@@ -21,6 +21,7 @@ const MAGIC: &[u8; 8] = b"geltempl";
 const VERSION: u32 = 1;
 const SURFACE: u32 = 1;
 const GRID: u32 = 2;
+const SURFELS: u32 = 4;
 
 /// Why bytes are no template.
 #[derive(Clone, Debug, PartialEq)]
@@ -73,7 +74,9 @@ impl Template {
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut out = MAGIC.to_vec();
         let (solid, field) = (self.solid(), self.field());
-        let flags = if solid.is_some() { SURFACE } else { 0 } | if field.is_some() { GRID } else { 0 };
+        let flags = if solid.is_some() { SURFACE } else { 0 }
+            | if field.is_some() { GRID } else { 0 }
+            | if self.has_surfels() { SURFELS } else { 0 };
         out.extend(VERSION.to_le_bytes());
         out.extend(flags.to_le_bytes());
         out.extend(self.spacing_mm().to_le_bytes());
@@ -126,7 +129,7 @@ impl Template {
         let mut template = template.map_err(TemplateBytesError::Template)?;
         if flags & SURFACE != 0 {
             template = template.with_solid(read.solid()?);
-        } else {
+        } else if flags & SURFELS != 0 {
             template = template.with_surfels();
         }
         if flags & GRID != 0 {

@@ -102,7 +102,7 @@ pub enum RegisterError {
     },
     /// The guess has a component that is NaN, infinite or beyond 1e12 mm, or its quaternion has no direction.
     BadGuess,
-    /// The rung needs the part's surface, and the template's points give none, or its grid was taken away.
+    /// The rung needs the part's surface, and the template was made of points alone, or its grid was taken away.
     NoSurface,
     /// A marker that is not salient is NaN, infinite or beyond 1e12 mm.
     MarkerNotFinite {
@@ -155,8 +155,8 @@ impl core::fmt::Display for RegisterError {
             ),
             Self::NoSurface => write!(
                 f,
-                "the template has no surface with a grid of distances: its points give none, or the grid was taken away; \
-                 make it from a mesh, or choose another register.method"
+                "the template has no surface with a grid of distances; make it from a mesh, give a scan its surface \
+                 (Template::with_surfels), or choose another register.method"
             ),
             Self::MarkerNotFinite { index } => write!(
                 f,

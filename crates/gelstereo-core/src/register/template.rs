@@ -43,17 +43,17 @@ pub struct Template {
 }
 
 impl Template {
-    /// From points and outward normals (normalised here), and the typical distance of neighbouring points. The surface
-    /// rungs of registration take the points for small squares in their tangent planes.
+    /// From points and outward normals (normalised here), and the typical distance of neighbouring points.
+    /// The surface rungs of registration need [`Self::with_surfels`].
     ///
     /// # Errors
     /// [`TemplateError`].
     pub fn new(points_mm: &[DVec3], normals: &[DVec3], spacing_mm: f64) -> Result<Self, TemplateError> {
         check(points_mm, normals, spacing_mm)?;
-        Ok(Self::build(points_mm.to_vec(), unit(normals)?, spacing_mm).with_surfels())
+        Ok(Self::build(points_mm.to_vec(), unit(normals)?, spacing_mm))
     }
 
-    /// As [`Self::new`], of normals that were normalised before and keep their bits, and without a surface.
+    /// As [`Self::new`], of normals that were normalised before and keep their bits.
     pub(super) fn with_unit_normals(
         points_mm: Vec<DVec3>,
         normals: Vec<DVec3>,
@@ -85,12 +85,22 @@ impl Template {
         }
     }
 
-    /// With a surface of the points, for the surface rungs of registration.
-    pub(super) fn with_surfels(self) -> Self {
+    /// With every point taken for a small square in its tangent plane, so that the surface rungs of registration work on a
+    /// scan; unchanged with an exact surface, or if the points give none.
+    #[must_use]
+    pub fn with_surfels(self) -> Self {
+        if self.is_exact {
+            return self;
+        }
         let made = surfels(&self.points_mm, &self.normals, &self.curvatures_per_mm, self.spacing_mm);
         let Some((solid, relief)) = made else { return self };
         let bare = Self { solid: Some(solid), relief: Some(relief), ..self };
         bare.with_field(Self::DEFAULT_CELL_MM, Self::DEFAULT_REACH_MM)
+    }
+
+    /// Whether [`Self::with_surfels`] has made a surface.
+    pub(super) const fn has_surfels(&self) -> bool {
+        self.solid.is_some() && !self.is_exact
     }
 
     /// With the exact surface, and none that was made of the points.
