@@ -144,8 +144,8 @@ pub(in crate::detect) struct NoiseMeter {
 #[derive(Clone, Copy, Debug)]
 struct Row {
     /// Half the variance of differences at the first lag, and how much more it is at the others.
-    entries: [f64; 3],
-    pairs: usize,
+    entries: [f32; 3],
+    pairs: u32,
 }
 
 impl NoiseMeter {
@@ -191,7 +191,8 @@ impl NoiseMeter {
             let row = spread_of(image.row(y), &self.near, clearance_px);
             if row.count >= LEAST_DIFFERENCES {
                 let [one, two, four] = row.sums.map(|sum| sum / (2 * row.count) as f64);
-                self.rows.push(Row { entries: [one, two - one, four - one], pairs: row.count });
+                let entries = [one, two - one, four - one].map(|entry| entry as f32);
+                self.rows.push(Row { entries, pairs: row.count as u32 });
                 pairs += row.count as u64;
                 levels += row.levels;
             }
@@ -212,13 +213,13 @@ impl NoiseMeter {
             scratch.extend(rows.iter().map(value));
             median(scratch)
         };
-        let usual = middle(&|row| row.entries[entry])?;
-        let off = |row: &Row| abs(row.entries[entry] - usual);
+        let usual = middle(&|row| f64::from(row.entries[entry]))?;
+        let off = |row: &Row| abs(f64::from(row.entries[entry]) - usual);
         let most = MOST_OFF * middle(&off)?;
         let (mut sum, mut pairs) = (0.0, 0.0);
         for row in rows.iter().filter(|row| off(row) <= most) {
-            sum += row.pairs as f64 * row.entries[entry];
-            pairs += row.pairs as f64;
+            sum += f64::from(row.pairs) * f64::from(row.entries[entry]);
+            pairs += f64::from(row.pairs);
         }
         Some(sum / pairs)
     }
