@@ -18,7 +18,7 @@ from real_data import DATA
 from step_file import write_box
 
 MESHES = [*sorted(DATA.glob("factory_meshes/*.obj")), *sorted(DATA.glob("meshes_realsense/*.stl"))]
-PLANE = Params.preset("balanced")
+PLANE = Params().replace({"register.method": "filterreg_plane"})
 
 
 @pytest.fixture(scope="module")
