@@ -97,7 +97,8 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
     middle = share + z * z / (2.0 * trials)
     half = z * np.sqrt(share * (1.0 - share) / trials + z * z / (4.0 * trials * trials))
     scale = 1.0 + z * z / trials
-    return float((middle - half) / scale), float((middle + half) / scale)
+    # At the ends round-off goes beyond what a share can be.
+    return max(float((middle - half) / scale), 0.0), min(float((middle + half) / scale), 1.0)
 
 
 def allowed(chosen: Sequence[Verdict], angle: str, share: float = 1.0) -> float | None:
