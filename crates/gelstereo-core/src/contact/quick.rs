@@ -1,4 +1,4 @@
-//! Saliency by pressure in a tenth of the time: an approximation of [`Pressure`](super::Pressure).
+//! Saliency by pressure from fewer neighbours: an approximation of [`Pressure`](super::Pressure).
 //!
 //! The law and the rule are the same: p = h - l² Δh is noise where the gel is free, and a marker is in contact where its
 //! pressure, less what the free markers around it say of its noise, outweighs a price. What is given up: all heights

@@ -12,7 +12,7 @@ pub enum Saliency {
     Depth,
     /// The gel carries pressure there, beyond what the measured noise explains: [`Pressure`](crate::contact::Pressure).
     Pressure,
-    /// The same at a tenth of the time, with all heights taken as equally noisy:
+    /// The same by fewer neighbours, with all heights taken as equally noisy:
     /// [`QuickPressure`](crate::contact::QuickPressure).
     PressureQuick,
 }
