@@ -13,6 +13,7 @@ from gelstereo.experiments.insertion.chance import SAMPLES, adjoint, chance
 from gelstereo.experiments.insertion.grasp import GRASPED, GraspRanges, Hold, fit_of, guesses, lie
 from gelstereo.experiments.insertion.hole import Hole
 from gelstereo.experiments.insertion.physics import Hand, descend
+from gelstereo.experiments.insertion.physics_check import limit
 from gelstereo.experiments.insertion.robot import RobotErrors, over_hole
 from gelstereo.experiments.insertion.trial import run
 from gelstereo.geometry import se3_exp, se3_log
@@ -199,6 +200,22 @@ def test_physics_lets_in_what_is_aligned_and_stops_what_is_far_off(letter: str) 
     # A quarter of the time step changes nothing that matters.
     fine = Hand(step_s=0.25 * Hand().step_s)
     assert descend(fit.hole, fit.end, np.eye(4), fine, 25.0) == pytest.approx(fit.part.depth_mm, abs=0.1)
+
+
+@given(bound=st.floats(0.0, 5.0), halvings=st.integers(1, 12))
+def test_a_limit_is_found_to_its_step(bound: float, halvings: int) -> None:
+    found = limit(lambda scale: scale <= bound, 4.0, halvings)
+    assert found == 4.0 if bound >= 4.0 else found <= bound < found + 4.0 / 2**halvings
+
+
+@pytest.mark.parametrize("letter", ["b", "e"])
+def test_physics_lets_in_what_geometry_just_lets_in(letter: str) -> None:
+    fit = FITS[letter]
+    twist = np.array([0.004, -0.003, 0.006, 0.0, 0.0, 0.0])
+    scale = limit(lambda s: fit.room_mm(pose(s * twist)) >= 0.0, 10.0, 20)
+    assert 0.0 < scale < 10.0
+    placed = pose(0.98 * scale * twist)
+    assert descend(fit.hole, fit.end, placed, Hand(), 25.0) == pytest.approx(fit.part.depth_mm, abs=0.1)
 
 
 def test_trials_are_those_of_the_paper_and_of_fewer_repeats_among_those_of_more() -> None:
