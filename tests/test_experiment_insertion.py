@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from gelstereo import Error
 from gelstereo.experiments.insertion import EXPERIMENT, analysis, trials
-from gelstereo.experiments.insertion.chance import SAMPLES, adjoint, chance
+from gelstereo.experiments.insertion.chance import SAMPLES, adjoint, chance, weakest
 from gelstereo.experiments.insertion.grasp import GRASPED, GraspRanges, Hold, fit_of, guesses, lie
 from gelstereo.experiments.insertion.hole import Hole
 from gelstereo.experiments.insertion.physics import Hand, descend
@@ -108,6 +108,24 @@ def test_chance_of_a_square_that_shifts_is_that_of_two_normals(sigma_mm: float) 
     # Four standard deviations of a share of that many draws.
     slack = 4.0 * math.sqrt(expected * (1.0 - expected) / SAMPLES) + 1e-9
     assert abs(chance(fit.hole, fit.end, covariance, 5) - expected) <= slack
+
+
+@pytest.mark.parametrize(
+    ("axis", "sigma", "said"),
+    [
+        (0, 0.02, "lean about x, known to 1.1 deg"),
+        (2, 0.05, "spin about z, known to 2.9 deg"),
+        (3, 0.3, "slide along x, known to 0.30 mm"),
+        (4, 0.3, "slide along y, known to 0.30 mm"),
+    ],
+)
+def test_the_motion_that_costs_most_is_named(axis: int, sigma: float, said: str) -> None:
+    hole = FITS["b"].hole
+    # About the middle of the hole; what slides along its axis costs nothing.
+    about = adjoint(pose(np.array([0, 0, 0, 0, 0, 0.5 * (hole.tip_mm + hole.mouth_mm)])))
+    alone = np.diag([1e-8, 1e-8, 1e-8, 1e-4, 1e-4, 25.0])
+    alone[axis, axis] = sigma * sigma
+    assert weakest(hole, about @ alone @ about.T) == said
 
 
 def test_spin_and_slide_of_a_round_peg_cost_no_chance() -> None:

@@ -50,6 +50,8 @@ class Verdict:
     room_mm: float
     chance: float
     free: tuple[str, ...]
+    #: What is known least of what matters.
+    weakest: str
 
     @property
     def inserted(self) -> bool:
@@ -81,12 +83,13 @@ def _verdict(part: str, method: str, record: Record, result: dict[str, Any]) -> 
     if refused is not None:
         nothing = np.eye(4)
         return Verdict(
-            part, method, record["hold"], truth, refused, nothing, (nothing, nothing), -np.inf, 0.0, ()
+            part, method, record["hold"], truth, refused, nothing, (nothing, nothing), -np.inf, 0.0, (), ""
         )
     taught = np.array(result["taught"][0]), np.array(result["taught"][1])
     found = np.array(result["t_sensor_object"])
     room, chance, free = result["room_mm"], result["chance"], tuple(result["free"])
-    return Verdict(part, method, record["hold"], truth, None, found, taught, room, chance, free)
+    weakest = result["weakest"]
+    return Verdict(part, method, record["hold"], truth, None, found, taught, room, chance, free, weakest)
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from gelstereo.experiments.insertion.hole import Hole, InsertedEnd
 from gelstereo.experiments.insertion.sense import Found
 from gelstereo.geometry import se3_exp
 
-__all__ = ["Prior", "adjoint", "chance", "object_covariance"]
+__all__ = ["Prior", "adjoint", "chance", "object_covariance", "weakest"]
 
 Array = npt.NDArray[np.float64]
 
@@ -60,3 +60,23 @@ def chance(hole: Hole, end: InsertedEnd, covariance: Array, seed: int) -> float:
     drawn = random.normal(size=(SAMPLES, 6)) * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
     motions = np.stack([np.asarray(se3_exp(twist)) for twist in drawn])
     return float(np.mean(hole.rooms_mm(end, motions) >= 0.0))
+
+
+#: Motions of a part over its hole, but for the one along its axis, which costs nothing.
+_MOTIONS = ("lean about x", "lean about y", "spin about z", "slide along x", "slide along y")
+
+
+def weakest(hole: Hole, covariance: Array) -> str:
+    """Name the motion that costs the inserted end the most room, and how well it is known.
+
+    `covariance` is that of a motion (ω, v) in the hole's frame. Leans act at the end of the inserted length, a spin at
+    the farthest wall, shifts where the hole is; the part's origin is far from it.
+    """
+    about = np.eye(4)
+    about[2, 3] = -0.5 * (hole.tip_mm + hole.mouth_mm)
+    carry = adjoint(about)
+    sigma = np.sqrt(np.maximum(np.diag(carry @ covariance @ carry.T)[:5], 0.0))
+    half_mm, reach_mm = 0.5 * (hole.tip_mm - hole.mouth_mm), float(hole.offsets_mm.max())
+    worst = int(np.argmax(sigma * [half_mm, half_mm, reach_mm, 1.0, 1.0]))
+    known = f"{np.rad2deg(sigma[worst]):.1f} deg" if worst < 3 else f"{sigma[worst]:.2f} mm"
+    return f"{_MOTIONS[worst]}, known to {known}"

@@ -129,7 +129,8 @@ def _reason(verdict: Verdict) -> str:
     """Why the robot refuses."""
     if verdict.refused is not None:
         return verdict.refused
-    return " and ".join(f"{_plain(free)} is free" for free in verdict.free) or "the pose is too uncertain"
+    free = " and ".join(f"{_plain(free)} is free" for free in verdict.free)
+    return free or f"{verdict.weakest.partition(',')[0]} is known too little"
 
 
 def _plain(free: str) -> str:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from gelstereo import Frame, RegisterError, Scene, Simulator, Template
 from gelstereo.experiments.batch import Configuration
-from gelstereo.experiments.insertion.chance import Prior, chance, object_covariance
+from gelstereo.experiments.insertion.chance import Prior, chance, object_covariance, weakest
 from gelstereo.experiments.insertion.grasp import GraspRanges, Hold, fit_of, guesses, lie
 from gelstereo.experiments.insertion.robot import over_hole
 from gelstereo.experiments.insertion.sense import METHODS, Found, Method, Senses, find
@@ -107,8 +107,8 @@ def run(configuration: Configuration, seed: int) -> Record:
     """Grasp a part somewhere, find it by every method, and see whether it would go in.
 
     The record holds the grasp, the true pose, and by method the pose found, ``room_mm`` between part and walls (below
-    0 it does not go in), the ``chance`` predicted from the covariance, and the free directions; or ``refused``, why
-    there is no pose.
+    0 it does not go in), the ``chance`` predicted from the covariance, the free directions, and the ``weakest`` of the
+    others; or ``refused``, why there is no pose.
     """
     place = workplace(configuration["part"])
     hold = Hold.drawn(place.part, RANGES, np.random.default_rng(seed))
@@ -143,4 +143,5 @@ def _judged(place: Workplace, method: Method, frame: Frame, t_sensor_object: Arr
         "chance": chance(place.hole, place.fit.end, covariance, seed),
         "converged": found.converged,
         "free": list(found.free),
+        "weakest": weakest(place.hole, covariance),
     }
