@@ -6,12 +6,12 @@ use gelstereo_core::camera::{Camera, Layer, Layers};
 use gelstereo_core::math::{DVec2, DVec3, Pose, so3};
 use gelstereo_core::rig::Rig;
 use gelstereo_sim::effects::{
-    Defocus, Drag, ElasticLayer, Grain, Jpeg, Misprint, SensorNoise, ShotNoise, Shoulder, Smears, Specks,
-    Spread, UnevenLight, Wear,
+    Defocus, Drag, ElasticLayer, Grain, Jpeg, Misprint, MotionBlur, SensorNoise, ShotNoise, Shoulder, Smears,
+    Specks, Spread, UnevenLight, Wear,
 };
 use gelstereo_sim::plan::Bound;
 use gelstereo_sim::{
-    Asked, ContactState, Effects, Gel, Keyframe, Plan, Scene, Shape, Simulator, Switch, Truth,
+    Asked, ContactState, Effects, Gel, GelKeyframe, Keyframe, Plan, Scene, Shape, Simulator, Switch, Truth,
 };
 use proptest::prelude::*;
 
@@ -59,7 +59,7 @@ fn apart(rig: &Rig, a: &Seen, b: &Seen) -> Bound {
     Bound { px: largest(px), um: largest(um), levels: largest(levels) }
 }
 
-const NAMES: [&str; 17] = [
+const NAMES: [&str; 18] = [
     "shoulder",
     "spread",
     "drag",
@@ -77,6 +77,7 @@ const NAMES: [&str; 17] = [
     "wear",
     "shot_noise",
     "jpeg",
+    "motion_blur",
 ];
 
 /// A scene whose effects of these bits are off.
@@ -101,6 +102,7 @@ fn switched(scene: &Scene, off: u32) -> Scene {
         &mut s.wear,
         &mut s.shot_noise,
         &mut s.jpeg,
+        &mut s.motion_blur,
     ];
     for (bit, switch) in all.into_iter().enumerate() {
         if off >> bit & 1 == 1 {
@@ -238,10 +240,11 @@ fn effects() -> impl Strategy<Value = Effects> {
                 uneven_share,
             }),
         ),
+        prop::option::weighted(0.3, size(0.5).prop_map(|exposure_s| MotionBlur { exposure_s })),
     );
     (gel, image).prop_map(|((elastic_layer, shoulder, spread, drag, misprint, specks), image)| {
         let beside = elastic_layer.is_none();
-        let (grain, uneven_light, smears, defocus, sensor_noise, shot_noise, jpeg, wear) = image;
+        let (grain, uneven_light, smears, defocus, sensor_noise, shot_noise, jpeg, wear, motion_blur) = image;
         Effects {
             elastic_layer,
             shoulder: shoulder.filter(|_| beside),
@@ -257,6 +260,7 @@ fn effects() -> impl Strategy<Value = Effects> {
             shot_noise,
             jpeg,
             wear,
+            motion_blur,
             ..Effects::default()
         }
     })
@@ -294,7 +298,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(120))]
 
     #[test]
-    fn no_effect_changes_more_than_its_bound(scene in scenes(), effect in 0..NAMES.len(), off in 0..1_u32 << 17) {
+    fn no_effect_changes_more_than_its_bound(scene in scenes(), effect in 0..NAMES.len(), off in 0..1_u32 << 18) {
         let plan = Plan::of(&scene, None).unwrap();
         let name = NAMES[effect];
         if let Some(entry) = plan.entries.iter().find(|entry| entry.effect == name) {
@@ -305,6 +309,20 @@ proptest! {
             // Rounded to whole levels.
             prop_assert!(found.levels <= bound.levels.ceil(), "{name}: {} levels, bound {}", found.levels, bound.levels);
         }
+    }
+
+    /// What moves is smeared by no more than its pace allows: seldom among all effects, so once more by itself.
+    #[test]
+    fn motion_blur_changes_no_more_than_its_bound(scene in scenes(), exposure_s in size(0.2), gel_mm in size(2.0), off in 0..1_u32 << 17) {
+        let mut scene = scene;
+        scene.effects.motion_blur = Some(MotionBlur { exposure_s });
+        scene.gel_motion = [0.0, 1.0].map(|time_s| GelKeyframe { time_s, shift_mm: [gel_mm * time_s, 0.0], rotation_rad: 0.1 * gel_mm * time_s }).into();
+        let blur = NAMES.len() - 1;
+        let plan = Plan::of(&switched(&scene, off), None).unwrap();
+        let bound = plan.entries.iter().find(|entry| entry.effect == NAMES[blur]).unwrap().bound;
+        let found = change(&scene, blur, off);
+        prop_assert!(found.px == 0.0 && found.um == 0.0 && bound.px == 0.0 && bound.um == 0.0);
+        prop_assert!(found.levels <= bound.levels.ceil(), "{} levels, bound {}", found.levels, bound.levels);
     }
 
     /// Whatever is switched off on auto, what is left is within the tolerance of the whole scene.

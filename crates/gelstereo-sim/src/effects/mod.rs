@@ -3,7 +3,7 @@
 //! An effect that is absent costs nothing and draws no random number, so the others' bits do not depend on it:
 //! every stream is keyed by (seed, effect's name). On the gel: [`Shoulder`], [`Spread`], [`Drag`], or
 //! [`ElasticLayer`] in their place, with [`Relaxation`] and [`LargeStrain`]. In the print: [`Misprint`], [`Wear`],
-//! [`Specks`]. On the images, in this order: [`Grain`], [`UnevenLight`], [`Defocus`], [`Smears`], [`ShotNoise`],
+//! [`Specks`]. On the images, in this order: [`Grain`], [`UnevenLight`], [`MotionBlur`], [`Defocus`], [`Smears`], [`ShotNoise`],
 //! [`SensorNoise`], [`Jpeg`]. On the way: [`DroppedFrames`]. Lens distortion and refraction are the rig's own.
 
 mod blur;
@@ -15,6 +15,7 @@ mod jpeg;
 mod large_strain;
 mod light;
 mod misprint;
+mod motion_blur;
 mod noise;
 mod optics;
 mod relaxation;
@@ -34,6 +35,7 @@ pub use jpeg::Jpeg;
 pub use large_strain::LargeStrain;
 pub use light::UnevenLight;
 pub use misprint::Misprint;
+pub use motion_blur::MotionBlur;
 pub use noise::SensorNoise;
 pub use relaxation::Relaxation;
 pub use shot::ShotNoise;
@@ -157,6 +159,8 @@ effects! {
     uneven_light: UnevenLight,
     /// Patches that hide markers for a while.
     smears: Smears,
+    /// Blur of what moves.
+    motion_blur: MotionBlur,
     /// Blur of the lens.
     defocus: Defocus,
     /// Noise of the light itself.
