@@ -119,10 +119,20 @@ macro_rules! effects {
 
         impl Switches {
             /// Every switch with its effect's name.
-            pub(crate) fn all(&self) -> impl Iterator<Item = (&'static str, Option<Switch>)> {
+            pub fn all(&self) -> impl Iterator<Item = (&'static str, Option<Switch>)> {
                 let own = [self.refraction, self.lens_distortion, self.ellipse_bias];
                 let own = Optics::ALL.into_iter().map(Optics::name).zip(own);
                 [$((stringify!($name), self.$name),)*].into_iter().chain(own)
+            }
+
+            /// An effect's switch, to be set; `None` when there is no effect of that name.
+            pub fn get_mut(&mut self, effect: &str) -> Option<&mut Option<Switch>> {
+                let own = [&mut self.refraction, &mut self.lens_distortion, &mut self.ellipse_bias];
+                let mut own = Optics::ALL.into_iter().map(Optics::name).zip(own);
+                match effect {
+                    $(stringify!($name) => Some(&mut self.$name),)*
+                    _ => own.find(|(name, _)| *name == effect).map(|(_, switch)| switch),
+                }
             }
 
             /// The switch of an effect; `None` when it is not touched.
