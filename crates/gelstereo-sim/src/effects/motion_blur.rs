@@ -57,7 +57,7 @@ impl Effect for MotionBlur {
         let field = 100.0 * facts.markers() + layer + beside.into_iter().flatten().sum::<f64>();
         // Fields at both ends, and every dot as often as its way asks for.
         let sigma_px = effects.defocus.as_ref().map(|defocus| defocus.sigma_px);
-        let times = Shutter::times(facts.passed_px(self.exposure_s).min(64.0), sigma_px);
+        let times = Shutter::times(facts.followed_px(self.exposure_s), sigma_px);
         2.0 * field + 3500.0 * facts.markers() * (times as f64 - 1.0)
     }
 }

@@ -51,6 +51,17 @@ impl Facts<'_> {
         ways.into_iter().filter(|&(_, mm)| mm > 0.0).map(|(px_per_mm, mm)| px_per_mm * mm).sum()
     }
 
+    /// How far the image of a marker moves that follows part and gel: what to expect, not a bound.
+    pub(crate) fn followed_px(&self, time_s: f64) -> f64 {
+        let pace = Pace::of(self);
+        let touches = self.touch.depth_mm > 0.0;
+        let (sideways_mm, down_mm) =
+            if touches { (pace.gel_mm + pace.grip, pace.part_mm[1]) } else { (pace.gel_mm, 0.0) };
+        let ways = [(self.optics.lateral_px_per_mm, sideways_mm), (self.optics.depth_px_per_mm, down_mm)];
+        time_s
+            * ways.into_iter().filter(|&(_, mm)| mm > 0.0).map(|(px_per_mm, mm)| px_per_mm * mm).sum::<f64>()
+    }
+
     /// The most that a marker moves sideways and along the sensor's z within a time.
     fn passed_mm(&self, time_s: f64) -> (f64, f64) {
         let pace = Pace::of(self);
