@@ -1,96 +1,38 @@
 //! What every effect costs: `cargo run --release -p gelstereo-sim --example effect_costs`.
 //!
 //! For each effect, alone on a default sensor under a ball that drags and twists the gel: the least time of a field (all
-//! positions in both images) and of a stereo frame (the same, rendered) with and without it, and what its cost model
-//! says. `effect_costs NAME on 3` runs three frames with that effect and nothing else, `off` without it, for callgrind to
-//! count: the difference between two numbers of frames does not depend on the machine's load.
+//! positions in both images) and of a stereo frame (the same, rendered) while it is on, while it is off, and in a scene that
+//! never had it; and what its cost model says.
+//!
+//! `effect_costs count` counts instructions instead, by callgrind: of a scene's third and fourth frame, so that what a scene
+//! takes to begin is left out. They do not depend on the machine's load. `effect_costs count docs/simulator.md` writes them
+//! into the manual between its markers. `effect_costs NAME on 3` is what callgrind sees: three frames.
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
-use gelstereo_core::math::{DVec3, Pose};
-use gelstereo_sim::effects::{
-    Defocus, Drag, Grain, Jpeg, Misprint, Patch, SensorNoise, ShotNoise, Shoulder, Smears, Specks, Spread,
-    UnevenLight, Wear,
-};
-use gelstereo_sim::{ContactState, Effects, Keyframe, Scene, Shape, Simulator, Switch, Truth};
+#[path = "../tests/every_effect/mod.rs"]
+mod every_effect;
+
+use every_effect::{names, switched_off, usual_image, with, without};
+use gelstereo_sim::{Plan, Scene, Simulator, Truth};
+use std::process::Command;
 use std::time::Instant;
 
-const NAMES: [&str; 17] = [
-    "shoulder",
-    "spread",
-    "drag",
-    "misprint",
-    "specks",
-    "grain",
-    "uneven_light",
-    "smears",
-    "defocus",
-    "sensor_noise",
-    "refraction",
-    "lens_distortion",
-    "ellipse_bias",
-    "wear",
-    "shot_noise",
-    "jpeg",
-    "usual_image",
-];
+/// More rows of the table: scenes without an effect of their own.
+const SCENES: [&str; 2] = ["no effect", "usual image"];
 
-/// The scene with one effect, and with the shoulder where an effect needs heights beside the contact.
-fn scene(effect: &str) -> Scene {
-    let sensor = if effect == "refraction" { "640x480-25-refraction" } else { "640x480-25" };
-    let mut scene = Scene::preset(sensor).unwrap();
-    let centre = scene.gel.centre_mm;
-    let t_sensor_object =
-        Pose::from_translation_mm(DVec3::new(centre[0], centre[1], scene.gel.surface_mm + 2.5));
-    let contact = ContactState { t_sensor_object, shear_mm: [0.3, 0.1], twist_rad: 0.1 };
-    scene.indenter = Some(Shape::Sphere { radius_mm: 4.0 });
-    scene.trajectory = vec![Keyframe { time_s: 0.0, contact }];
-    scene.switches.ellipse_bias = (effect != "ellipse_bias").then_some(Switch::Off);
-    let effects = &mut scene.effects;
-    let patch = Patch { centre_px: [350.0, 220.0], ..Patch::default() };
-    match effect {
-        "shoulder" => effects.shoulder = Some(Shoulder::default()),
-        "spread" => effects.spread = Some(Spread::default()),
-        "drag" => effects.drag = Some(Drag::default()),
-        "misprint" => effects.misprint = Some(Misprint { shift_mm: 0.03, ..Misprint::default() }),
-        "specks" => effects.specks = Some(Specks { count: 20, ..Specks::default() }),
-        "grain" => effects.grain = Some(Grain::default()),
-        "uneven_light" => effects.uneven_light = Some(UnevenLight::default()),
-        "smears" => effects.smears = Some(Smears { patches: vec![patch], ..Smears::default() }),
-        "defocus" => effects.defocus = Some(Defocus::default()),
-        "wear" => effects.wear = Some(Wear::default()),
-        "shot_noise" => effects.shot_noise = Some(ShotNoise::default()),
-        "jpeg" => effects.jpeg = Some(Jpeg::default()),
-        // What most benchmarks of the project have.
-        "usual_image" => {
-            *effects = Effects {
-                grain: Some(Grain::default()),
-                uneven_light: Some(UnevenLight::default()),
-                defocus: Some(Defocus::default()),
-                sensor_noise: Some(SensorNoise::default()),
-                ..Effects::default()
-            }
-        }
-        "sensor_noise" => effects.sensor_noise = Some(SensorNoise::default()),
-        "lens_distortion" => {
-            scene.rig.left.distortion[0] = -0.1;
-            scene.rig.right.distortion[0] = -0.1;
-        }
-        _ => {}
+const SWITCHES: [&str; 3] = ["on", "off", "never"];
+
+fn scene(name: &str, switch: &str) -> Scene {
+    match (name, switch) {
+        ("no effect", _) | ("usual image", "off" | "never") => without(""),
+        ("usual image", _) => usual_image(),
+        (_, "on") => with(name),
+        (_, "off") => switched_off(name),
+        _ => without(name),
     }
-    scene
 }
 
-/// The same scene without it.
-fn without(effect: &str) -> Scene {
-    let mut plain = Scene { effects: Effects::default(), ..scene(effect) };
-    plain.rig.layers = None;
-    plain.rig.left.distortion[0] = 0.0;
-    plain.rig.right.distortion[0] = 0.0;
-    plain.switches.ellipse_bias = Some(Switch::Off);
-    plain
-}
-
-/// Least times of a field and of a rendered frame, microseconds.
+/// Runs some frames; least times of a field and of a rendered frame, microseconds.
 fn least_us(scene: &Scene, frames: u64) -> [f64; 2] {
     let mut simulator = Simulator::new(scene, None).unwrap();
     let (mut truth, mut left, mut right) = (Truth::default(), Vec::new(), Vec::new());
@@ -106,30 +48,91 @@ fn least_us(scene: &Scene, frames: u64) -> [f64; 2] {
     least
 }
 
+/// What the plan says of an effect's time, microseconds.
+fn model_us(name: &str) -> f64 {
+    let plan = Plan::of(&scene(name, "on"), None).unwrap();
+    let entries = plan.entries.iter().filter(|entry| entry.effect == name);
+    entries.map(|entry| 1e-3 * entry.cost_ns).sum()
+}
+
+/// Instructions of a run, by callgrind.
+fn instructions(name: &str, switch: &str, frames: u64) -> f64 {
+    let own = std::env::current_exe().unwrap();
+    let mut valgrind = Command::new("valgrind");
+    valgrind.args(["--tool=callgrind", "--callgrind-out-file=/dev/null"]).arg(own);
+    let output = valgrind.args([name, switch, &frames.to_string()]).output();
+    let output = output.expect("valgrind counts the instructions: install it");
+    let text = String::from_utf8(output.stderr).unwrap();
+    let total = text.lines().find_map(|line| line.split("Collected :").nth(1));
+    total.unwrap_or_else(|| panic!("valgrind says: {text}")).trim().parse().unwrap()
+}
+
+/// Of a stereo frame.
+fn per_frame(name: &str, switch: &str) -> f64 {
+    0.5 * (instructions(name, switch, 4) - instructions(name, switch, 2))
+}
+
+/// The table of instructions, as Markdown.
+fn counted() -> String {
+    let mut known: Vec<(Scene, f64)> = Vec::new();
+    let mut lines = vec![
+        "| effect | on | off | never there | costs | its model |".to_owned(),
+        "| --- | ---: | ---: | ---: | ---: | ---: |".to_owned(),
+    ];
+    for name in SCENES.into_iter().chain(names()) {
+        // Scenes that are the same take the same; but what is off is counted each time.
+        let [on, off, never] = SWITCHES.map(|switch| {
+            let scene = scene(name, switch);
+            let found = known.iter().find(|(other, _)| *other == scene).map(|&(_, count)| count);
+            let count = found.unwrap_or_else(|| per_frame(name, switch));
+            known.push((scene, count));
+            1e-6 * count
+        });
+        // 4 instructions to a nanosecond.
+        let model = 4e-3 * model_us(name);
+        let line = match name {
+            "no effect" => format!("| {name} | {on:.2} | | | | |"),
+            "usual image" => format!("| {name} | {on:.2} | | {never:.2} | {:+.2} | |", on - never),
+            _ => format!("| `{name}` | {on:.2} | {off:.2} | {never:.2} | {:+.2} | {model:.2} |", on - never),
+        };
+        println!("{line}");
+        lines.push(line);
+    }
+    lines.join("\n")
+}
+
+/// Puts text between the manual's markers.
+fn write_between(page: &str, text: &str) {
+    let old = std::fs::read_to_string(page).unwrap();
+    let (begin, end) = ("<!-- begin effect costs -->", "<!-- end effect costs -->");
+    let (head, rest) = old.split_once(begin).expect("the page has no place for the table");
+    let (_, tail) = rest.split_once(end).expect("the page's place for the table has no end");
+    std::fs::write(page, format!("{head}{begin}\n{text}\n{end}{tail}")).unwrap();
+}
+
+fn print_times() {
+    print!("{:16}", "effect");
+    SWITCHES.iter().for_each(|switch| print!(" {:>8} {switch:>5}", "field"));
+    SWITCHES.iter().for_each(|switch| print!(" {:>8} {switch:>5}", "frame"));
+    println!("  model  (least of 100, us)");
+    for name in SCENES.into_iter().chain(names()) {
+        let times = SWITCHES.map(|switch| least_us(&scene(name, switch), 100));
+        let columns = [0, 1].map(|k| times.map(|us| format!("{:14.0}", us[k])).join(" "));
+        println!("{name:16} {}  {:.0}", columns.join(" "), model_us(name));
+    }
+}
+
 fn main() {
     let words: Vec<String> = std::env::args().skip(1).collect();
-    if let [effect, switch, frames] = &words[..] {
-        let scene = if switch == "on" { scene(effect) } else { without(effect) };
-        let [field, frame] = least_us(&scene, frames.parse().unwrap());
-        println!("{effect}: {field:.0} us a field, {frame:.0} us a frame");
-        return;
-    }
-    println!(
-        "{:16} {:>10} {:>10} {:>10} {:>10}  us",
-        "effect", "field on", "field off", "frame on", "frame off"
-    );
-    for effect in NAMES {
-        let (on, off) = (least_us(&scene(effect), 100), least_us(&without(effect), 100));
-        let plan = gelstereo_sim::Plan::of(&scene(effect), None).unwrap();
-        let model =
-            plan.entries.iter().find(|entry| entry.effect == effect).map_or(0.0, |entry| entry.cost_ns);
-        println!(
-            "{effect:16} {:10.0} {:10.0} {:10.0} {:10.0}  model {:.0}",
-            on[0],
-            off[0],
-            on[1],
-            off[1],
-            1e-3 * model
-        );
+    let words: Vec<&str> = words.iter().map(String::as_str).collect();
+    match &words[..] {
+        [] => print_times(),
+        ["count"] => drop(counted()),
+        ["count", page] => write_between(page, &counted()),
+        [name, switch, frames] => {
+            let [field, frame] = least_us(&scene(name, switch), frames.parse().unwrap());
+            println!("{name}: {field:.0} us a field, {frame:.0} us a frame");
+        }
+        _ => panic!("valid is nothing, count, count PAGE, or NAME on|off|never FRAMES"),
     }
 }

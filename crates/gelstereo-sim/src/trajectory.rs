@@ -59,6 +59,22 @@ impl Trajectory {
         })
     }
 
+    /// A contact at one time as it is at another, when it moves as the trajectory's does between them.
+    pub(crate) fn carried(&self, contact: &ContactState, from_s: f64, to_s: f64) -> ContactState {
+        let (Some(from), Some(to)) = (self.contact(from_s), self.contact(to_s)) else { return *contact };
+        let (before, after, own) = (from.t_sensor_object, to.t_sensor_object, contact.t_sensor_object);
+        let along = |axis: usize| contact.shear_mm[axis] + (to.shear_mm[axis] - from.shear_mm[axis]);
+        let turn = after.rotation * before.rotation.conjugate();
+        ContactState {
+            t_sensor_object: Pose {
+                rotation: (turn * own.rotation).normalize(),
+                translation_mm: own.translation_mm + (after.translation_mm - before.translation_mm),
+            },
+            shear_mm: [along(0), along(1)],
+            twist_rad: contact.twist_rad + (to.twist_rad - from.twist_rad),
+        }
+    }
+
     /// Motion of the gel at a time, linear between keyframes; `None` when it never moves.
     pub(crate) fn gel_at(&self, time_s: f64) -> Option<GelKeyframe> {
         let (before, after, share) = around(&self.gel, |k| k.time_s, time_s)?;

@@ -141,6 +141,12 @@ impl Bridge {
         self.markers.contains(&marker)
     }
 
+    /// How far it moves while its dots move so far.
+    pub(crate) fn way_px(&self, motion_px: &[DVec2]) -> DVec2 {
+        let [a, b] = self.markers;
+        0.5 * (motion_px[a] + motion_px[b])
+    }
+
     /// The bar in the image.
     pub(crate) fn corners(&self, dots: &[DotImage]) -> [DVec2; 4] {
         let [(p, a), (q, b)] = self.markers.map(|marker| {

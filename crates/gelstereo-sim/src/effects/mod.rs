@@ -3,7 +3,7 @@
 //! An effect that is absent costs nothing and draws no random number, so the others' bits do not depend on it:
 //! every stream is keyed by (seed, effect's name). On the gel: [`Shoulder`], [`Spread`], [`Drag`], or
 //! [`ElasticLayer`] in their place, with [`Relaxation`] and [`LargeStrain`]. In the print: [`Misprint`], [`Wear`],
-//! [`Specks`]. On the images, in this order: [`Grain`], [`UnevenLight`], [`Defocus`], [`Smears`], [`ShotNoise`],
+//! [`Specks`]. On the images, in this order: [`Grain`], [`UnevenLight`], [`MotionBlur`], [`Defocus`], [`Smears`], [`ShotNoise`],
 //! [`SensorNoise`], [`Jpeg`]. On the way: [`DroppedFrames`]. Lens distortion and refraction are the rig's own.
 
 mod blur;
@@ -15,6 +15,7 @@ mod jpeg;
 mod large_strain;
 mod light;
 mod misprint;
+mod motion_blur;
 mod noise;
 mod optics;
 mod relaxation;
@@ -34,6 +35,7 @@ pub use jpeg::Jpeg;
 pub use large_strain::LargeStrain;
 pub use light::UnevenLight;
 pub use misprint::Misprint;
+pub use motion_blur::MotionBlur;
 pub use noise::SensorNoise;
 pub use relaxation::Relaxation;
 pub use shot::ShotNoise;
@@ -117,10 +119,20 @@ macro_rules! effects {
 
         impl Switches {
             /// Every switch with its effect's name.
-            pub(crate) fn all(&self) -> impl Iterator<Item = (&'static str, Option<Switch>)> {
+            pub fn all(&self) -> impl Iterator<Item = (&'static str, Option<Switch>)> {
                 let own = [self.refraction, self.lens_distortion, self.ellipse_bias];
                 let own = Optics::ALL.into_iter().map(Optics::name).zip(own);
                 [$((stringify!($name), self.$name),)*].into_iter().chain(own)
+            }
+
+            /// An effect's switch, to be set; `None` when there is no effect of that name.
+            pub fn get_mut(&mut self, effect: &str) -> Option<&mut Option<Switch>> {
+                let own = [&mut self.refraction, &mut self.lens_distortion, &mut self.ellipse_bias];
+                let mut own = Optics::ALL.into_iter().map(Optics::name).zip(own);
+                match effect {
+                    $(stringify!($name) => Some(&mut self.$name),)*
+                    _ => own.find(|(name, _)| *name == effect).map(|(_, switch)| switch),
+                }
             }
 
             /// The switch of an effect; `None` when it is not touched.
@@ -157,6 +169,8 @@ effects! {
     uneven_light: UnevenLight,
     /// Patches that hide markers for a while.
     smears: Smears,
+    /// Blur of what moves.
+    motion_blur: MotionBlur,
     /// Blur of the lens.
     defocus: Defocus,
     /// Noise of the light itself.

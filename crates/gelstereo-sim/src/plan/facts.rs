@@ -31,6 +31,8 @@ pub(crate) struct Touch {
     pub(crate) span_mm: f64,
     /// Area of that section, at most.
     pub(crate) footprint_mm2: f64,
+    /// How far from its origin a point of the part is whose turn about it is seen: 0 for a ball.
+    pub(crate) arm_mm: f64,
     /// The part's shear.
     pub(crate) shear_mm: f64,
     /// The part's twist.
@@ -198,6 +200,7 @@ impl Touch {
             // Of all shapes of that span a disc has the largest area.
             footprint_mm2: (0.25 * core::f64::consts::PI * span_mm * span_mm)
                 .min(side(gel.rows) * side(gel.cols)),
+            arm_mm: if matches!(shape, Shape::Sphere { .. }) { 0.0 } else { part.radius_mm() },
             // Without a trajectory any contact may come.
             shear_mm: if scene.trajectory.is_empty() { f64::INFINITY } else { shear },
             twist_rad: if scene.trajectory.is_empty() { f64::INFINITY } else { twist },

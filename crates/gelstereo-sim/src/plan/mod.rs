@@ -13,6 +13,7 @@
 mod asked;
 mod bound;
 mod facts;
+mod passage;
 
 pub use crate::effects::Switches;
 pub use asked::{Asked, Switch};

@@ -51,12 +51,12 @@ impl Fine {
         Self { times, reach, weights, group: Vec::new(), band: Vec::new(), narrow: Vec::new() }
     }
 
-    /// Writes what every pixel sees of the ink, in the light that falls on it.
+    /// Adds a share of what every pixel sees of the ink, in the light that falls on it.
     pub(crate) fn draw(
         &mut self,
-        shapes: &[Shape],
-        overlaps: &Overlaps,
+        (shapes, overlaps): (&[Shape], &Overlaps),
         light: Option<&UnevenLight>,
+        share: f32,
         canvas: &mut [f32],
         width: usize,
     ) {
@@ -70,13 +70,13 @@ impl Fine {
             for group in overlaps.groups() {
                 self.group.clear();
                 self.group.extend(group.iter().map(|&i| shapes[i].magnified(self.times, origin)));
-                cover(&self.group, &mut self.band, fine_columns);
+                cover(&self.group, 1.0, &mut self.band, fine_columns);
             }
             if let Some(light) = light {
                 self.light(light, size, origin, fine_columns);
             }
             self.narrow(fine_columns, width);
-            self.shorten(rows, width);
+            self.shorten(share, rows, width);
         }
     }
 
@@ -99,11 +99,11 @@ impl Fine {
         }
     }
 
-    fn shorten(&self, rows: &mut [f32], width: usize) {
+    fn shorten(&self, share: f32, rows: &mut [f32], width: usize) {
         for (y, row) in rows.chunks_exact_mut(width).enumerate() {
             let from = y * self.times * width;
             for (x, pixel) in row.iter_mut().enumerate() {
-                *pixel = weigh(self.narrow[from + x..].iter().step_by(width), &self.weights);
+                *pixel += share * weigh(self.narrow[from + x..].iter().step_by(width), &self.weights);
             }
         }
     }

@@ -77,7 +77,6 @@ impl Finish<'_> {
         let rows = ink.chunks_exact_mut(width).zip(image.chunks_exact_mut(width));
         for (y, (ink, image)) in rows.enumerate() {
             self.lay(y, ink, levels);
-            ink.fill(0.0);
             if let Some(smears) = self.smears {
                 smears.apply(self.time_s, y, levels);
             }
@@ -91,14 +90,15 @@ impl Finish<'_> {
         }
     }
 
-    /// Ink over the gel.
-    fn lay(&self, y: usize, ink: &[f32], levels: &mut [f32]) {
-        let inked = levels.iter_mut().zip(ink).zip(self.base.row(y, ink.len()));
+    /// Ink over the gel, of which none is left.
+    fn lay(&self, y: usize, ink: &mut [f32], levels: &mut [f32]) {
+        let gel = self.base.row(y, ink.len());
+        let inked = levels.iter_mut().zip(ink).zip(gel);
         match self.gain {
-            Some(gain) => inked
-                .zip(gain.of_row(y))
-                .for_each(|(((level, ink), gel), gain)| *level = gel + self.contrast * gain * ink),
-            None => inked.for_each(|((level, ink), gel)| *level = gel + self.contrast * ink),
+            Some(gain) => inked.zip(gain.of_row(y)).for_each(|(((level, ink), gel), gain)| {
+                *level = gel + self.contrast * gain * core::mem::take(ink);
+            }),
+            None => inked.for_each(|((level, ink), gel)| *level = gel + self.contrast * core::mem::take(ink)),
         }
     }
 }

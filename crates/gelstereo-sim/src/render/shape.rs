@@ -72,6 +72,17 @@ impl Shape {
             && twice_apart < 4.0 * reach * reach
     }
 
+    /// Moved by so much.
+    pub(crate) fn moved(&self, by: DVec2) -> Self {
+        let outline = match self.outline {
+            Outline::Ellipse { centre, yy, slope, widest } => {
+                Outline::Ellipse { centre: centre + by, yy, slope, widest }
+            }
+            Outline::Bar(corners) => Outline::Bar(corners.map(|corner| corner + by)),
+        };
+        Self { low: self.low + by, high: self.high + by, radius: self.radius, outline }
+    }
+
     /// As counted in pixels so many times as narrow, from an origin so many pixels to the upper left.
     pub(crate) fn magnified(&self, times: usize, origin: [f64; 2]) -> Self {
         let by = times as f64;
@@ -106,8 +117,8 @@ impl Shape {
     }
 }
 
-/// Adds the share of every pixel that lies within any of the regions.
-pub(crate) fn cover(shapes: &[Shape], canvas: &mut [f32], width: usize) {
+/// Adds the share of every pixel that lies within any of the regions, times `share`.
+pub(crate) fn cover(shapes: &[Shape], share: f64, canvas: &mut [f32], width: usize) {
     let height = canvas.len() / width;
     let low = shapes.iter().fold(f64::INFINITY, |low, shape| low.min(shape.low.y));
     let high = shapes.iter().fold(f64::NEG_INFINITY, |high, shape| high.max(shape.high.y));
@@ -122,7 +133,7 @@ pub(crate) fn cover(shapes: &[Shape], canvas: &mut [f32], width: usize) {
         let row = &mut canvas[y * width..][..width];
         for line in 0..LINES_PER_ROW {
             let at = top + (f64::from(line) + 0.5) * step;
-            each_interval(shapes, at, |(from, to)| cover_line(row, from, to, step));
+            each_interval(shapes, at, |(from, to)| cover_line(row, from, to, share * step));
         }
     }
 }

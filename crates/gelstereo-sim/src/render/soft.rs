@@ -74,18 +74,18 @@ impl Soft {
         }
     }
 
-    /// Adds what every pixel sees of an ellipse.
-    pub(crate) fn ellipse(&mut self, ellipse: &Ellipse, canvas: &mut [f32], width: usize) {
+    /// Adds a share of what every pixel sees of an ellipse.
+    pub(crate) fn ellipse(&mut self, ellipse: &Ellipse, share: f64, canvas: &mut [f32], width: usize) {
         let Some(shape) = Shape::ellipse(ellipse) else { return };
         let lines = 2.0 + LINES_PER_SIGMA * ellipse.longest_px() / self.lens.sigma_px;
         if !(lines < MOST_LINES as f64) {
-            return self.union(&[shape], canvas, width);
+            return self.union(&[shape], share, canvas, width);
         }
-        self.draw(&[shape], [shape.low, shape.high], ceil(lines) as usize, canvas, width);
+        self.draw(&[shape], [shape.low, shape.high], (ceil(lines) as usize, share), canvas, width);
     }
 
-    /// Adds what every pixel sees of regions that overlap, each point once.
-    pub(crate) fn union(&mut self, shapes: &[Shape], canvas: &mut [f32], width: usize) {
+    /// Adds a share of what every pixel sees of regions that overlap, each point once.
+    pub(crate) fn union(&mut self, shapes: &[Shape], share: f64, canvas: &mut [f32], width: usize) {
         // Lines that no row sees are left out.
         let reach = self.lens.reach_px();
         let end = (canvas.len() / width) as f64 - 1.0 + reach;
@@ -100,17 +100,17 @@ impl Soft {
         for ends in breaks.windows(2).filter(|ends| ends[1] > ends[0]) {
             let corners = [DVec2::new(left, ends[0]), DVec2::new(right, ends[1])];
             let lines = (ceil((ends[1] - ends[0]) * per_px) as usize).max(4);
-            self.draw(shapes, corners, lines, canvas, width);
+            self.draw(shapes, corners, (lines, share), canvas, width);
         }
         self.breaks = breaks;
     }
 
-    /// What lies between two corners, cut by so many lines.
+    /// A share of what lies between two corners, cut by so many lines.
     fn draw(
         &mut self,
         shapes: &[Shape],
         corners: [DVec2; 2],
-        lines: usize,
+        lines: (usize, f64),
         canvas: &mut [f32],
         width: usize,
     ) {
@@ -148,7 +148,7 @@ impl Soft {
         window: Window,
         shapes: &[Shape],
         [from, to]: [f64; 2],
-        lines: usize,
+        (lines, share): (usize, f64),
     ) {
         self.tile.clear();
         self.tile.resize(window.rows * BLOCKS, Block::default());
@@ -161,7 +161,7 @@ impl Soft {
         for _ in 0..lines {
             let y = middle + half * sin_t;
             let line: [Block; BLOCKS] = self.share(window, shapes, y);
-            self.lay(window, y, (2.0 * angle * half * cos_t) as f32, line);
+            self.lay(window, y, (2.0 * angle * half * cos_t * share) as f32, line);
             (sin_t, cos_t) = (sin_t * turn_cos + cos_t * turn_sin, cos_t * turn_cos - sin_t * turn_sin);
         }
     }
@@ -259,13 +259,13 @@ mod tests {
 
     fn soft(ellipse: &Ellipse, lens: Lens) -> Vec<f32> {
         let mut canvas = alloc::vec![0.0; SIDE * SIDE];
-        Soft::new(lens, SIDE, 9).ellipse(ellipse, &mut canvas, SIDE);
+        Soft::new(lens, SIDE, 9).ellipse(ellipse, 1.0, &mut canvas, SIDE);
         canvas
     }
 
     fn union(shapes: &[Shape], lens: Lens) -> Vec<f32> {
         let mut canvas = alloc::vec![0.0; SIDE * SIDE];
-        Soft::new(lens, SIDE, 9).union(shapes, &mut canvas, SIDE);
+        Soft::new(lens, SIDE, 9).union(shapes, 1.0, &mut canvas, SIDE);
         canvas
     }
 
@@ -273,7 +273,7 @@ mod tests {
         let mut canvas = alloc::vec![0.0; SIDE * SIDE];
         let mut overlaps = Overlaps::default();
         overlaps.find(shapes);
-        Fine::finer(lens, 16).draw(shapes, &overlaps, light, &mut canvas, SIDE);
+        Fine::finer(lens, 16).draw((shapes, &overlaps), light, 1.0, &mut canvas, SIDE);
         canvas
     }
 

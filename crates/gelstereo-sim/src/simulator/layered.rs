@@ -132,10 +132,11 @@ impl Layered {
 }
 
 impl Simulator {
-    /// [`Self::press`] on the elastic layer, in a frame.
-    pub(super) fn press_layer(&mut self, contact: Option<&ContactState>, frame: u64) {
+    /// [`Self::press`] on the elastic layer, at a time about a frame's.
+    pub(super) fn press_layer(&mut self, contact: Option<&ContactState>, frame: u64, time_s: f64) {
         let Some(mut layered) = self.layered.take() else { return };
         self.remember(&mut layered, frame);
+        self.settle(time_s);
         self.deform(&mut layered, contact);
         layered.nodes.motion(&layered.contact, &mut layered.motion);
         layered.recall();
@@ -150,7 +151,6 @@ impl Simulator {
         if frames(layered) > frame {
             layered.memory.iter_mut().for_each(Memory::forget);
         }
-        let now_s = self.trajectory.time_s(frame);
         while frames(layered) < frame {
             let time_s = self.trajectory.time_s(frames(layered));
             self.settle(time_s);
@@ -160,7 +160,6 @@ impl Simulator {
             let [x, y] = &layered.aside;
             layered.memory.iter_mut().for_each(|memory| memory.add([&layered.into, x, y]));
         }
-        self.settle(now_s);
     }
 
     /// Solves the contact.

@@ -3,6 +3,7 @@
 mod layered;
 mod press;
 mod sheet;
+mod shutter;
 mod truth;
 
 use layered::Layered;
@@ -85,6 +86,8 @@ pub struct Simulator {
     /// Whether a disc's image has its centroid beside its centre's image.
     ellipse_bias: bool,
     trajectory: Trajectory,
+    /// How long the shutter is open, when that matters.
+    exposure_s: Option<f64>,
     /// Frames that arrive, when some do not.
     delivered: Option<Vec<usize>>,
     renderer: Renderer,
@@ -108,6 +111,8 @@ struct Scratch {
     stuck: Vec<bool>,
     fields: [Vec<f64>; 2],
     dots: Vec<Dot>,
+    /// Markers when the shutter opens and when it closes; empty when nothing is known to move.
+    ends_mm: [Vec<DVec3>; 2],
 }
 
 impl Simulator {
@@ -154,6 +159,7 @@ impl Simulator {
                 .map(|drops| drops.delivered(seed, trajectory.frames())),
             renderer: Renderer::new(scene, trajectory.span_s(), bridges),
             ellipse_bias: scene.switches.ellipse_bias != Some(Switch::Off),
+            exposure_s: effects.motion_blur.as_ref().map(|blur| blur.exposure_s),
             trajectory,
             scratch: Scratch::default(),
             plan,
@@ -225,12 +231,19 @@ impl Simulator {
     /// [`ContactState::validate`] refuses: nothing touches), with the gel and the smears of a frame.
     pub fn moment(&mut self, contact: Option<&ContactState>, frame: u64, out: &mut Truth) {
         let time_s = self.time_s(frame);
+        let contact = contact.filter(|contact| self.part.is_some() && contact.validate().is_ok());
+        self.expose(contact, frame);
+        self.stand(contact, frame, time_s);
+        self.write(time_s, out);
+    }
+
+    /// Leaves the markers of a moment in the scratch; a gel with a memory remembers what was before the frame.
+    fn stand(&mut self, contact: Option<&ContactState>, frame: u64, time_s: f64) {
         self.settle(time_s);
         self.scratch.motion.clear();
         self.scratch.motion.resize(self.rest.len(), DVec2::ZERO);
-        let contact = contact.filter(|contact| self.part.is_some() && contact.validate().is_ok());
         match contact {
-            _ if self.layered.is_some() => self.press_layer(contact, frame),
+            _ if self.layered.is_some() => self.press_layer(contact, frame, time_s),
             Some(contact) => self.press(contact),
             None => {
                 self.scratch.heights.clear();
@@ -239,7 +252,6 @@ impl Simulator {
                 self.scratch.stuck.resize(self.rest.len(), false);
             }
         }
-        self.write(time_s, out);
     }
 
     /// Renders both views of a moment, `height * width` bytes each; `frame` keys the noise and times the smears. A

@@ -31,6 +31,11 @@ pub struct Truth {
     pub left_specks: Vec<Ellipse>,
     /// The same in the right image.
     pub right_specks: Vec<Ellipse>,
+    /// How far the dots' left images move while the shutter is open, those of the markers first, then those of the specks.
+    /// Empty without motion blur, and when markers are placed by someone else: nothing moves then.
+    pub left_motion_px: Vec<DVec2>,
+    /// The same in the right image.
+    pub right_motion_px: Vec<DVec2>,
 }
 
 /// How a marker's dot looks in one image.
@@ -83,15 +88,21 @@ const NO_OUTLINE: Ellipse = Ellipse { centre_px: OUT_OF_SIGHT_PX, half_px: [DVec
 impl Simulator {
     /// Hands the scratch over as truth.
     pub(super) fn write(&mut self, time_s: f64, out: &mut Truth) {
-        let Self { scratch, rest, surface_mm, .. } = &*self;
+        let Self { scratch, .. } = &*self;
         out.indentation_mm.clear();
         out.indentation_mm.extend_from_slice(&scratch.heights);
         out.in_contact.clear();
         out.in_contact.extend_from_slice(&scratch.stuck);
-        let moved = rest.iter().zip(&scratch.motion).zip(&scratch.heights);
-        out.points_mm.clear();
-        out.points_mm.extend(moved.map(|((&rest, &u), &height)| (rest + u).extend(surface_mm - height)));
+        self.points(&mut out.points_mm);
         self.write_views(time_s, out);
+    }
+
+    /// Where the scratch has the markers.
+    pub(super) fn points(&self, out: &mut Vec<DVec3>) {
+        let Self { scratch, rest, surface_mm, .. } = self;
+        let moved = rest.iter().zip(&scratch.motion).zip(&scratch.heights);
+        out.clear();
+        out.extend(moved.map(|((&rest, &u), &height)| (rest + u).extend(surface_mm - height)));
     }
 
     /// [`Self::moment`] of markers that someone else has placed, row by row: those of a recording, say. `in_contact`
@@ -105,6 +116,7 @@ impl Simulator {
         for x in points_mm.iter().flat_map(|point| point.to_array()) {
             SceneError::check(x.abs() <= 1e4, "points_mm", x, "-10000 to 10000 mm")?;
         }
+        self.scratch.ends_mm.iter_mut().for_each(Vec::clear);
         out.points_mm.clear();
         out.points_mm.extend_from_slice(points_mm);
         out.indentation_mm.clear();
@@ -125,6 +137,7 @@ impl Simulator {
             out.right_px.push(right);
         }
         self.write_dots(time_s, out);
+        self.write_motion(out);
     }
 
     fn write_dots(&mut self, time_s: f64, out: &mut Truth) {

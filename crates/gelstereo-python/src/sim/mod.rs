@@ -1,129 +1,25 @@
 //! The simulated sensor.
 
+mod plan;
+mod scene;
+
+pub use plan::{Plan, PlannedEffect};
+pub use scene::Scene;
+
 use crate::arrays::{self, Array1, Count, Matrix};
 use crate::errors::{SceneError, raise};
-use crate::rig::Rig;
 use crate::template::{load_mesh, triangle_mesh};
 use crate::tree;
-use gelstereo_core::math::DVec3;
+use gelstereo_core::math::{DVec2, DVec3};
 use gelstereo_sim as sim;
 use numpy::{PyArray2, PyArray3};
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyMapping, PyTuple, PyType};
-use std::path::PathBuf;
+use pyo3::types::PyMapping;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 const NO_INDENTER: &str =
     "the scene has no indenter; give it one, for example indenter = { kind = \"sphere\", radius_mm = 4 }";
-
-/// What there is to see, and which effects act; a value that never changes.
-///
-/// ``Scene()`` is the default sensor with nothing that touches it; `to_dict` shows what can be set.
-#[pyclass(frozen, module = "gelstereo")]
-pub struct Scene {
-    inner: sim::Scene,
-    /// Where a mesh file's relative path starts.
-    folder: PathBuf,
-}
-
-impl Scene {
-    fn checked(inner: sim::Scene, folder: PathBuf) -> PyResult<Self> {
-        inner.validate().map_err(raise)?;
-        Ok(Self { inner, folder })
-    }
-}
-
-#[pymethods]
-impl Scene {
-    #[new]
-    fn new() -> Self {
-        Self { inner: sim::Scene::default(), folder: PathBuf::new() }
-    }
-
-    /// A sensor by its name, without effects and with nothing that touches it: image size and markers along each
-    /// side. All see about 22 mm of gel at 28.7 mm; "640x480-25" is the default scene, "640x480-25-refraction" looks
-    /// through air, acrylic and gel at 15.6 mm of lattice.
-    ///
-    /// Raises
-    /// ------
-    /// SceneError
-    ///     If there is no preset of that name; the valid ones are listed.
-    #[classmethod]
-    fn preset(_cls: &Bound<'_, PyType>, name: &str) -> PyResult<Self> {
-        let inner = sim::Scene::preset(name).ok_or_else(|| {
-            let valid = sim::Scene::PRESETS.join("\", \"");
-            SceneError::new_err(format!("there is no preset \"{name}\"; valid is \"{valid}\""))
-        })?;
-        Ok(Self { inner, folder: PathBuf::new() })
-    }
-
-    /// Names that `preset` knows.
-    #[classmethod]
-    fn presets<'py>(cls: &Bound<'py, PyType>) -> PyResult<Bound<'py, PyTuple>> {
-        PyTuple::new(cls.py(), sim::Scene::PRESETS)
-    }
-
-    /// A scene from TOML text; what is left out keeps its default.
-    ///
-    /// Raises
-    /// ------
-    /// SceneError
-    ///     Naming the line, if a name is unknown or a value makes no sense.
-    #[classmethod]
-    fn from_toml(_cls: &Bound<'_, PyType>, text: &str) -> PyResult<Self> {
-        Self::checked(tree::from_toml(text).map_err(SceneError::new_err)?, PathBuf::new())
-    }
-
-    /// The scene as TOML text.
-    fn to_toml(&self) -> PyResult<String> {
-        tree::to_toml(&self.inner).map_err(SceneError::new_err)
-    }
-
-    /// A scene from a TOML file; paths of meshes in it are relative to the file.
-    #[classmethod]
-    fn load(cls: &Bound<'_, PyType>, path: PathBuf) -> PyResult<Self> {
-        let folder = path.parent().map(PathBuf::from).unwrap_or_default();
-        let text = tree::read(cls.py(), path.clone())?;
-        let scene = Self::from_toml(cls, &text).map_err(|error| tree::in_file(cls.py(), &error, &path))?;
-        Ok(Self { folder, ..scene })
-    }
-
-    /// Write the scene to a TOML file.
-    fn save(slf: &Bound<'_, Self>, path: PathBuf) -> PyResult<()> {
-        tree::save(slf, path)
-    }
-
-    /// The scene as nested dictionaries.
-    fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        tree::to_dict(py, &self.inner)
-    }
-
-    /// A copy with some settings replaced, as `Params.replace` does.
-    ///
-    /// Raises
-    /// ------
-    /// SceneError
-    ///     If a name is unknown (the valid ones are listed) or a value makes no sense.
-    #[pyo3(signature = (changes=None, /, **settings))]
-    fn replace(
-        &self,
-        changes: Option<&Bound<'_, PyMapping>>,
-        settings: Option<&Bound<'_, PyDict>>,
-    ) -> PyResult<Self> {
-        let mut inner = self.inner.clone();
-        for mapping in [changes, settings.map(|s| s.as_mapping())].into_iter().flatten() {
-            inner = tree::replace(&inner, mapping).map_err(SceneError::new_err)?;
-        }
-        Self::checked(inner, self.folder.clone())
-    }
-
-    /// The simulated rig.
-    #[getter]
-    fn rig(&self) -> Rig {
-        Rig { inner: self.inner.rig.clone() }
-    }
-}
 
 /// One moment of a scene: both images and the truth behind them.
 #[pyclass(frozen, get_all, module = "gelstereo")]
@@ -171,10 +67,19 @@ pub struct SimulatedDots {
     sight: Array1<u8>,
     /// (S, 2) centroids of specks, which are no markers.
     specks_px: Matrix,
+    /// (N, 2) how far each dot's image moves while the shutter is open; 0 where the scene has no motion blur.
+    motion_px: Matrix,
 }
 
 impl SimulatedDots {
-    fn new(py: Python<'_>, dots: &[sim::DotImage], specks: &[sim::Ellipse]) -> PyResult<Py<Self>> {
+    fn new(
+        py: Python<'_>,
+        dots: &[sim::DotImage],
+        specks: &[sim::Ellipse],
+        mut motion_px: Vec<DVec2>,
+    ) -> PyResult<Py<Self>> {
+        // Those of the specks follow; none are known when nothing is known to move.
+        motion_px.resize(dots.len(), DVec2::ZERO);
         let half_px = dots.iter().flat_map(|dot| dot.outline.half_px).flat_map(|half| half.to_array());
         let dots_px = Self {
             centres_px: arrays::rows::<_, 2>(py, dots.iter().map(|dot| dot.outline.centre_px).collect())?,
@@ -183,6 +88,7 @@ impl SimulatedDots {
             contrast_levels: arrays::list(py, dots.iter().map(|dot| dot.contrast_levels).collect()),
             sight: arrays::list(py, dots.iter().map(|dot| dot.sight as u8).collect()),
             specks_px: arrays::rows::<_, 2>(py, specks.iter().map(|speck| speck.centre_px).collect())?,
+            motion_px: arrays::rows::<_, 2>(py, motion_px)?,
         };
         Py::new(py, dots_px)
     }
@@ -192,60 +98,6 @@ impl SimulatedDots {
 #[pyfunction]
 pub fn sights() -> std::collections::BTreeMap<&'static str, u8> {
     sim::Sight::ALL.map(|(name, sight)| (name, sight as u8)).into()
-}
-
-/// Which effects of a scene are computed, and why; its text is a table of them.
-///
-/// Every effect gives an upper bound of what it would change. Those on auto are off, from the smallest bound on, as long
-/// as the bounds of all that are off together stay within the tolerance of what the scene asks; the simulator is then
-/// that of a scene which never had them.
-#[pyclass(frozen, module = "gelstereo")]
-pub struct Plan {
-    inner: sim::Plan,
-    /// Every effect that the scene has, as a tuple of `PlannedEffect` s.
-    #[pyo3(get)]
-    effects: Py<PyTuple>,
-    /// The scene without what is off: what is simulated.
-    #[pyo3(get)]
-    scene: Py<Scene>,
-}
-
-#[pymethods]
-impl Plan {
-    /// What the effects that are off on auto may change together, at most, in the unit of what is asked.
-    #[getter]
-    fn left_out(&self) -> f64 {
-        self.inner.left_out()
-    }
-
-    /// Estimated time of the effects that are on, nanoseconds per stereo frame.
-    #[getter]
-    fn cost_ns(&self) -> f64 {
-        self.inner.cost_ns()
-    }
-
-    fn __str__(&self) -> String {
-        self.inner.to_string()
-    }
-}
-
-/// One effect of a `Plan`.
-#[pyclass(frozen, get_all, module = "gelstereo")]
-pub struct PlannedEffect {
-    /// Its name in a scene; "refraction", "lens_distortion" and "ellipse_bias" are the rig's own.
-    name: &'static str,
-    /// Whether it is computed.
-    on: bool,
-    /// The most that it changes a dot's position within an image.
-    bound_px: f64,
-    /// The most that it changes a marker's position in space.
-    bound_um: f64,
-    /// The most that it changes a pixel before it is rounded, grey levels.
-    bound_levels: f64,
-    /// Estimated time per stereo frame while it is on, nanoseconds.
-    cost_ns: f64,
-    /// Why it is on or off.
-    why: String,
 }
 
 /// A scene made ready to run: a sequence of the `SimulatedFrame` s that arrive, each rendered when it is asked for.
@@ -291,25 +143,7 @@ impl Simulator {
     #[getter]
     fn plan(&self, py: Python<'_>) -> PyResult<Plan> {
         let plan = py.detach(|| self.lock().plan().clone());
-        let folder = self.scene.get().folder.clone();
-        let effect = |entry: &sim::plan::Entry| {
-            let planned = PlannedEffect {
-                name: entry.effect,
-                on: entry.on,
-                bound_px: entry.bound.px,
-                bound_um: entry.bound.um,
-                bound_levels: entry.bound.levels,
-                cost_ns: entry.cost_ns,
-                why: entry.why.to_string(),
-            };
-            Py::new(py, planned)
-        };
-        let effects = plan.entries.iter().map(effect).collect::<PyResult<Vec<_>>>()?;
-        Ok(Plan {
-            effects: PyTuple::new(py, effects)?.unbind(),
-            scene: Py::new(py, Scene { inner: plan.scene.clone(), folder })?,
-            inner: plan,
-        })
+        Plan::new(py, plan, self.scene.get().folder.clone())
     }
 
     fn __len__(&self, py: Python<'_>) -> usize {
@@ -453,8 +287,13 @@ impl Simulator {
             right_px: arrays::rows::<_, 2>(py, truth.right_px)?,
             points_mm: arrays::rows::<_, 3>(py, truth.points_mm)?,
             normals: arrays::rows::<_, 3>(py, truth.normals)?,
-            left_dots: SimulatedDots::new(py, &truth.left_dots, &truth.left_specks)?,
-            right_dots: SimulatedDots::new(py, &truth.right_dots, &truth.right_specks)?,
+            left_dots: SimulatedDots::new(py, &truth.left_dots, &truth.left_specks, truth.left_motion_px)?,
+            right_dots: SimulatedDots::new(
+                py,
+                &truth.right_dots,
+                &truth.right_specks,
+                truth.right_motion_px,
+            )?,
             indentation_mm: arrays::list(py, truth.indentation_mm),
             in_contact: arrays::list(py, truth.in_contact),
             t_sensor_object: contact.map(|c| arrays::pose_matrix(py, &c.t_sensor_object)).transpose()?,

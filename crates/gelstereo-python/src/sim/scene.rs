@@ -1,0 +1,117 @@
+//! What a scene is.
+
+use crate::errors::{SceneError, raise};
+use crate::rig::Rig;
+use crate::tree;
+use gelstereo_sim as sim;
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyMapping, PyTuple, PyType};
+use std::path::PathBuf;
+
+/// What there is to see, and which effects act; a value that never changes.
+///
+/// ``Scene()`` is the default sensor with nothing that touches it; `to_dict` shows what can be set.
+#[pyclass(frozen, module = "gelstereo")]
+pub struct Scene {
+    pub(super) inner: sim::Scene,
+    /// Where a mesh file's relative path starts.
+    pub(super) folder: PathBuf,
+}
+
+impl Scene {
+    fn checked(inner: sim::Scene, folder: PathBuf) -> PyResult<Self> {
+        inner.validate().map_err(raise)?;
+        Ok(Self { inner, folder })
+    }
+}
+
+#[pymethods]
+impl Scene {
+    #[new]
+    fn new() -> Self {
+        Self { inner: sim::Scene::default(), folder: PathBuf::new() }
+    }
+
+    /// A sensor by its name, without effects and with nothing that touches it: image size and markers along each
+    /// side. All see about 22 mm of gel at 28.7 mm; "640x480-25" is the default scene, "640x480-25-refraction" looks
+    /// through air, acrylic and gel at 15.6 mm of lattice.
+    ///
+    /// Raises
+    /// ------
+    /// SceneError
+    ///     If there is no preset of that name; the valid ones are listed.
+    #[classmethod]
+    fn preset(_cls: &Bound<'_, PyType>, name: &str) -> PyResult<Self> {
+        let inner = sim::Scene::preset(name).ok_or_else(|| {
+            let valid = sim::Scene::PRESETS.join("\", \"");
+            SceneError::new_err(format!("there is no preset \"{name}\"; valid is \"{valid}\""))
+        })?;
+        Ok(Self { inner, folder: PathBuf::new() })
+    }
+
+    /// Names that `preset` knows.
+    #[classmethod]
+    fn presets<'py>(cls: &Bound<'py, PyType>) -> PyResult<Bound<'py, PyTuple>> {
+        PyTuple::new(cls.py(), sim::Scene::PRESETS)
+    }
+
+    /// A scene from TOML text; what is left out keeps its default.
+    ///
+    /// Raises
+    /// ------
+    /// SceneError
+    ///     Naming the line, if a name is unknown or a value makes no sense.
+    #[classmethod]
+    fn from_toml(_cls: &Bound<'_, PyType>, text: &str) -> PyResult<Self> {
+        Self::checked(tree::from_toml(text).map_err(SceneError::new_err)?, PathBuf::new())
+    }
+
+    /// The scene as TOML text.
+    fn to_toml(&self) -> PyResult<String> {
+        tree::to_toml(&self.inner).map_err(SceneError::new_err)
+    }
+
+    /// A scene from a TOML file; paths of meshes in it are relative to the file.
+    #[classmethod]
+    fn load(cls: &Bound<'_, PyType>, path: PathBuf) -> PyResult<Self> {
+        let folder = path.parent().map(PathBuf::from).unwrap_or_default();
+        let text = tree::read(cls.py(), path.clone())?;
+        let scene = Self::from_toml(cls, &text).map_err(|error| tree::in_file(cls.py(), &error, &path))?;
+        Ok(Self { folder, ..scene })
+    }
+
+    /// Write the scene to a TOML file.
+    fn save(slf: &Bound<'_, Self>, path: PathBuf) -> PyResult<()> {
+        tree::save(slf, path)
+    }
+
+    /// The scene as nested dictionaries.
+    fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        tree::to_dict(py, &self.inner)
+    }
+
+    /// A copy with some settings replaced, as `Params.replace` does.
+    ///
+    /// Raises
+    /// ------
+    /// SceneError
+    ///     If a name is unknown (the valid ones are listed) or a value makes no sense.
+    #[pyo3(signature = (changes=None, /, **settings))]
+    fn replace(
+        &self,
+        changes: Option<&Bound<'_, PyMapping>>,
+        settings: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Self> {
+        let mut inner = self.inner.clone();
+        for mapping in [changes, settings.map(|s| s.as_mapping())].into_iter().flatten() {
+            inner = tree::replace(&inner, mapping).map_err(SceneError::new_err)?;
+        }
+        Self::checked(inner, self.folder.clone())
+    }
+
+    /// The simulated rig.
+    #[getter]
+    fn rig(&self) -> Rig {
+        Rig { inner: self.inner.rig.clone() }
+    }
+}

@@ -1,0 +1,63 @@
+//! Blur of what moves while the shutter is open.
+
+use crate::plan::{Bound, Effect, Facts};
+use crate::render::Shutter;
+use crate::scene::{Gel, SceneError};
+
+/// An image is the mean over the time that the shutter is open, half of it before the frame's time and half after it: dots
+/// that move are smeared along their way.
+///
+/// Model: each dot keeps its shape and goes straight from where it is when the shutter opens to where it is when that
+/// closes, its place at the frame's time in the middle. So its image's centroid stays the one of the frame's time. A contact beside
+/// the trajectory moves as the trajectory's part does at that time. Limits: a way that bends within the exposure, of which the
+/// image would have another centroid by an eighth of acceleration times exposure squared; grain stands still, as it does in time.
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(default, deny_unknown_fields)
+)]
+pub struct MotionBlur {
+    /// How long the shutter is open. Default: `0.01` s.
+    pub exposure_s: f64,
+}
+
+impl Default for MotionBlur {
+    fn default() -> Self {
+        Self { exposure_s: 0.01 }
+    }
+}
+
+impl Effect for MotionBlur {
+    fn validate(&self, _gel: &Gel) -> Result<(), SceneError> {
+        let found = self.exposure_s;
+        SceneError::check(
+            (1e-6..=1.0).contains(&found),
+            "effects.motion_blur.exposure_s",
+            found,
+            "1e-6 to 1 s",
+        )
+    }
+
+    fn bound(&self, facts: &Facts<'_>) -> Bound {
+        let px = facts.passed_px(self.exposure_s);
+        // What is within d of an outline is 4 d + π d² of a pixel at most; the mean of it, d from 0 to half the way.
+        let share = px + core::f64::consts::PI / 12.0 * px * px;
+        Bound::of_levels(facts.contrast_levels() * share.min(1.0))
+    }
+
+    fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
+        let effects = &facts.scene.effects;
+        let layer = effects.elastic_layer.as_ref().map_or(0.0, |effect| effect.cost_ns(facts));
+        let beside = [
+            effects.shoulder.as_ref().map(|effect| effect.cost_ns(facts)),
+            effects.spread.as_ref().map(|effect| effect.cost_ns(facts)),
+            effects.drag.as_ref().map(|effect| effect.cost_ns(facts)),
+        ];
+        let field = 100.0 * facts.markers() + layer + beside.into_iter().flatten().sum::<f64>();
+        // Fields at both ends, and every dot as often as its way asks for.
+        let sigma_px = effects.defocus.as_ref().map(|defocus| defocus.sigma_px);
+        let times = Shutter::times(facts.followed_px(self.exposure_s), sigma_px);
+        2.0 * field + 3500.0 * facts.markers() * (times as f64 - 1.0)
+    }
+}

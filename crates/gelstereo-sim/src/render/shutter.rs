@@ -1,0 +1,133 @@
+//! Ink that moves while the shutter is open.
+
+use alloc::vec::Vec;
+use gelstereo_core::math::{DVec2, ceil, cos};
+
+/// The mean over a way is a sum over pieces of it and over Gauss's places within each piece. What a lens of sigma shows of
+/// a dot changes along a way as a Gaussian's integral does, and Gauss's rule converges on that faster than any power.
+#[derive(Clone, Debug)]
+pub(crate) struct Shutter {
+    sigma_px: Option<f64>,
+    /// (place from -1 to 1, weight of a half) of the rules of 1, 2, ... places.
+    rules: Vec<Vec<(f64, f64)>>,
+}
+
+/// Longest piece, in sigmas of the lens.
+const PIECE: f64 = 6.0;
+
+/// Of the longest piece: see [`pieces`].
+const MOST_PLACES: usize = 9;
+
+/// Pieces per pixel of ink without a lens, each with one place: its edges are sharp, which no rule is better at. A pixel's
+/// share of the ink bends where an edge enters or leaves it, once in a piece: off by an eighth of a piece's length, times the piece's
+/// share of the way, 2e-3 at most.
+const SHARP_PER_PX: f64 = 16.0;
+const LEAST_SHARP: f64 = 4.0;
+
+/// Beyond so many pixels a way is sampled no more often.
+const FARTHEST_PX: f64 = 1e4;
+
+impl Shutter {
+    pub(crate) fn new(sigma_px: Option<f64>) -> Self {
+        Self { sigma_px, rules: (1..=MOST_PLACES).map(gauss).collect() }
+    }
+
+    /// How often a dot is drawn that goes so far.
+    pub(crate) fn times(way_px: f64, sigma_px: Option<f64>) -> usize {
+        let (pieces, places) = pieces(way_px, sigma_px);
+        pieces * places
+    }
+
+    /// Every place of a way of that length, as a share of it from its middle, and its weight.
+    pub(crate) fn each(&self, way_px: f64, mut draw: impl FnMut(f64, f64)) {
+        let (pieces, places) = pieces(way_px, self.sigma_px);
+        let Some(rule) = self.rules.get(places - 1) else { return };
+        let piece = 1.0 / pieces as f64;
+        for k in 0..pieces {
+            let middle = (k as f64 + 0.5) * piece - 0.5;
+            for &(place, weight) in rule {
+                draw(middle + 0.5 * piece * place, weight * piece);
+            }
+        }
+    }
+}
+
+/// Pieces of a way and places within each.
+fn pieces(way_px: f64, sigma_px: Option<f64>) -> (usize, usize) {
+    let way_px = if way_px < FARTHEST_PX { way_px } else { FARTHEST_PX };
+    if way_px == 0.0 {
+        return (1, 1);
+    }
+    let Some(sigma_px) = sigma_px else {
+        return (ceil((way_px * SHARP_PER_PX).max(LEAST_SHARP)) as usize, 1);
+    };
+    let sigmas = way_px / sigma_px;
+    let pieces = ceil(sigmas / PIECE).max(1.0);
+    // Waves that a Gaussian still has, 4 to a sigma, take 4 / 4 places to a sigma; and some more to converge.
+    let places = ceil(1.5 + 1.2 * sigmas / pieces) as usize;
+    (pieces as usize, places.min(MOST_PLACES))
+}
+
+/// Gauss's rule: roots of Legendre's polynomial by Newton's method, and half of their weights.
+fn gauss(places: usize) -> Vec<(f64, f64)> {
+    let n = places as f64;
+    let place = |k: usize| {
+        let mut x = cos(core::f64::consts::PI * (k as f64 + 0.75) / (n + 0.5));
+        let mut slope = 1.0;
+        for _ in 0..8 {
+            let (value, derivative) = legendre(places, x);
+            slope = derivative;
+            x -= value / slope;
+        }
+        (x, 1.0 / ((1.0 - x * x) * slope * slope))
+    };
+    (0..places).map(place).collect()
+}
+
+/// Legendre's polynomial and its derivative within (-1, 1).
+fn legendre(degree: usize, x: f64) -> (f64, f64) {
+    let (mut before, mut value) = (1.0, x);
+    for k in 2..=degree {
+        let k = k as f64;
+        (before, value) = (value, ((2.0 * k - 1.0) * x * value - (k - 1.0) * before) / k);
+    }
+    (value, degree as f64 * (before - x * value) / (1.0 - x * x))
+}
+
+/// The longest of some ways.
+pub(crate) fn longest_px(ways: impl Iterator<Item = DVec2>) -> f64 {
+    ways.map(DVec2::length).fold(0.0, f64::max)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gelstereo_core::math::erf;
+    use proptest::prelude::*;
+
+    #[test]
+    fn rules_are_exact_for_polynomials() {
+        for places in 1..=MOST_PLACES {
+            let rule = gauss(places);
+            for degree in 0..2 * places as i32 {
+                let sum: f64 = rule.iter().map(|&(x, weight)| weight * x.powi(degree)).sum();
+                let expected = if degree % 2 == 0 { 1.0 / f64::from(degree + 1) } else { 0.0 };
+                assert!((sum - expected).abs() < 1e-14, "{places} places, x^{degree}: {sum}");
+            }
+        }
+    }
+
+    proptest! {
+        /// What a pixel sees of an edge that passes it.
+        #[test]
+        fn an_edge_is_smeared_as_its_integral_says(way in 0.0..40.0_f64, from in -9.0..9.0_f64, sigma_px in 0.5..3.0_f64) {
+            let seen = |x: f64| 0.5 + 0.5 * erf(x / (sigma_px * core::f64::consts::SQRT_2));
+            let mut sum = 0.0;
+            Shutter::new(Some(sigma_px)).each(way, |share, weight| sum += weight * seen(from + share * way));
+            let steps = 4000;
+            let expected = (0..steps).map(|k| seen(from + ((f64::from(k) + 0.5) / f64::from(steps) - 0.5) * way)).sum::<f64>()
+                / f64::from(steps);
+            prop_assert!((sum - expected).abs() < 2e-4, "{} of {expected}", sum - expected);
+        }
+    }
+}
