@@ -50,7 +50,7 @@ def test_edged_parts_come_nearer_than_their_starts(part: MeshPart) -> None:
 
 @needs("factory_meshes")
 @needs("meshes_realsense")
-@pytest.mark.parametrize("part", PARTS[2:], ids=lambda part: part.name)
+@pytest.mark.parametrize("part", (PARTS[2], PARTS[5]), ids=lambda part: part.name)
 def test_edged_parts_are_nearer_on_their_exact_surface_than_on_samples(part: MeshPart) -> None:
     near, paper = (
         np.median([score.squared for score in measure(part, DATA, rung, STARTS[0], range(3))])
