@@ -12,7 +12,10 @@ from real_data import DATA, needs
 pytest.importorskip("rtree", reason="rtree is absent (pip install 'gelstereo[bench]')")
 # The plug is open where its cable goes in.
 pytestmark = pytest.mark.filterwarnings("ignore::gelstereo.templates.MeshWarning")
-PLANE = next(rung for rung in rungs_of("register") if rung.name == "filterreg_plane")
+PLANE, CLOSE, PAPER = (
+    next(rung for rung in rungs_of("register") if rung.name == name)
+    for name in ("filterreg_plane", "surface_close", "filterreg_point (paper)")
+)
 
 
 @needs("factory_meshes")
@@ -43,3 +46,14 @@ def test_edged_parts_come_nearer_than_their_starts(part: MeshPart) -> None:
     scores = measure(part, DATA, PLANE, STARTS[0], range(3))
     assert all(np.isfinite([score.angle_deg, score.shift_mm]).all() for score in scores)
     assert np.median([score.angle_deg for score in scores]) < STARTS[0].angle_deg
+
+
+@needs("factory_meshes")
+@needs("meshes_realsense")
+@pytest.mark.parametrize("part", (PARTS[2], PARTS[5]), ids=lambda part: part.name)
+def test_edged_parts_are_nearer_on_their_exact_surface_than_on_samples(part: MeshPart) -> None:
+    near, paper = (
+        np.median([score.squared for score in measure(part, DATA, rung, STARTS[0], range(3))])
+        for rung in (CLOSE, PAPER)
+    )
+    assert near < paper

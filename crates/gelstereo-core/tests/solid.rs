@@ -130,6 +130,30 @@ proptest! {
         }
     }
 
+    /// Boxes are kept in single precision, which has fewer powers of two than these.
+    #[test]
+    fn row_09_every_power_of_two_has_the_same_answer(seed in any::<u64>(), power in -200_i32..36) {
+        let base = rough(seed, 3);
+        let scale = 2.0_f64.powi(power);
+        let (solid, other) = (Solid::new(&base).unwrap(), Solid::new(&transform(&base, scale, DVec3::ZERO)).unwrap());
+        for p in queries(&base, seed ^ 4, 100) {
+            let (here, there) = (solid.closest(p), other.closest(p * scale));
+            prop_assert_eq!((there.distance_mm, there.triangle, there.feature), (here.distance_mm * scale, here.triangle, here.feature));
+        }
+    }
+
+    #[test]
+    fn points_far_away_have_their_distance_too(seed in any::<u64>(), power in 0_i32..100) {
+        let mesh = rough(seed, 3);
+        let solid = Solid::new(&mesh).unwrap();
+        for p in queries(&mesh, seed ^ 5, 20) {
+            let p = p * 10.0_f64.powi(power);
+            let (found, expected) = (solid.closest(p).distance_mm.abs(), distance(p, &mesh));
+            prop_assert_eq!(solid.closest_from(p, 7), solid.closest(p));
+            prop_assert!((found - expected).abs() <= 1e3 * EPS * (25.0 + p.length()), "{} {} {}", p, found, expected);
+        }
+    }
+
     /// Corners on a coarse lattice: triangles repeat, touch, cross, lie in one plane and have no area.
     #[test]
     fn soups_have_a_distance_too(

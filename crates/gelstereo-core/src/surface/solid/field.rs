@@ -24,7 +24,7 @@ const MOST_NODES: usize = 2_000_000;
 const WIDER: f64 = 1.125;
 
 /// Signed distances at the nodes of a grid within reach of a surface, and between them by trilinear interpolation: 37
-/// ns a query where [`Solid::closest_from`] takes 320 and more (example `nearest`).
+/// ns a query where [`Solid::closest_from`] takes 300 and more (example `nearest`).
 ///
 /// A distance changes by no more than the way gone, so that an interpolated one is never wrong by more than √3/2 =
 /// 0.87 of [`Self::cell_mm`]. That happens at sharp edges alone: over a face it is exact but for the rounding to 16
