@@ -107,12 +107,17 @@ impl<'a> GrayView<'a> {
         &self.data[y * self.stride..y * self.stride + self.width]
     }
 
-    /// The `L` bytes from column `x` on of each row from `y` on; none where the image is narrower.
-    pub(crate) fn lanes<const L: usize>(&self, x: usize, y: usize) -> impl Iterator<Item = &'a [u8; L]> {
-        let data = self.data.get(y * self.stride + x..).unwrap_or_default();
-        let left = self.width.saturating_sub(x);
-        let rows = data.chunks(self.stride).take(if left < L { 0 } else { self.height.saturating_sub(y) });
-        rows.map_while(|row| row.first_chunk::<L>())
+    /// The `L` bytes from column `x` on of so many rows from `y` on; none where they are not all in the image.
+    pub(crate) fn lanes<const L: usize>(
+        &self,
+        (x, y): (usize, usize),
+        rows: usize,
+    ) -> impl Iterator<Item = &'a [u8; L]> {
+        let inside = rows > 0 && x + L <= self.width && y + rows <= self.height;
+        let first = y * self.stride + x;
+        let last = first + (rows.max(1) - 1) * self.stride + L;
+        let data = self.data.get(first..last).filter(|_| inside).unwrap_or_default();
+        data.chunks(self.stride).map_while(|row| row.first_chunk::<L>())
     }
 
     /// The part of `width` x `height` pixels whose first pixel is (`x`, `y`), without copying.

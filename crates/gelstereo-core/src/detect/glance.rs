@@ -187,42 +187,32 @@ impl<const L: usize> Place<L> {
     }
 
     fn rows<'a>(&self, image: &GrayView<'a>) -> impl Iterator<Item = &'a [u8; L]> {
-        image.lanes::<L>(self.begin, self.first.1).take(self.side)
+        image.lanes::<L>((self.begin, self.first.1), self.side)
     }
 
-    /// Bytes of all ones within the window.
-    fn inside(&self) -> [u8; L] {
-        let mut inside = [0; L];
-        inside[self.lane()..][..self.side].fill(u8::MAX);
-        inside
+    /// All ones in the window's lanes from the first to one before an end.
+    fn within(&self, first: usize, end: usize) -> [u8; L] {
+        let (rise, fall) = (step_up::<L>(self.lane() + first), step_up::<L>(self.lane() + end));
+        core::array::from_fn(|x| rise[x] & !fall[x])
     }
 
     /// The gel by the window's corners, squares of `corner` pixels.
     fn gel(&self, image: &GrayView<'_>, corner: usize, flip: u8) -> Gel {
-        let (far, lane) = (self.side - corner, self.lane());
-        let mut darkest = [u8::MAX; L];
-        for row in self.rows(image) {
-            darkest = core::array::from_fn(|x| darkest[x].min(row[x] ^ flip));
-        }
+        let far = self.side - corner;
+        let darkest = darkest(self.rows(image), flip, &self.within(0, self.side));
+        let [left, right] =
+            [0, far].map(|first| self.within(first, first + corner).map(|on| i16::from(on & 1)));
         let sums = |first: usize| {
-            let mut columns = [0_u16; L];
-            for row in image.lanes::<L>(self.begin, self.first.1 + first).take(corner) {
-                columns = core::array::from_fn(|x| columns[x] + u16::from(row[x] ^ flip));
-            }
-            columns
+            let rows = image.lanes::<L>((self.begin, self.first.1 + first), corner);
+            let columns = sum_columns(rows, flip);
+            (products(&columns, &left), products(&columns, &right))
         };
-        let (top, bottom) = (sums(0), sums(far));
-        let sum = |columns: &[u16; L], left: usize| -> i32 {
-            columns[lane + left..][..corner].iter().map(|&sum| i32::from(sum)).sum()
-        };
-        let ([a, b], [c, d]) =
-            ([0, far].map(|left| sum(&top, left)), [0, far].map(|left| sum(&bottom, left)));
+        let ((a, b), (c, d)) = (sums(0), sums(far));
         let area = (corner * corner) as i32;
         let per_px =
             |difference: i32| ((difference << 8) / (2 * area * far as i32)).clamp(-MOST_SLOPE, MOST_SLOPE);
         let level = ((a + b + c + d) << BITS) / (4 * area);
         let uneven = ((a.max(b).max(c).max(d) - a.min(b).min(c).min(d)) << BITS) / area;
-        let darkest = darkest[lane..lane + self.side].iter().fold(u8::MAX, |low, &level| low.min(level));
         let depth = (level - (i32::from(darkest) << BITS)).max(0);
         Gel { level, along: per_px(b + d - a - c), down: per_px(c + d - a - b), uneven, depth }
     }
@@ -231,44 +221,105 @@ impl<const L: usize> Place<L> {
     fn weigh(&self, image: &GrayView<'_>, gel: &Gel, (low, band): (i32, u8), flip: u8) -> Weights<L> {
         let (lane, side) = (self.lane() as i32, self.side as i32);
         let twice = |at: i32| 2 * at - (side - 1);
-        let inside = self.inside();
+        let inside = self.within(0, self.side);
         // Of the brightest row; the others are less by a whole number of levels.
         let brightest = gel.level - low + ((side * gel.down.abs()) >> (9 - BITS));
         let limit: [u8; L] = core::array::from_fn(|x| {
             let along = (twice(x as i32 - lane) * gel.along) >> (9 - BITS);
             ((brightest + along) >> BITS).clamp(0, 255) as u8 & inside[x]
         });
-        let [mut columns, mut rows] = [[0_u16; L]; 2];
-        for ((y, row), total) in (0..).zip(self.rows(image)).zip(&mut rows) {
-            let less = ((side * gel.down.abs() - twice(y) * gel.down) >> 9) as u8;
-            let weight: [u8; L] = core::array::from_fn(|x| {
-                limit[x].saturating_sub((row[x] ^ flip).saturating_add(less)).min(band)
-            });
-            columns = core::array::from_fn(|x| columns[x] + u16::from(weight[x]));
-            *total = weight.iter().map(|&w| u32::from(w)).sum::<u32>() as u16;
-        }
-        Weights { columns, rows }
+        let less = (0..).map(|y| ((side * gel.down.abs() - twice(y) * gel.down) >> 9) as u8);
+        weigh(self.rows(image).zip(less), &limit, band, flip)
     }
 }
 
 /// Sums of a window's weights by lane and by row: at most 32 of at most 255.
 struct Weights<const L: usize> {
-    columns: [u16; L],
-    rows: [u16; L],
+    columns: [i16; L],
+    rows: [i16; L],
+}
+
+/// The darkest level of the lanes that are on.
+#[inline(never)]
+fn darkest<'a, const L: usize>(rows: impl Iterator<Item = &'a [u8; L]>, flip: u8, on: &[u8; L]) -> u8 {
+    let mut darkest = [u8::MAX; L];
+    for row in rows {
+        darkest = core::array::from_fn(|x| darkest[x].min(row[x] ^ flip));
+    }
+    least(&darkest, on)
+}
+
+/// Sums of how far rows, with what is added to each, stay below a limit, up to `band`.
+#[inline(never)]
+fn weigh<'a, const L: usize>(
+    rows: impl Iterator<Item = (&'a [u8; L], u8)>,
+    limit: &[u8; L],
+    band: u8,
+    flip: u8,
+) -> Weights<L> {
+    let [mut columns, mut sums] = [[0_i16; L]; 2];
+    for ((row, less), total) in rows.zip(&mut sums) {
+        let weight: [u8; L] =
+            core::array::from_fn(|x| limit[x].saturating_sub((row[x] ^ flip).saturating_add(less)).min(band));
+        columns = core::array::from_fn(|x| columns[x] + i16::from(weight[x]));
+        *total = weight.iter().map(|&w| u32::from(w)).sum::<u32>() as i16;
+    }
+    Weights { columns, rows: sums }
+}
+
+#[inline(never)]
+fn least<const L: usize>(levels: &[u8; L], on: &[u8; L]) -> u8 {
+    levels.iter().zip(on).fold(u8::MAX, |low, (&level, &on)| low.min(level | !on))
+}
+
+#[inline(never)]
+fn sum_columns<'a, const L: usize>(rows: impl Iterator<Item = &'a [u8; L]>, flip: u8) -> [i16; L] {
+    let mut columns = [0; L];
+    for row in rows {
+        columns = core::array::from_fn(|x| columns[x] + i16::from(row[x] ^ flip));
+    }
+    columns
+}
+
+/// Sum of products. There is one instruction for eight of them, which is found here but not where one list is known.
+#[inline(never)]
+fn products<const L: usize>(a: &[i16; L], b: &[i16; L]) -> i32 {
+    a.iter().zip(b).map(|(&a, &b)| i32::from(a) * i32::from(b)).sum()
 }
 
 /// Sum, mean place and variance of weights along a line.
-fn moments<const L: usize>(line: &[u16; L]) -> (u32, f64, f64) {
-    let [mut sum, mut first, mut second] = [0_u32; 3];
-    for (at, &weight) in (0_u32..).zip(line) {
-        let weight = u32::from(weight);
-        sum += weight;
-        first += at * weight;
-        second += at * at * weight;
-    }
+fn moments<const L: usize>(line: &[i16; L]) -> (i32, f64, f64) {
+    let sum: i32 = line.iter().map(|&weight| i32::from(weight)).sum();
+    let first = products(line, &const { powers(1) });
+    let second = products(line, &const { powers(2) });
     let per = 1.0 / f64::from(sum.max(1));
     let mean = f64::from(first) * per;
     (sum, mean, f64::from(second) * per - mean * mean)
+}
+
+/// Powers of places.
+const fn powers<const L: usize>(exponent: u32) -> [i16; L] {
+    let mut powers = [0; L];
+    let mut at = 0;
+    while at < L {
+        powers[at] = (at as i16).pow(exponent);
+        at += 1;
+    }
+    powers
+}
+
+/// Nothing, and all ones from a lane on.
+fn step_up<const L: usize>(lane: usize) -> [u8; L] {
+    const STEP: [u8; 2 * MOST_SIDE_PX] = {
+        let mut step = [0; 2 * MOST_SIDE_PX];
+        let mut at = MOST_SIDE_PX;
+        while at < step.len() {
+            step[at] = u8::MAX;
+            at += 1;
+        }
+        step
+    };
+    *STEP[MOST_SIDE_PX - lane..].first_chunk::<L>().unwrap_or(&[0; L])
 }
 
 /// What the weights of a window add up to.
@@ -292,7 +343,7 @@ impl<const L: usize> Weights<L> {
             centre_px: DVec2::new(place.begin as f64 + x, place.first.1 as f64 + y),
             area_px2: f64::from(sum) / f64::from(band),
             spread_px2: variance_x + variance_y,
-            touches: rim.into_iter().any(|sum| sum > u16::from(band)),
+            touches: rim.into_iter().any(|sum| sum > i16::from(band)),
             band,
         }
     }
@@ -395,7 +446,7 @@ impl<const L: usize> Eye<L> {
         let middle = 0.5 * (side as f64 - 1.0);
         let (along, down) = (f64::from(gel.along) / 256.0, f64::from(gel.down) / 256.0);
         let pixels = || {
-            let rows = (0..).zip(image.lanes::<L>(place.begin, place.first.1).take(side));
+            let rows = (0..).zip(image.lanes::<L>((place.begin, place.first.1), side));
             rows.flat_map(|(y, row)| (0..side).map(move |x| (x, y, row[place.lane() + x] ^ self.flip)))
         };
         let from_middle = |x: usize, y: usize| DVec2::new(x as f64 - middle, y as f64 - middle);

@@ -249,7 +249,9 @@ impl Pipeline {
         let Some(rest) = &self.rest else { return Ok(()) };
         if self.frames == 1 {
             // Not in the rest frame itself, so that a single frame costs no fit.
-            self.triangulator.fit_map(rest.points_mm());
+            self.triangulator.begin_map(rest.points_mm());
+        } else {
+            self.triangulator.continue_map();
         }
         let max_px = self.params.triangulate.max_epipolar_px;
         out.mismatched = 0;

@@ -1,55 +1,86 @@
 //! Polynomials in three variables of bounded total degree, in products of Chebyshev polynomials over [-1, 1]³.
 
 use crate::math::{DVec3, cos};
-use alloc::vec::Vec;
 use core::f64::consts::PI;
 
-/// Highest degree.
+/// Highest degree, and the coefficients of a polynomial of that degree.
 const DEGREE: usize = 7;
+const MOST_TERMS: usize = (DEGREE + 1) * (DEGREE + 2) * (DEGREE + 3) / 6;
+
+/// Coefficients by the degrees of two variables.
+type Plane<const N: usize> = [[[f64; N]; DEGREE + 1]; DEGREE + 1];
 
 /// Sums of N polynomials of one degree.
 #[derive(Clone, Debug)]
 pub(super) struct Series<const N: usize> {
     degree: usize,
     /// The first variable's degree runs fastest.
-    coefficients: Vec<[f64; N]>,
+    coefficients: [[f64; N]; MOST_TERMS],
 }
 
 impl<const N: usize> Series<N> {
     /// Of the values at [`nodes`], M along each variable: there the products are orthogonal, so that each coefficient is one
     /// sum, and a lower degree a truncation. The degree must be below M.
-    pub fn fit<const M: usize>(degree: usize, values: &[[f64; N]]) -> Self {
+    ///
+    /// Sums go over one variable after the other, which takes M times as few products as one sum over all three.
+    pub fn fit<'v, const M: usize, V>(degree: usize, mut values: V) -> Self
+    where
+        V: Iterator<Item = &'v [f64; N]>,
+    {
         let basis = roots::<M>().map(chebyshev);
-        let mut coefficients = Vec::with_capacity((degree + 1) * (degree + 2) * (degree + 3) / 6);
-        for_exponents(degree, |[a, b, c]| {
-            let mut total = [0.0; N];
-            let by_xy: [[f64; M]; M] =
-                core::array::from_fn(|y| core::array::from_fn(|x| basis[x][a] * basis[y][b]));
-            for (plane, z) in values.chunks_exact(M * M).zip(&basis) {
-                for (line, by_x) in plane.chunks_exact(M).zip(&by_xy) {
-                    for (value, by_x) in line.iter().zip(by_x) {
-                        let at = by_x * z[c];
-                        total.iter_mut().zip(value).for_each(|(total, value)| *total += at * value);
-                    }
+        let mut coefficients = [[0.0; N]; MOST_TERMS];
+        for z in &basis {
+            let mut by_xy: Plane<N> = [[[0.0; N]; DEGREE + 1]; DEGREE + 1];
+            for y in &basis {
+                let mut by_x = [[0.0; N]; DEGREE + 1];
+                for (x, value) in basis.iter().zip(&mut values) {
+                    by_x[..=degree].iter_mut().zip(x).for_each(|(sum, &t)| add(sum, value, t));
+                }
+                for (b, by_xy) in by_xy[..=degree].iter_mut().enumerate() {
+                    by_xy[..=degree - b].iter_mut().zip(&by_x).for_each(|(sum, by_x)| add(sum, by_x, y[b]));
                 }
             }
-            let twos = [a, b, c].into_iter().filter(|&k| k > 0).count();
+            let mut all = coefficients.iter_mut();
+            for_exponents(degree, |[a, b, c]| {
+                if let Some(sum) = all.next() {
+                    add(sum, &by_xy[b][a], z[c]);
+                }
+            });
+        }
+        let mut all = coefficients.iter_mut();
+        for_exponents(degree, |exponents| {
+            let twos = exponents.into_iter().filter(|&k| k > 0).count();
             let norm = f64::from(1 << twos) / (M * M * M) as f64;
-            coefficients.push(total.map(|total| total * norm));
+            if let Some(coefficient) = all.next() {
+                coefficient.iter_mut().for_each(|sum| *sum *= norm);
+            }
         });
         Self { degree, coefficients }
     }
 
-    /// The values at a point of the cube.
-    pub fn at(&self, x: DVec3) -> [f64; N] {
-        let basis = [chebyshev(x.x), chebyshev(x.y), chebyshev(x.z)];
-        let (mut total, mut coefficients) = ([0.0; N], self.coefficients.iter());
-        for_exponents(self.degree, |[a, b, c]| {
-            let Some(coefficient) = coefficients.next() else { return };
-            let at = basis[0][a] * basis[1][b] * basis[2][c];
-            total.iter_mut().zip(coefficient).for_each(|(total, value)| *total += at * value);
-        });
-        total
+    /// Calls `each` with the values at all points with coordinates of these axes, within [-1, 1]; the first runs fastest.
+    pub fn on_grid<const M: usize>(&self, axes: &[[f64; M]; 3], mut each: impl FnMut([f64; N])) {
+        let [xs, ys, zs] = axes.map(|axis| axis.map(chebyshev));
+        for z in &zs {
+            let mut by_xy: Plane<N> = [[[0.0; N]; DEGREE + 1]; DEGREE + 1];
+            let mut all = self.coefficients.iter();
+            for_exponents(self.degree, |[a, b, c]| {
+                if let Some(coefficient) = all.next() {
+                    add(&mut by_xy[b][a], coefficient, z[c]);
+                }
+            });
+            for y in &ys {
+                let mut by_x = [[0.0; N]; DEGREE + 1];
+                for (b, by_xy) in by_xy[..=self.degree].iter().enumerate() {
+                    by_x[..=self.degree - b].iter_mut().zip(by_xy).for_each(|(sum, c)| add(sum, c, y[b]));
+                }
+                for x in &xs {
+                    let mut sum = [0.0; N];
+                    by_x[..=self.degree].iter().zip(x).for_each(|(by_x, &t)| add(&mut sum, by_x, t));
+                    each(sum);
+                }
+            }
+        }
     }
 
     /// The same polynomials in powers: exponents and coefficients, for degrees up to 3, where this loses no digits.
@@ -87,6 +118,11 @@ fn exponents(degree: usize) -> impl Iterator<Item = [usize; 3]> {
         .flat_map(move |c| (0..=degree - c).flat_map(move |b| (0..=degree - c - b).map(move |a| [a, b, c])))
 }
 
+#[inline]
+fn add<const N: usize>(sum: &mut [f64; N], value: &[f64; N], share: f64) {
+    sum.iter_mut().zip(value).for_each(|(sum, value)| *sum += share * value);
+}
+
 /// T_0 to T_7.
 fn chebyshev(x: f64) -> [f64; DEGREE + 1] {
     let mut t = [1.0; DEGREE + 1];
@@ -97,18 +133,24 @@ fn chebyshev(x: f64) -> [f64; DEGREE + 1] {
     t
 }
 
-fn roots<const M: usize>() -> [f64; M] {
+/// Coordinates at which the values must be known for [`Series::fit`].
+pub(super) fn roots<const M: usize>() -> [f64; M] {
     core::array::from_fn(|i| cos(PI * (i as f64 + 0.5) / M as f64))
 }
 
-/// Points at which the values must be known for [`Series::fit`], in this order.
+/// Coordinates at which to check what was fitted, the ends among them.
+pub(super) fn extremes<const M: usize>() -> [f64; M] {
+    core::array::from_fn(|i| cos(PI * i as f64 / (M - 1) as f64))
+}
+
+/// All points with coordinates of [`roots`].
 pub(super) fn nodes<const M: usize>() -> impl Iterator<Item = DVec3> {
     grid(roots::<M>())
 }
 
-/// Points at which to check what was fitted, borders and corners among them.
+/// All points with coordinates of [`extremes`].
 pub(super) fn checks<const M: usize>() -> impl Iterator<Item = DVec3> {
-    grid(core::array::from_fn::<f64, M, _>(|i| cos(PI * i as f64 / (M - 1) as f64)))
+    grid(extremes::<M>())
 }
 
 /// All points with coordinates of `axis`; the first coordinate runs fastest.

@@ -2,6 +2,7 @@
 
 mod chebyshev;
 mod error;
+mod fitting;
 mod polynomial;
 mod q;
 mod rays;
@@ -15,7 +16,9 @@ use crate::math::linalg::Symmetric;
 use crate::math::{DQuat, DVec2, DVec3};
 use crate::params::{TriangulateMethod, TriangulateParams};
 use crate::rig::{Rectification, Rig, RigView, View};
+use alloc::boxed::Box;
 use alloc::vec::Vec;
+use fitting::{Fitting, Progress};
 use polynomial::Map;
 use root::Root;
 
@@ -66,6 +69,7 @@ pub struct Triangulator {
     to_sensor: DQuat,
     params: TriangulateParams,
     map: Option<Map>,
+    fitting: Option<Box<Fitting>>,
 }
 
 /// Two centres with their rays.
@@ -86,7 +90,14 @@ impl Triangulator {
     pub fn new(rig: &Rig, params: &TriangulateParams) -> Result<Self, TriangulateError> {
         let rectification = rig.rectification().map_err(TriangulateError::Rig)?;
         let to_sensor = DQuat::from_mat3(&rectification.r_left).conjugate().normalize();
-        Ok(Self { rig: rig.clone(), rectification, to_sensor, params: params.clone(), map: None })
+        Ok(Self {
+            rig: rig.clone(),
+            rectification,
+            to_sensor,
+            params: params.clone(),
+            map: None,
+            fitting: None,
+        })
     }
 
     /// The rig it was made for.
@@ -98,15 +109,32 @@ impl Triangulator {
     /// Fits the polynomial map around the points of the rest surface (sensor frame), when the method is
     /// [`TriangulateMethod::Polynomial`]; until then, and where no polynomial comes within 1 um, points are exact.
     pub fn fit_map(&mut self, rest_mm: &[DVec3]) {
-        self.map = match self.params.method {
-            TriangulateMethod::Polynomial => Map::fit(&self.views(), rest_mm, self.params.map_reach_mm),
-            TriangulateMethod::Q | TriangulateMethod::Rays => None,
-        };
+        self.begin_map(rest_mm);
+        while self.continue_map() {}
     }
 
-    /// Forgets the map: points are exact until the next [`Self::fit_map`].
+    /// The first step of [`Self::fit_map`]: with one in each frame no frame takes much longer than others.
+    pub fn begin_map(&mut self, rest_mm: &[DVec3]) {
+        self.clear_map();
+        if self.params.method == TriangulateMethod::Polynomial {
+            let begun = Fitting::begin(&self.views(), rest_mm, self.params.map_reach_mm);
+            self.fitting = begun.map(Box::new);
+        }
+    }
+
+    /// The next step of a map that was begun, if any; whether there is another one. No allocation.
+    pub fn continue_map(&mut self) -> bool {
+        let Some(mut fitting) = self.fitting.take() else { return false };
+        match fitting.step(&self.views()) {
+            Progress::More => self.fitting = Some(fitting),
+            Progress::Done(map) => self.map = map,
+        }
+        self.fitting.is_some()
+    }
+
+    /// Forgets the map, finished or not: points are exact until the next [`Self::fit_map`].
     pub fn clear_map(&mut self) {
-        self.map = None;
+        (self.map, self.fitting) = (None, None);
     }
 
     /// Largest distance between polynomial and exact points on a grid over the map's volume, millimetres; `None` while

@@ -1,29 +1,19 @@
 //! The fast rung: polynomials in column, row and inverse disparity that are fitted to the exact one.
 
-use super::chebyshev::{Series, checks, nodes};
+use super::chebyshev::checks;
+use super::fitting::{Sample, extent};
 use super::root::Root;
 use super::tiles::{Four, Tiles, multiply_add};
 use super::{StereoPoint, sum_of_squares};
 use crate::math::linalg::Symmetric;
-use crate::math::{DMat3, DVec2, DVec3, sqrt};
+use crate::math::{DVec2, DVec3, sqrt};
 use crate::rig::RigView;
-use alloc::vec::Vec;
 
-/// Nodes along each input at which rays are traced, and points at which the map is held against more of them.
-const NODES: usize = 8;
-const CHECKS: usize = 7;
-/// Degrees of the polynomials through the nodes. Five do for values without lens distortion; a strong one needs seven.
-const DEGREE: usize = 7;
-const SLOPE_DEGREE: usize = 4;
-/// Tiles along column and row that are tried.
-const SIDES: [usize; 4] = [1, 2, 4, 8];
-/// Largest error at the checked points; twice this is promised.
-const TOLERANCE_MM: f64 = 5e-4;
+/// Points along each input at which the map is held against exact rays.
+pub(super) const CHECKS: usize = 7;
 /// Largest error of the covariance, as a share of the variances: what is known of the centres' covariances is worth no
 /// more.
 const COVARIANCE_TOLERANCE: f64 = 0.02;
-/// Steps of Newton's method to a node.
-const MAX_STEPS: usize = 20;
 
 /// A map from (column in the left view, mean row, disparity) of the raw pixels to the point, and to the difference of the
 /// rows that belongs to it. Distortion, rectification and refraction are all in it.
@@ -33,43 +23,22 @@ const MAX_STEPS: usize = 20;
 /// they bend takes polynomials of up to the seventh degree, which cubic ones follow tile by tile.
 #[derive(Clone, Debug)]
 pub(super) struct Map {
-    inputs: Inputs,
-    /// Of the scaled inputs.
-    centre: DVec3,
-    /// One over half the box.
-    scale: DVec3,
+    space: Space,
     /// X, Y, Z, left row less right row, and their derivatives by column, row and inverse disparity.
     tiles: Tiles,
     error_mm: f64,
 }
 
 impl Map {
-    /// Fitted around `rest_mm`; `None` when no polynomials come near enough.
-    pub fn fit(views: &[RigView<'_>; 2], rest_mm: &[DVec3], reach_mm: f64) -> Option<Self> {
-        let seen = reached(views, rest_mm, reach_mm)?;
-        let inputs = Inputs::fit(views, &seen)?;
-        let (low, high) = extent(seen.iter().map(|&at| inputs.of(at)));
-        let (centre, half) = ((low + high) * 0.5, (high - low) * 0.5);
-        if !(centre.is_finite() && half.min_element() > 0.0) {
-            return None;
+    /// Of these tiles, or `None` where covariances differ too much from the exact ones that are given, at [`checks`].
+    /// Tiles that do not serve are left where they were.
+    pub fn of(space: &Space, tiles: &mut Tiles, error_mm: f64, checked: &[Sample]) -> Option<Self> {
+        let map = Self { space: *space, tiles: core::mem::take(tiles), error_mm };
+        if map.covariance_error(checked) <= COVARIANCE_TOLERANCE {
+            return Some(map);
         }
-        let start = crate::math::centroid(rest_mm);
-        let exact = |grid: &mut dyn Iterator<Item = DVec3>| {
-            samples(views, start, &inputs, grid.map(|at| centre + half * at))
-        };
-        let (at_nodes, checked) = (exact(&mut nodes::<NODES>())?, exact(&mut checks::<CHECKS>())?);
-        let values: Vec<Four> = at_nodes.iter().map(|sample| sample.value).collect();
-        let slopes: Vec<[f64; 12]> = at_nodes.iter().map(|sample| sample.slope).collect();
-        let values = Series::fit::<NODES>(DEGREE, &values);
-        let slopes = Series::fit::<NODES>(SLOPE_DEGREE, &slopes);
-        let off = |(at, sample): (DVec3, &Sample)| distance(&values.at(at), &sample.value);
-        let series_mm = checks::<CHECKS>().zip(&checked).map(off).fold(0.0, f64::max);
-        SIDES.into_iter().find_map(|side| {
-            let (tiles, tiles_mm) = Tiles::fit(side, &values, &slopes, TOLERANCE_MM - series_mm)?;
-            let error_mm = series_mm + tiles_mm;
-            let map = Self { inputs, centre, scale: half.recip(), tiles, error_mm };
-            (map.covariance_error(&checked) <= COVARIANCE_TOLERANCE).then_some(map)
-        })
+        *tiles = map.tiles;
+        None
     }
 
     pub fn error_mm(&self) -> f64 {
@@ -79,10 +48,11 @@ impl Map {
     /// The most likely point to first order, or `None` beyond the map's reach.
     #[inline]
     pub fn point(&self, [left_px, right_px]: [DVec2; 2], roots: &[Root; 2]) -> Option<StereoPoint> {
-        let input = self.inputs.of(inputs_px(left_px, right_px));
-        let ([x, y, z, rows_px], slopes) = self.tiles.at((input - self.centre) * self.scale)?;
+        let Space { inputs, centre, scale } = &self.space;
+        let input = inputs.of(inputs_px(left_px, right_px));
+        let ([x, y, z, rows_px], slopes) = self.tiles.at((input - *centre) * *scale)?;
         let epipolar_px = left_px.y - right_px.y - rows_px;
-        let spread = Spread::new(&self.inputs.by_pixels(input.z, &slopes), roots);
+        let spread = Spread::new(&inputs.by_pixels(input.z, &slopes), roots);
         let point_mm = DVec3::new(x, y, z) - spread.shift_mm_per_px * epipolar_px;
         let covariance_mm2 = spread.covariance_mm2();
         Some(StereoPoint { point_mm, covariance_mm2, epipolar_px })
@@ -93,9 +63,9 @@ impl Map {
         let roots = [Root::unit(); 2];
         let mut worst = 0.0_f64;
         for (at, sample) in checks::<CHECKS>().zip(checked) {
-            let inverse = self.centre.z + at.z / self.scale.z;
+            let inverse = self.space.undo(at).z;
             let covariance = |slopes: &[Four; 3]| {
-                Spread::new(&self.inputs.by_pixels(inverse, slopes), &roots).covariance_mm2()
+                Spread::new(&self.space.inputs.by_pixels(inverse, slopes), &roots).covariance_mm2()
             };
             let by: [Four; 3] = core::array::from_fn(|k| core::array::from_fn(|i| sample.slope[4 * k + i]));
             let Some((_, found)) = self.tiles.at(at) else { return f64::INFINITY };
@@ -109,18 +79,26 @@ impl Map {
     }
 }
 
-fn distance(a: &Four, b: &Four) -> f64 {
-    DVec3::from_slice(a).distance(DVec3::from_slice(b))
+/// The map's inputs and the box of them that is cut into tiles.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Space {
+    pub inputs: Inputs,
+    pub centre: DVec3,
+    /// One over half the box.
+    pub scale: DVec3,
 }
 
-fn extent(points: impl Iterator<Item = DVec3>) -> (DVec3, DVec3) {
-    points.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), at| (low.min(at), high.max(at)))
+impl Space {
+    /// The inputs at a point of [-1, 1]³.
+    pub fn undo(&self, at: DVec3) -> DVec3 {
+        self.centre + at / self.scale
+    }
 }
 
 /// From (column, mean row, disparity) to the map's inputs, in which disparity is replaced by one over its distance from
 /// that of a point infinitely far away, which is linear in column and row.
 #[derive(Clone, Copy, Debug)]
-struct Inputs {
+pub(super) struct Inputs {
     origin_px: DVec2,
     far_px: f64,
     /// Gradient of the disparity at infinity.
@@ -129,7 +107,7 @@ struct Inputs {
 
 impl Inputs {
     /// For the pixels seen; `None` when some of them are not nearer than infinity.
-    fn fit(views: &[RigView<'_>; 2], seen: &[DVec3]) -> Option<Self> {
+    pub fn fit(views: &[RigView<'_>; 2], seen: &[DVec3]) -> Option<Self> {
         let (low, high) = extent(seen.iter().copied());
         let (origin_px, half) = (((low + high) * 0.5).truncate(), ((high - low) * 0.5).truncate());
         let far = |dx: f64, dy: f64| {
@@ -148,17 +126,17 @@ impl Inputs {
     }
 
     #[inline]
-    fn of(&self, seen: DVec3) -> DVec3 {
+    pub fn of(&self, seen: DVec3) -> DVec3 {
         DVec3::new(seen.x, seen.y, 1.0 / (seen.z - self.far(seen.x, seen.y)))
     }
 
     /// (column, mean row, disparity) of inputs.
-    fn undo(&self, input: DVec3) -> DVec3 {
+    pub fn undo(&self, input: DVec3) -> DVec3 {
         DVec3::new(input.x, input.y, self.far(input.x, input.y) + 1.0 / input.z)
     }
 
     /// Derivatives of X, Y, Z and the row difference by the inputs, made of those by (column, mean row, disparity).
-    fn by_inputs(&self, inverse: f64, [u, v, d]: [[f64; 4]; 3]) -> [f64; 12] {
+    pub fn by_inputs(&self, inverse: f64, [u, v, d]: [[f64; 4]; 3]) -> [f64; 12] {
         let (by_inverse, far) = (-1.0 / (inverse * inverse), self.far_slope);
         let mut slope = [0.0; 12];
         for i in 0..4 {
@@ -218,83 +196,7 @@ impl Spread {
     }
 }
 
-/// What is exact at one input.
-struct Sample {
-    value: [f64; 4],
-    slope: [f64; 12],
-}
-
-/// (Column, mean row, disparity) of points within reach of the rest surface: sideways, towards the cameras, and a quarter
-/// away from them.
-fn reached(views: &[RigView<'_>; 2], rest_mm: &[DVec3], reach_mm: f64) -> Option<Vec<DVec3>> {
-    let mut all = Vec::with_capacity(8 * rest_mm.len());
-    for &rest in rest_mm {
-        for along in [-1.0, 0.25] {
-            for (x, y) in [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)] {
-                let point_mm = rest + DVec3::new(x, y, along) * reach_mm;
-                let [l, r] = [views[0].project(point_mm).ok()?, views[1].project(point_mm).ok()?];
-                all.push(inputs_px(l, r));
-            }
-        }
-    }
-    Some(all)
-}
-
 /// Column, mean row and disparity.
-fn inputs_px(left_px: DVec2, right_px: DVec2) -> DVec3 {
+pub(super) fn inputs_px(left_px: DVec2, right_px: DVec2) -> DVec3 {
     DVec3::new(left_px.x, 0.5 * (left_px.y + right_px.y), left_px.x - right_px.x)
-}
-
-/// Column, mean row and disparity at a point and the row difference, with their derivatives by the point.
-struct Seen {
-    at: DVec3,
-    jacobian: DMat3,
-    rows_px: f64,
-    rows_gradient: DVec3,
-}
-
-fn see(views: &[RigView<'_>; 2], point_mm: DVec3) -> Option<Seen> {
-    let left = views[0].project_with_jacobian(point_mm, 0.0).ok()?;
-    let right = views[1].project_with_jacobian(point_mm, 0.0).ok()?;
-    let (l, r) = (left.pixel_px, right.pixel_px);
-    let ([u, v], [u_right, v_right]) = (left.jacobian, right.jacobian);
-    Some(Seen {
-        at: inputs_px(l, r),
-        jacobian: DMat3::from_cols(u, (v + v_right) * 0.5, u - u_right).transpose(),
-        rows_px: l.y - r.y,
-        rows_gradient: v - v_right,
-    })
-}
-
-/// Exact values at these inputs, by Newton's method on [`see`], each from the one before.
-fn samples(
-    views: &[RigView<'_>; 2],
-    start: DVec3,
-    inputs: &Inputs,
-    grid: impl Iterator<Item = DVec3>,
-) -> Option<Vec<Sample>> {
-    let mut point = start;
-    grid.map(|input| {
-        let target = inputs.undo(input);
-        for _ in 0..MAX_STEPS {
-            let seen = see(views, point)?;
-            let inverse = seen.jacobian.inverse();
-            let step = inverse * (target - seen.at);
-            point += step;
-            // Newton's steps shrink quadratically: the next would be below 1e-12 mm.
-            if step.length() <= 1e-7 {
-                let rows = inverse.transpose() * seen.rows_gradient;
-                let column = |c: DVec3, row: f64| [c.x, c.y, c.z, row];
-                let by = [
-                    column(inverse.x_axis, rows.x),
-                    column(inverse.y_axis, rows.y),
-                    column(inverse.z_axis, rows.z),
-                ];
-                let slope = inputs.by_inputs(input.z, by);
-                return Some(Sample { value: [point.x, point.y, point.z, seen.rows_px], slope });
-            }
-        }
-        None
-    })
-    .collect()
 }

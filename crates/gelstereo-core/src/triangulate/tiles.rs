@@ -1,6 +1,6 @@
 //! Cubic polynomials over the tiles of a square, for values, and linear ones for their derivatives.
 
-use super::chebyshev::{Series, checks, nodes};
+use super::chebyshev::{Series, checks, extremes, roots};
 use crate::math::DVec3;
 use alloc::vec::Vec;
 
@@ -14,7 +14,7 @@ const CHECKS: usize = 5;
 pub(super) type Four = [f64; 4];
 
 /// Polynomials over [-1, 1]³, which is cut along the first two variables.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Tiles {
     side: usize,
     tiles: Vec<Tile>,
@@ -29,31 +29,37 @@ struct Tile {
 }
 
 impl Tiles {
-    /// `side` * `side` tiles that follow `values` and `slopes`, or `None` where one of them is farther from `values` than
-    /// `tolerance_mm`.
+    /// Room for so many tiles along each of two variables.
+    pub fn with_room(side: usize) -> Self {
+        Self { side: 0, tiles: Vec::with_capacity(side * side) }
+    }
+
+    /// Cuts the square anew into `side` * `side` tiles that follow `values` and `slopes`; their largest distance from
+    /// `values`, or `None` where one is farther than `tolerance_mm`.
     pub fn fit(
+        &mut self,
         side: usize,
         values: &Series<4>,
         slopes: &Series<12>,
         tolerance_mm: f64,
-    ) -> Option<(Self, f64)> {
-        let (mut tiles, mut worst_mm) = (Vec::with_capacity(side * side), 0.0_f64);
+    ) -> Option<f64> {
+        let mut worst_mm = 0.0_f64;
+        (self.side, _) = (side, self.tiles.clear());
         for n in 0..side * side {
-            let place = |local: DVec3| {
-                let at = |x: f64, tile: usize| (x + (2 * tile + 1) as f64) / side as f64 - 1.0;
-                DVec3::new(at(local.x, n % side), at(local.y, n / side), local.z)
-            };
-            let tile = Tile::fit(|local| values.at(place(local)), |local| slopes.at(place(local)));
-            for local in checks::<CHECKS>() {
-                let off = DVec3::from_slice(&tile.value(local)) - DVec3::from_slice(&values.at(place(local)));
-                worst_mm = worst_mm.max(off.length());
-            }
+            let axis = |local: f64, tile: usize| (local + (2 * tile + 1) as f64) / side as f64 - 1.0;
+            let tile = Tile::fit(&places(roots(), n % side, n / side, axis), values, slopes);
+            let mut locals = checks::<CHECKS>();
+            values.on_grid(&places(extremes::<CHECKS>(), n % side, n / side, axis), |value| {
+                if let Some(local) = locals.next() {
+                    worst_mm = worst_mm.max(distance(&tile.value(local), &value));
+                }
+            });
             if !(worst_mm <= tolerance_mm) {
                 return None;
             }
-            tiles.push(tile);
+            self.tiles.push(tile);
         }
-        Some((Self { side, tiles }, worst_mm))
+        Some(worst_mm)
     }
 
     /// The values and their derivatives by each input, or `None` beyond the cube.
@@ -73,14 +79,15 @@ impl Tiles {
 }
 
 impl Tile {
-    fn fit(value: impl Fn(DVec3) -> Four, slope: impl Fn(DVec3) -> [f64; 12]) -> Self {
-        let values: Vec<Four> = nodes::<NODES>().map(value).collect();
-        let slopes: Vec<[f64; 12]> = nodes::<NODES>().map(slope).collect();
+    /// With the tile's own nodes at these coordinates of the whole.
+    fn fit(nodes: &[[f64; NODES]; 3], values: &Series<4>, slopes: &Series<12>) -> Self {
+        let values = on_nodes(values, nodes);
+        let slopes = on_nodes(slopes, nodes);
         let mut tile = Self { values: [[0.0; 4]; TERMS], slopes: [[[0.0; 4]; 3]; 4] };
-        for (n, (_, coefficients)) in Series::fit::<NODES>(3, &values).powers().enumerate() {
+        for (n, (_, coefficients)) in Series::fit::<NODES, _>(3, values.iter()).powers().enumerate() {
             tile.values[TERMS - 1 - n] = coefficients;
         }
-        for (exponents, coefficients) in Series::fit::<NODES>(1, &slopes).powers() {
+        for (exponents, coefficients) in Series::fit::<NODES, _>(1, slopes.iter()).powers() {
             let place = exponents.iter().position(|&exponent| exponent > 0).map_or(0, |axis| axis + 1);
             for (by, four) in tile.slopes[place].iter_mut().zip(coefficients.chunks_exact(4)) {
                 by.copy_from_slice(four);
@@ -112,6 +119,35 @@ impl Tile {
             multiply_add(&by_z[k], at.z, &multiply_add(&by_y[k], at.y, &plane))
         })
     }
+}
+
+/// Coordinates along all three variables of a tile in this column and row.
+fn places<const M: usize>(
+    local: [f64; M],
+    col: usize,
+    row: usize,
+    axis: impl Fn(f64, usize) -> f64,
+) -> [[f64; M]; 3] {
+    [local.map(|x| axis(x, col)), local.map(|y| axis(y, row)), local]
+}
+
+fn on_nodes<const N: usize>(
+    series: &Series<N>,
+    nodes: &[[f64; NODES]; 3],
+) -> [[f64; N]; NODES * NODES * NODES] {
+    let mut found = [[0.0; N]; NODES * NODES * NODES];
+    let mut all = found.iter_mut();
+    series.on_grid(nodes, |values| {
+        if let Some(found) = all.next() {
+            *found = values;
+        }
+    });
+    found
+}
+
+/// Between two points.
+pub(super) fn distance(a: &Four, b: &Four) -> f64 {
+    DVec3::from_slice(a).distance(DVec3::from_slice(b))
 }
 
 /// a x + b

@@ -1,0 +1,213 @@
+//! The fit of a [`Map`], in steps: a frame that takes one of them takes little longer than others.
+
+use super::chebyshev::{Series, checks, extremes, nodes};
+use super::polynomial::{CHECKS, Inputs, Map, Space, inputs_px};
+use super::tiles::{Four, Tiles, distance};
+use crate::math::{DMat3, DVec3};
+use crate::rig::RigView;
+use alloc::vec::Vec;
+
+/// Nodes along each input at which rays are traced.
+const NODES: usize = 8;
+/// Degrees of the polynomials through the nodes. Five do for values without lens distortion; a strong one needs seven.
+const DEGREE: usize = 7;
+const SLOPE_DEGREE: usize = 4;
+/// Tiles along column and row that are tried.
+const SIDES: [usize; 4] = [1, 2, 4, 8];
+/// Largest error at the checked points; twice this is promised.
+const TOLERANCE_MM: f64 = 5e-4;
+/// Directions in which a surface has its outermost points.
+const DIRECTIONS: usize = 26;
+/// Steps of Newton's method to a node.
+const MAX_STEPS: usize = 20;
+
+/// A fit under way. All its room is taken when it begins.
+#[derive(Clone, Debug)]
+pub(super) struct Fitting {
+    next: Step,
+    start_mm: DVec3,
+    at_nodes: Vec<Sample>,
+    checked: Vec<Sample>,
+    tiles: Tiles,
+}
+
+#[derive(Clone, Debug)]
+enum Step {
+    /// Rays to the nodes of the space that was seen.
+    Nodes(Space),
+    /// Rays to where the map is checked.
+    Checks(Space),
+    Polynomials(Space),
+    /// The tiles of `SIDES` in turn, at most so far from the polynomials.
+    Tiles(Space, Series<4>, Series<12>, f64, usize),
+}
+
+/// What a step leads to.
+pub(super) enum Progress {
+    More,
+    /// `None` when no polynomials come near enough.
+    Done(Option<Map>),
+}
+
+impl Fitting {
+    /// The first step: which inputs there are, from the points of a rest surface. `None` when they are not seen.
+    pub fn begin(views: &[RigView<'_>; 2], rest_mm: &[DVec3], reach_mm: f64) -> Option<Self> {
+        let seen = reached(views, rest_mm, reach_mm)?;
+        let inputs = Inputs::fit(views, &seen)?;
+        let (low, high) = extent(seen.iter().map(|&at| inputs.of(at)));
+        let (centre, half) = ((low + high) * 0.5, (high - low) * 0.5);
+        if !(centre.is_finite() && half.min_element() > 0.0) {
+            return None;
+        }
+        Some(Self {
+            next: Step::Nodes(Space { inputs, centre, scale: half.recip() }),
+            start_mm: crate::math::centroid(rest_mm),
+            at_nodes: Vec::with_capacity(NODES * NODES * NODES),
+            checked: Vec::with_capacity(CHECKS * CHECKS * CHECKS),
+            tiles: Tiles::with_room(SIDES[SIDES.len() - 1]),
+        })
+    }
+
+    /// One step more; no allocation.
+    pub fn step(&mut self, views: &[RigView<'_>; 2]) -> Progress {
+        let Self { next, start_mm, at_nodes, checked, tiles } = self;
+        let more = match next {
+            Step::Nodes(space) => {
+                let grid = nodes::<NODES>().map(|at| space.undo(at));
+                sample(views, *start_mm, &space.inputs, grid, at_nodes).then_some(Step::Checks(*space))
+            }
+            Step::Checks(space) => {
+                let grid = checks::<CHECKS>().map(|at| space.undo(at));
+                sample(views, *start_mm, &space.inputs, grid, checked).then_some(Step::Polynomials(*space))
+            }
+            Step::Polynomials(space) => {
+                let values = Series::fit::<NODES, _>(DEGREE, at_nodes.iter().map(|sample| &sample.value));
+                let slopes =
+                    Series::fit::<NODES, _>(SLOPE_DEGREE, at_nodes.iter().map(|sample| &sample.slope));
+                let (mut exact, mut error_mm) = (checked.iter(), 0.0_f64);
+                values.on_grid(&[extremes::<CHECKS>(); 3], |value: Four| {
+                    if let Some(sample) = exact.next() {
+                        error_mm = error_mm.max(distance(&value, &sample.value));
+                    }
+                });
+                Some(Step::Tiles(*space, values, slopes, error_mm, 0))
+            }
+            Step::Tiles(space, values, slopes, error_mm, tried) => {
+                let Some(&side) = SIDES.get(*tried) else { return Progress::Done(None) };
+                *tried += 1;
+                let fitted_mm = tiles.fit(side, values, slopes, TOLERANCE_MM - *error_mm);
+                let map = fitted_mm.and_then(|tiles_mm| Map::of(space, tiles, *error_mm + tiles_mm, checked));
+                return map.map_or(Progress::More, |map| Progress::Done(Some(map)));
+            }
+        };
+        match more {
+            Some(step) => {
+                self.next = step;
+                Progress::More
+            }
+            None => Progress::Done(None),
+        }
+    }
+}
+
+/// (Column, mean row, disparity) of points within reach of the rest surface: sideways, towards the cameras, and a quarter
+/// away from them. Of a surface its outermost points do: beyond the map points are exact.
+fn reached(views: &[RigView<'_>; 2], rest_mm: &[DVec3], reach_mm: f64) -> Option<Vec<DVec3>> {
+    let mut all = Vec::with_capacity(8 * DIRECTIONS);
+    for rest in directions().filter_map(|direction| outermost(rest_mm, direction)) {
+        for along in [-1.0, 0.25] {
+            for (x, y) in [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)] {
+                let point_mm = rest + DVec3::new(x, y, along) * reach_mm;
+                let [l, r] = [views[0].project(point_mm).ok()?, views[1].project(point_mm).ok()?];
+                all.push(inputs_px(l, r));
+            }
+        }
+    }
+    Some(all)
+}
+
+/// To the corners of a cube and the middles of its edges and sides.
+fn directions() -> impl Iterator<Item = DVec3> {
+    let axis = |n: usize| [0.0, 1.0, -1.0][n % 3];
+    (1..=DIRECTIONS).map(move |n| DVec3::new(axis(n), axis(n / 3), axis(n / 9)))
+}
+
+fn outermost(points: &[DVec3], direction: DVec3) -> Option<DVec3> {
+    let first = *points.first()?;
+    let farther = |(most, best), &at: &DVec3| {
+        let along = at.dot(direction);
+        if along > most { (along, at) } else { (most, best) }
+    };
+    Some(points.iter().fold((first.dot(direction), first), farther).1)
+}
+
+pub(super) fn extent(points: impl Iterator<Item = DVec3>) -> (DVec3, DVec3) {
+    points.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), at| (low.min(at), high.max(at)))
+}
+
+/// What is exact at one input.
+#[derive(Clone, Debug)]
+pub(super) struct Sample {
+    pub value: [f64; 4],
+    pub slope: [f64; 12],
+}
+
+/// Column, mean row and disparity at a point and the row difference, with their derivatives by the point.
+struct Seen {
+    at: DVec3,
+    jacobian: DMat3,
+    rows_px: f64,
+    rows_gradient: DVec3,
+}
+
+fn see(views: &[RigView<'_>; 2], point_mm: DVec3) -> Option<Seen> {
+    let left = views[0].project_with_jacobian(point_mm, 0.0).ok()?;
+    let right = views[1].project_with_jacobian(point_mm, 0.0).ok()?;
+    let (l, r) = (left.pixel_px, right.pixel_px);
+    let ([u, v], [u_right, v_right]) = (left.jacobian, right.jacobian);
+    Some(Seen {
+        at: inputs_px(l, r),
+        jacobian: DMat3::from_cols(u, (v + v_right) * 0.5, u - u_right).transpose(),
+        rows_px: l.y - r.y,
+        rows_gradient: v - v_right,
+    })
+}
+
+/// Adds exact values at these inputs, by Newton's method on [`see`], each from the one before; whether there are.
+fn sample(
+    views: &[RigView<'_>; 2],
+    start: DVec3,
+    inputs: &Inputs,
+    grid: impl Iterator<Item = DVec3>,
+    out: &mut Vec<Sample>,
+) -> bool {
+    let mut point = start;
+    for input in grid {
+        let Some(sample) = sample_at(views, &mut point, inputs, input) else { return false };
+        out.push(sample);
+    }
+    true
+}
+
+fn sample_at(views: &[RigView<'_>; 2], point: &mut DVec3, inputs: &Inputs, input: DVec3) -> Option<Sample> {
+    let target = inputs.undo(input);
+    for _ in 0..MAX_STEPS {
+        let seen = see(views, *point)?;
+        let inverse = seen.jacobian.inverse();
+        let step = inverse * (target - seen.at);
+        *point += step;
+        // Newton's steps shrink quadratically: the next would be below 1e-12 mm.
+        if step.length() <= 1e-7 {
+            let rows = inverse.transpose() * seen.rows_gradient;
+            let column = |c: DVec3, row: f64| [c.x, c.y, c.z, row];
+            let by = [
+                column(inverse.x_axis, rows.x),
+                column(inverse.y_axis, rows.y),
+                column(inverse.z_axis, rows.z),
+            ];
+            let slope = inputs.by_inputs(input.z, by);
+            return Some(Sample { value: [point.x, point.y, point.z, seen.rows_px], slope });
+        }
+    }
+    None
+}
