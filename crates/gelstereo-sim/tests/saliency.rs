@@ -44,7 +44,7 @@ fn presses() -> Vec<Press> {
 }
 
 /// Right, found and true markers in contact, over several noises and places.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy, Debug, Default)]
 struct Score {
     right: usize,
     found: usize,
@@ -63,8 +63,9 @@ impl Score {
     }
 }
 
-/// Scores of (depth, pressure, quick pressure) for heights whose noise has this standard deviation.
-fn score(press: &Press, depth_mm: f64, sigma_mm: f64) -> [Score; 3] {
+/// Scores of (depth, pressure, quick pressure) for heights whose noise has this standard deviation, of ten presses at places
+/// drawn up to so far from the middle.
+fn score(press: &Press, depth_mm: f64, sigma_mm: f64, drawn_mm: f64) -> [Score; 3] {
     let scene = Scene { indenter: Some(press.shape.clone()), effects: Effects::of_gel(), ..Scene::default() };
     let mut simulator = Simulator::new(&scene, None).unwrap();
     let mut truth = Truth::default();
@@ -76,7 +77,7 @@ fn score(press: &Press, depth_mm: f64, sigma_mm: f64) -> [Score; 3] {
     let state = [MarkerState::Seen; 625];
     let (mut scores, mut found) = ([Score::default(); 3], Vec::new());
     for _ in 0..10 {
-        let centre = DVec3::new(4.0 + 1.8 * random.uniform(), 1.8 * random.uniform(), 40.0);
+        let centre = DVec3::new(4.0 + drawn_mm * random.uniform(), drawn_mm * random.uniform(), 40.0);
         let above = Pose { translation_mm: centre, ..Pose::exp(press.turn, DVec3::ZERO) };
         let contact = ContactState::pressed(simulator.pressed(above, depth_mm).unwrap());
         simulator.truth(Some(&contact), &mut truth);
@@ -97,7 +98,7 @@ fn scores(sigma_mm: f64) -> [[Score; 3]; 2] {
     let mut all = [[Score::default(); 3]; 2];
     for press in presses() {
         for &depth_mm in press.depths_mm {
-            let [depth, pressure, quick] = score(&press, depth_mm, sigma_mm);
+            let [depth, pressure, quick] = score(&press, depth_mm, sigma_mm, 1.8);
             println!(
                 "{sigma_mm} mm  {:16} {depth_mm:.1} mm  F1 by depth {:.3}, by pressure {:.4}, quickly {:.4}  ({} true, {} missed, {} false)",
                 press.name,
@@ -120,11 +121,11 @@ fn scores(sigma_mm: f64) -> [[Score; 3]; 2] {
 }
 
 /// The 0.995 that is asked for holds for level boards. On curved and tilted parts the pressure of markers at the contact's rim
-/// goes down to 0, and those below the noise cannot be told from free ones: there 0.995, 0.974 and 0.949 were measured,
+/// goes down to 0, and those below the noise cannot be told from free ones: there 1.000, 0.973 and 0.949 were measured,
 /// and the floors only keep them. The quick rung is held to within 0.01 of the other.
 #[test]
 fn pressure_finds_the_contact_where_depth_does_not() {
-    for (sigma_mm, boards, others) in [(1e-5, 0.995, 0.985), (0.005, 0.995, 0.965), (0.010, 0.995, 0.94)] {
+    for (sigma_mm, boards, others) in [(1e-5, 0.999, 0.999), (0.005, 0.998, 0.965), (0.010, 0.995, 0.94)] {
         let [[other_depth, other_pressure, other_quick], [_, board_pressure, board_quick]] = scores(sigma_mm);
         let found = [board_pressure.f1(), other_pressure.f1(), other_depth.f1()];
         println!("{sigma_mm} mm: boards {:.4}, others {:.4}, by depth {:.4}", found[0], found[1], found[2]);
@@ -132,6 +133,24 @@ fn pressure_finds_the_contact_where_depth_does_not() {
         println!("{sigma_mm} mm, quickly: boards {:.4}, others {:.4}", quick[0], quick[1]);
         assert!(quick[0] >= boards && quick[1] >= found[1] - 0.01, "{sigma_mm} mm, quickly: {quick:?}");
         assert!(found[0] >= boards && found[1] >= others && found[2] < 0.7, "{sigma_mm} mm: {found:?}");
+    }
+}
+
+/// Where every marker that touches carries pressure beyond the noise, the contact is found to 0.995: ball and cylinder over the
+/// lattice's middle, as deep as on the page of accuracy, with the noise that presets `balanced` and `fast` leave. The least
+/// pressure at the rim is 1.4 mm, its standard deviation 0.23 and 0.36 mm; free markers beside it carry none.
+#[test]
+fn contacts_that_end_clearly_are_found_to_0_995() {
+    let ball =
+        Press { name: "ball", shape: Shape::Sphere { radius_mm: 5.0 }, turn: DVec3::ZERO, depths_mm: &[1.2] };
+    let cylinder = Shape::Cylinder { radius_mm: 4.0, length_mm: 12.0 };
+    let lying = Press { name: "cylinder", shape: cylinder, turn: DVec3::X * FRAC_PI_2, depths_mm: &[1.2] };
+    for press in [ball, lying] {
+        for sigma_mm in [0.0075, 0.0115] {
+            let [_, pressure, quick] = score(&press, press.depths_mm[0], sigma_mm, 0.0);
+            println!("{} {sigma_mm} mm: {:.4}, quickly {:.4}", press.name, pressure.f1(), quick.f1());
+            assert!(pressure.f1() >= 0.995 && quick.f1() >= 0.995, "{}: {:?}", press.name, [pressure, quick]);
+        }
     }
 }
 

@@ -4,6 +4,7 @@ mod decay;
 mod kriging;
 mod pressure;
 mod quick;
+mod rule;
 mod slips;
 mod stencils;
 

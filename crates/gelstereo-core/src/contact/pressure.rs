@@ -12,28 +12,17 @@
 //! around contacts, are predicted anew.
 
 use super::kriging::{Covariances, Kriging, REACH, SIDE, WINDOW};
+use super::rule::{self, LEAST_SIGMA_MM, SCREEN, START};
 use super::stencils::{Regions, Stencils};
 use super::{ContactError, RestSurface};
 use crate::math::sqrt;
 use crate::track::MarkerState;
 use alloc::vec::Vec;
 
-/// What a marker in contact costs, in units of squared standard deviations: by this much must its pressure stand out.
-pub(super) const COST: f64 = 2.0;
-/// What a pair of neighbours costs of which one is in contact.
-pub(super) const EDGE_COST: f64 = 3.0;
-/// Standard deviations of the plain stencil from which a marker is taken to be in contact at first.
-pub(super) const START: f64 = 4.0;
 /// A marker that keeps changing stays as it is: the windows make the energy approximate, so that there can be cycles.
 const MOST_CHANGES: u8 = 4;
 /// Variance of a height that was not measured, mm²: as good as unknown, and still 10 digits above round-off.
 const UNKNOWN_MM2: f64 = 100.0;
-/// Standard deviation below which no height is believed to be, mm: a nanometre.
-pub(super) const LEAST_SIGMA_MM: f64 = 1e-6;
-
-/// Standard deviations of a marker's pressure, as if all around were free, from which one far from any contact is judged:
-/// fewer than a change of its label takes (3.7), since for this the variances are taken as equal.
-pub(super) const SCREEN: f64 = 3.3;
 
 /// Finds the markers in contact by the pressure of the gel; scratch is kept from frame to frame.
 #[derive(Clone, Debug, Default)]
@@ -41,6 +30,8 @@ pub struct Pressure {
     stencils: Stencils,
     /// Filters of the pressures, for a contact far away.
     filters: Vec<Filter>,
+    /// Heights and their variances: 0, for it may be anything, and as good as unknown where a marker was not seen.
+    height_mm: Vec<f64>,
     variance_mm2: Vec<f64>,
     pressure_mm: Vec<f64>,
     covariances: Covariances,
@@ -124,7 +115,10 @@ impl Pressure {
             let least = LEAST_SIGMA_MM * LEAST_SIGMA_MM;
             *variance = if state == MarkerState::Seen { variance.max(least) } else { UNKNOWN_MM2 };
         }
-        self.measure(indentation_mm, state);
+        self.height_mm.clear();
+        let seen = |(&h, &state)| if state == MarkerState::Seen { h } else { 0.0 };
+        self.height_mm.extend(indentation_mm.iter().zip(state).map(seen));
+        self.measure();
         out.extend((0..self.len()).map(|i| self.pressure_mm[i] > START * sqrt(self.covariances.variance(i))));
         self.choose(out);
         self.settle(out);
@@ -179,13 +173,11 @@ impl Pressure {
     }
 
     /// Pressures, and the covariances of their noise.
-    fn measure(&mut self, indentation_mm: &[f64], state: &[MarkerState]) {
-        // A height that is unknown may be anything, so 0.
-        let height = |k: usize| if state[k] == MarkerState::Seen { indentation_mm[k] } else { 0.0 };
-        let mut pressure_mm = core::mem::take(&mut self.pressure_mm);
+    fn measure(&mut self) {
+        let Self { stencils, height_mm, pressure_mm, .. } = self;
+        let pressure = |i| stencils.taps(i).map(|(k, w)| w * height_mm[k]).sum::<f64>();
         pressure_mm.clear();
-        pressure_mm.extend((0..self.len()).map(|i| self.taps(i).map(|(k, w)| w * height(k)).sum::<f64>()));
-        self.pressure_mm = pressure_mm;
+        pressure_mm.extend((0..height_mm.len()).map(pressure));
         self.covariances.measure(self.stencils.cols, &self.stencils.weights, &self.variance_mm2);
     }
 
@@ -272,15 +264,10 @@ impl Pressure {
         let mut kriging = Kriging::new(&self.covariances, i, self.window(i, REACH), |j| !contact[j]);
         let (pressure, variance) = kriging.predict(i, &self.pressure_mm);
         let variance = variance.max(1e-9 * self.covariances.variance(i));
-        let evidence = pressure * pressure.abs() / variance;
-        let (mut touching, mut neighbours) = (0.0, 0.0);
-        for (j, _) in self.taps(i).skip(1) {
-            neighbours += 1.0;
-            touching += if contact[j] { 1.0 } else { 0.0 };
-        }
-        let score = evidence - COST - EDGE_COST * (neighbours - 2.0 * touching);
-        self.evidence[i] = evidence;
-        let gain = if contact[i] { -score } else { score };
+        let neighbours = self.stencils.taps(i).skip(1).map(|(j, _)| contact[j]);
+        let gain = rule::gain(pressure, self.height_mm[i], variance, neighbours);
+        self.evidence[i] = rule::evidence(pressure, variance);
+        let gain = if contact[i] { -gain } else { gain };
         self.gain[i] = if self.changes[i] < MOST_CHANGES { gain } else { 0.0 };
     }
 }

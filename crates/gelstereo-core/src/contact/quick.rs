@@ -5,7 +5,7 @@
 //! count as equally noisy, the lattice as even, only the twelve markers whose stencils share a height with the judged one's predict
 //! its noise, and labels change all at once, in a few rounds, where the pressure alone does not settle them.
 
-use super::pressure::{COST, EDGE_COST, LEAST_SIGMA_MM, SCREEN, START};
+use super::rule::{self, LEAST_SIGMA_MM, SCREEN, START};
 use super::stencils::{Regions, Stencils};
 use super::{ContactError, RestSurface};
 use crate::math::{abs, sqrt};
@@ -164,7 +164,7 @@ impl QuickPressure {
         for _ in 0..ROUNDS {
             for i in 0..out.len() {
                 if self.asked[i] && (CERTAIN.1..CERTAIN.0).contains(&self.score[i]) {
-                    self.next[i] = self.judge(i, out, sigma_mm);
+                    self.next[i] = self.judge(i, indentation_mm[i], out, sigma_mm);
                 }
             }
             if !self.take_over(out) {
@@ -265,7 +265,7 @@ impl QuickPressure {
     }
 
     /// Whether a marker is in contact, among these others.
-    fn judge(&mut self, i: usize, contact: &[bool], sigma_mm: f64) -> bool {
+    fn judge(&mut self, i: usize, height_mm: f64, contact: &[bool], sigma_mm: f64) -> bool {
         let (mut pressure, mut variance) = (self.pressure_mm[i], self.noise[i]);
         if self.inner[i] {
             let (mut places, mut values, mut count) = ([0; 12], [0.0; 12], 0);
@@ -279,15 +279,12 @@ impl QuickPressure {
             let (predicted, left) = self.even.predict(&places[..count], &values);
             (pressure, variance) = (pressure - predicted, left);
         }
-        let evidence =
-            if self.valid[i] { pressure * abs(pressure) / (variance * sigma_mm * sigma_mm) } else { 0.0 };
-        let (mut touching, mut neighbours) = (0.0, 0.0);
-        for (k, _) in self.stencils.taps(i).skip(1) {
-            neighbours += 1.0;
-            touching += if contact[k] { 1.0 } else { 0.0 };
-        }
-        self.evidence[i] = evidence;
-        evidence > COST + EDGE_COST * (neighbours - 2.0 * touching)
+        // Where a height is missing the neighbours alone tell.
+        let (pressure, height_mm) = if self.valid[i] { (pressure, height_mm) } else { (0.0, 0.0) };
+        let variance_mm2 = variance * sigma_mm * sigma_mm;
+        self.evidence[i] = rule::evidence(pressure, variance_mm2);
+        let neighbours = self.stencils.taps(i).skip(1).map(|(k, _)| contact[k]);
+        rule::gain(pressure, height_mm, variance_mm2, neighbours) > 0.0
     }
 
     /// Takes over the changed labels and asks them and their neighbours again; whether there are any.
