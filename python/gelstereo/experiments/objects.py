@@ -147,7 +147,8 @@ def _grasp(item: Press, mesh: Any, template: Template, pose: Array, truth: Simul
     """
     touching = truth.in_contact
     points_mm = np.asarray(truth.points_mm)[touching]
-    normals = surface_normals(mesh, pose, points_mm)
+    normals = np.full_like(truth.points_mm, np.nan)
+    normals[touching] = surface_normals(mesh, template, pose, points_mm)
     variance = (NOISES[0].sigma_mm * np.array([0.5, 0.5, 1.0])) ** 2
     covariance = np.broadcast_to(np.diag(variance), (len(points_mm), 3, 3))
     return Grasp(item.name, mesh, template, points_mm, covariance, truth.points_mm, normals, pose)

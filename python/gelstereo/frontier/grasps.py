@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from gelstereo import Error, Simulator, Template, parts
+from gelstereo import Error, Params, RestSurface, Simulator, Template, parts, pressure_saliency
 from gelstereo.frontier.scenes import SURFACE_MM, VGA
 from gelstereo.geometry import se3_exp, se3_log
 
@@ -34,12 +34,16 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-#: Markers pressed by more are salient (the paper's threshold); the gel's shoulder is among them.
+#: Markers pressed by more are salient by their depth (the paper's threshold); the gel's shoulder is among them.
 _SALIENT_MM = 0.35
+#: Faces that are steeper to the gel do not count: simulated markers meet them beside an edge, where gel would hang.
+_STEEP_COSINE = 0.35
+#: Rows and columns of markers.
+_SIDE = 25
 #: Directions that the bound knows no better, rotations in mm at the patch's radius, count as free.
 _OBSERVABLE_MM = 0.06
-#: Least markers that truly touch, and most that are salient, for a contact to count.
-_LEAST_TOUCHING, _MOST_SALIENT = 20, 300
+#: Least markers that truly touch, and least and most that are salient, for a contact to count.
+_LEAST_TOUCHING, _SALIENT = 20, range(12, 301)
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,8 @@ class Noise:
     sigma_mm: float
     #: Share of salient points that lie anywhere within 1.5 mm of where they should.
     outliers: float
+    #: Whether salient is what carries pressure, as the presets balanced and exact have it, or what is deep: the paper.
+    by_pressure: bool = True
 
 
 @dataclass(frozen=True)
@@ -76,7 +82,11 @@ class Press:
     standing: bool = False
 
 
-NOISES = (Noise("noise 0.03 mm", 0.03, 0.0), Noise("noise 0.06 mm, 10 % outliers", 0.06, 0.1))
+NOISES = (
+    Noise("noise 0.03 mm", 0.03, 0.0),
+    Noise("noise 0.06 mm, 10 % outliers", 0.06, 0.1),
+    Noise("noise 0.03 mm, shoulder", 0.03, 0.0, by_pressure=False),
+)
 STARTS = (Start("5 deg, 1 mm", 5.0, 1.0), Start("10 deg, 2 mm", 10.0, 2.0), Start("30 deg, 5 mm", 30.0, 5.0))
 GRASPED = (
     Press("round peg", parts.peg_round, (0.0, 8.0)),
@@ -99,7 +109,7 @@ class Grasp:
     covariance_mm2: Array
     #: All markers, the salient ones included.
     all_points_mm: Array
-    #: Normals of the part where salient points truly touch it; not a number elsewhere.
+    #: Normals of the part where markers truly touch it, of all in turn; not a number elsewhere.
     normals: Array
     t_sensor_object: Array
 
@@ -120,9 +130,9 @@ class Grasp:
         Their true normals and their noise are known; where a point lies along the surface tells nothing.
         """
         touch = np.isfinite(self.normals[:, 0])
-        normals, lever = self.normals[touch], self.points_mm[touch] - self.centre_mm
+        normals, lever = self.normals[touch], self.all_points_mm[touch] - self.centre_mm
         rows = np.column_stack([np.cross(lever, normals) / self.radius_mm, normals])
-        variance = np.einsum("ni,nij,nj->n", normals, self.covariance_mm2[touch], normals)
+        variance = np.einsum("ni,ij,nj->n", normals, self.covariance_mm2[0], normals)
         return np.asarray(rows.T @ (rows / variance[:, None]))
 
     def guess(self, start: Start, seed: int) -> Array:
@@ -202,16 +212,29 @@ def _grasp(
     points, touching = np.array(truth.points_mm), np.array(truth.in_contact)
     sigma = noise.sigma_mm * np.array([0.5, 0.5, 1.0])
     points += sigma * random.normal(size=points.shape)
-    salient = SURFACE_MM - points[:, 2] > _SALIENT_MM
+    salient = _salient(simulator, points, noise)
     outlier = salient & (random.uniform(size=len(points)) < noise.outliers)
     points[outlier, 2] += random.uniform(-1.5, 1.5, size=int(outlier.sum()))
     touching &= ~outlier
-    if (touching & salient).sum() < _LEAST_TOUCHING or not 30 <= salient.sum() <= _MOST_SALIENT:
+    if touching.sum() < _LEAST_TOUCHING or int(salient.sum()) not in _SALIENT:
         return None
     normals = np.full_like(points, np.nan)
-    normals[touching] = surface_normals(mesh, pose, np.asarray(truth.points_mm)[touching])
+    normals[touching] = surface_normals(mesh, template, pose, np.asarray(truth.points_mm)[touching])
+    normals[~(normals[:, 2] < -_STEEP_COSINE)] = np.nan
     covariance = np.broadcast_to(np.diag(sigma**2), (int(salient.sum()), 3, 3)).copy()
-    return Grasp(press.name, mesh, template, points[salient], covariance, points, normals[salient], pose)
+    return Grasp(press.name, mesh, template, points[salient], covariance, points, normals, pose)
+
+
+def _salient(simulator: Simulator, points_mm: Array, noise: Noise) -> npt.NDArray[np.bool_]:
+    """Say which markers are taken to be in contact."""
+    if not noise.by_pressure:
+        return np.asarray(SURFACE_MM - points_mm[:, 2] > _SALIENT_MM)
+    rest = RestSurface(simulator.press().points_mm)
+    variance = np.full(len(points_mm), noise.sigma_mm**2)
+    heights = rest.indentation_mm(points_mm)
+    decay_mm = Params().to_dict()["contact"]["decay_mm"]
+    salient, _ = pressure_saliency(rest, heights, variance, rows=_SIDE, cols=_SIDE, decay_mm=decay_mm)
+    return np.asarray(salient)
 
 
 def place(press: Press, mesh: trimesh.Trimesh, random: np.random.Generator) -> Array:
@@ -245,10 +268,7 @@ def _samples(mesh: trimesh.Trimesh) -> Array:
     return np.vstack([points, mesh.vertices])
 
 
-def surface_normals(mesh: trimesh.Trimesh, pose: Array, points_mm: Array) -> Array:
-    """Normals of the part where it is nearest to points of the sensor frame."""
-    import trimesh
-
+def surface_normals(mesh: trimesh.Trimesh, template: Template, pose: Array, points_mm: Array) -> Array:
+    """Normals of the part's faces that are nearest to points of the sensor frame."""
     back = (points_mm - pose[:3, 3]) @ pose[:3, :3]
-    _, _, triangles = trimesh.proximity.closest_point(mesh, back)
-    return np.asarray(mesh.face_normals[triangles] @ pose[:3, :3].T)
+    return np.asarray(mesh.face_normals[template.closest(back).triangles] @ pose[:3, :3].T)

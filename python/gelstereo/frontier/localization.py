@@ -83,12 +83,11 @@ def measure_localization(seeds: range, rounds: int, report: Report) -> tuple[lis
     )
     rows = []
     for name in methods:
-        cells = [f"{tallies[name, noise.name, start.name].rate:.0f}" for noise in NOISES for start in STARTS]
-        bound = [figure(tallies[name, noise.name, STARTS[1].name].over_bound) for noise in NOISES]
-        rows.append(
-            [name, " / ".join(cells[:3]), bound[0], " / ".join(cells[3:]), bound[1]]
-            + [f"{times[name].median_ms:.2f}", f"{times[name].p99_ms:.2f}"]
-        )
+        row = [name]
+        for noise in NOISES:
+            found = [tallies[name, noise.name, start.name] for start in STARTS]
+            row += [" / ".join(f"{tally.rate:.0f}" for tally in found), figure(found[1].over_bound)]
+        rows.append([*row, f"{times[name].median_ms:.2f}", f"{times[name].p99_ms:.2f}"])
     head = [
         "method",
         *(cell for noise in NOISES for cell in (noise.name, "over the bound")),
