@@ -40,9 +40,10 @@ _HANDS = {
     "twice the force stop": replace(Hand(), force_stop_n=2.0 * Hand().force_stop_n),
 }
 
-#: A part stands off in all six directions, in proportion to these; limits are looked for up to four times as much.
-_TURN_RAD, _SHIFT_MM = 0.02, 0.5
-_MOST, _HALVINGS = 4.0, 7
+#: A part stands off in all six directions, in proportion to these; the limit of geometry is within so many times that.
+_TURN_RAD, _SHIFT_MM, _MOST_UNITS = 0.02, 0.5, 16.0
+#: Limits of physics are looked for up to so many times that of geometry, by so many halvings.
+_MOST, _HALVINGS = 8.0, 7
 #: Where the parts are held behind their tips, and how far from the bottom a part still counts as in.
 _HELD_MM, _IN_MM = 25.0, 0.5
 
@@ -79,25 +80,25 @@ def limit(goes_in: Callable[[float], bool], most: float, halvings: int) -> float
 
 
 def run(configuration: Configuration, seed: int) -> Record:
-    """Find how far a part may stand off in one direction: ``geometry``, and by hand ``physics``.
+    """Find how far a part may stand off in one direction: ``geometry``, in units of `_TURN_RAD` and `_SHIFT_MM`, and by
+    hand ``physics``, over that.
 
-    Both in units of `_TURN_RAD` and `_SHIFT_MM`. ``depths_mm`` are those by hand at the limit of geometry: where it
-    lets the part in, physics should too.
+    ``depths_mm`` are those by hand at the limit of geometry: where it lets the part in, physics should too.
     """
     fit = fit_of(configuration["part"])
     random = np.random.default_rng(seed)
     twist = random.normal(size=6) * np.repeat([_TURN_RAD, _SHIFT_MM], 3)
+    geometry = limit(lambda scale: fit.room_mm(_off(fit, scale * twist)) >= 0.0, _MOST_UNITS, 20)
 
     def depth_mm(hand: Hand, scale: float) -> float:
-        return descend(fit.hole, fit.end, _off(fit, scale * twist), hand, _HELD_MM)
+        return descend(fit.hole, fit.end, _off(fit, scale * geometry * twist), hand, _HELD_MM)
 
     def lands(hand: Hand) -> Callable[[float], bool]:
         return lambda scale: depth_mm(hand, scale) > fit.part.depth_mm - _IN_MM
 
-    geometry = limit(lambda scale: fit.room_mm(_off(fit, scale * twist)) >= 0.0, _MOST, 2 * _HALVINGS)
     return {
         "geometry": geometry,
-        "depths_mm": {name: round(depth_mm(hand, geometry), 6) for name, hand in _HANDS.items()},
+        "depths_mm": {name: round(depth_mm(hand, 1.0), 6) for name, hand in _HANDS.items()},
         "physics": {name: limit(lands(hand), _MOST, _HALVINGS) for name, hand in _HANDS.items()},
     }
 
@@ -116,8 +117,9 @@ _ASKED = (
 )
 _CONDITIONS = (
     f"simulated (MuJoCo); directions drawn with standard deviations of {_TURN_RAD} rad and {_SHIFT_MM} mm; limits are "
-    f"looked for up to {_MOST} times that, to {_MOST / 2**_HALVINGS}; a part is in from {_IN_MM} mm above the bottom "
-    f"on; time step {1e3 * Hand().step_s} ms, force stop {Hand().force_stop_n} N, {Hand().stiffness_n_per_mm} N/mm"
+    f"looked for up to {_MOST} times that of geometry, to {_MOST / 2**_HALVINGS}; a part is in from {_IN_MM} mm above "
+    f"the bottom on; time step {1e3 * Hand().step_s} ms, force stop {Hand().force_stop_n} N, "
+    f"{Hand().stiffness_n_per_mm} N/mm"
 )
 
 
@@ -149,8 +151,7 @@ def _row(records: Sequence[Record], letter: str) -> list[str]:
     first, *others = _HANDS
     went = [record["depths_mm"][first] > GRASPED[letter].depth_mm - _IN_MM for record in records]
     ours = np.array([record["physics"][first] for record in records])
-    geometry = np.array([record["geometry"] for record in records])
-    cells = [f"{sum(went)} of {len(went)}", _spread(ours / geometry, ".2f")]
+    cells = [f"{sum(went)} of {len(went)}", _spread(ours, ".2f")]
     for name in others:
         theirs = np.array([record["physics"][name] for record in records])
         cells.append(_spread(100.0 * (theirs / ours - 1.0), "+.1f"))
