@@ -2,9 +2,9 @@
 //!
 //! Nine parameters per marker (centre, ellipse, contrast, ground, its two slopes), and for the whole image the blur, the
 //! noise and the grain. Gauss-Newton steps move the outline until the residuals, weighted for the image's noise along the
-//! edge, balance; the first one is a linear filter that is the same for all markers ([`template`]). In white noise that is
-//! least squares; in grain, which makes neighbouring pixels alike,
-//! least squares would be half as precise again as the bound (Kay, Estimation Theory, section 4.5: whitened residuals).
+//! edge, balance; the first step is a linear filter that is the same for all markers. In white noise that is least squares; in
+//! grain, which makes neighbouring pixels alike, least squares would be half as precise again as the bound (Kay,
+//! Estimation Theory, section 4.5: whitened residuals).
 
 mod bessel;
 mod contour;
