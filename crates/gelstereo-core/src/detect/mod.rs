@@ -216,9 +216,9 @@ impl Detector {
         for blob in whole.clone().filter(in_range) {
             let mut grey = || grey_centre.run(image, blob, components.runs(blob), params.polarity);
             let (centre_px, band) = match params.centre {
-                Centre::Binary | Centre::Matched => (centre::binary(blob), 0),
+                Centre::Binary | Centre::Matched | Centre::Fit => (centre::binary(blob), 0),
                 Centre::Band => at_a_glance(centre::binary(blob)).unwrap_or_else(|| (grey(), 0)),
-                Centre::Grey | Centre::Fit => (grey(), 0),
+                Centre::Grey => (grey(), 0),
             };
             if kind.is_some() {
                 bands.push(band);
@@ -248,6 +248,13 @@ impl Detector {
             fill_mask(components, self.size_px, mask);
             let others = components.blobs().iter().filter(|blob| blob.area_px2 >= LEAST_NEIGHBOUR_PX2);
             fit.finish(image, mask, others.map(centre::binary), out);
+            grey_centre.reserve(image.height());
+            let mut unfitted = fit.unfitted().peekable();
+            for (k, blob) in whole.clone().filter(in_range).enumerate() {
+                if unfitted.next_if_eq(&k).is_some() {
+                    out.centres_px[k] = grey_centre.run(image, blob, components.runs(blob), params.polarity);
+                }
+            }
         }
         if params.centre == Centre::Matched {
             let every = rows_between(size_px.1);

@@ -38,8 +38,8 @@ pub(super) struct Glances {
     seen: Vec<Seen>,
     pieces: Pieces,
     mask: Vec<u8>,
-    /// The last marker seen with its centre in each cell, plus 1.
-    cells: Vec<u32>,
+    /// The last marker seen with its centre in each cell, plus 1; there are fewer than 65 535.
+    cells: Vec<u16>,
 }
 
 impl Glances {
@@ -225,7 +225,8 @@ impl Detector {
                 cells[cell] = 0;
             }
             if seen[n].alive {
-                cells[middle] = n as u32 + 1;
+                // More positions than that no image has: such a marker may then be given twice.
+                cells[middle] = u16::try_from(n + 1).unwrap_or(0);
             }
         }
         let typed = self.params.centre_sigma_px * self.params.centre_sigma_px;

@@ -179,7 +179,7 @@ impl Pipeline {
         }
         let (left, right) = (self.left.labelled(), self.right.labelled());
         self.triangulator.clear_map();
-        let mut stereo = Vec::new();
+        let mut stereo = Vec::with_capacity(left.positions_px.len());
         self.triangulator
             .run(centres(left), centres(right), &mut stereo)
             .map_err(PipelineError::Triangulate)?;

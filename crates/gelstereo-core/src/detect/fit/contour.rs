@@ -81,3 +81,14 @@ pub(super) fn matrix(
     }
     Some(matrix)
 }
+
+/// The matrix with rows and columns times these factors.
+pub(super) fn scaled(matrix: &Matrix, by: &[f64; 5]) -> Matrix {
+    let mut scaled = *matrix;
+    for i in 0..5 {
+        for j in 0..=i {
+            scaled[i][j] *= by[i] * by[j];
+        }
+    }
+    scaled
+}

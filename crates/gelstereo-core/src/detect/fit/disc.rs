@@ -7,6 +7,7 @@ use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, round_even, sqrt};
 use alloc::vec::Vec;
+use core::f64::consts::{FRAC_1_SQRT_2, PI};
 
 /// Outline (p - c)ᵀ A (p - c) = 1 of an ellipse; coordinates relative to the window's origin.
 #[derive(Clone, Copy, Debug)]
@@ -60,9 +61,9 @@ struct Cell {
     /// 1 for a pixel.
     one: Lanes,
     level: Lanes,
-    /// Share of the contrast, and its fall with the distance from the outline, 1/px.
+    /// Share of the contrast, and its fall with the distance from the outline over the blur.
     inside: Lanes,
-    slope: Lanes,
+    density: Lanes,
     /// Distance from the outline, px, outside positive.
     distance: Lanes,
     weight: Lanes,
@@ -71,6 +72,28 @@ struct Cell {
     /// How the level changes with the slopes of the light: the place, but more where there is contrast, for that takes
     /// part in the light.
     lit: [Lanes; 2],
+}
+
+/// Answers of a cell's pixels: of centre and form, times the contrast, and of the contrast.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Answers([Lanes; ANSWERS]);
+pub(super) const ANSWERS: usize = 6;
+
+impl Cell {
+    /// Shares, slopes and weights at the cell's distances.
+    #[inline]
+    fn shade(&mut self, per_blur: f32, edge: &Edge, scratch: &mut Scratch, whole: bool) {
+        let Scratch { place, off, .. } = scratch;
+        Edge::find(&self.distance, per_blur, place, off);
+        edge.look_up(place, off, [&mut self.inside, &mut self.density, &mut self.weight]);
+        if !whole {
+            for k in 0..WIDTH {
+                self.inside[k] *= self.one[k];
+                self.density[k] *= self.one[k];
+                self.weight[k] *= self.one[k];
+            }
+        }
+    }
 }
 
 /// The outline's part of the normal equations (lower triangle), for a contrast of 1.
@@ -94,6 +117,13 @@ struct Extent {
 }
 
 impl Extent {
+    /// Of an image without end.
+    fn whole(radius_px: f64) -> Self {
+        let extent = Self { radius2: (radius_px * radius_px) as i64, ..Self::default() };
+        let reach = extent.reach();
+        Self { columns: (-reach, reach), rows: (-reach, reach), ..extent }
+    }
+
     fn reach(&self) -> i64 {
         sqrt(self.radius2 as f64) as i64
     }
@@ -118,7 +148,7 @@ pub(super) struct Window {
     /// Pixels in all.
     pixels: usize,
     /// Levels of the pixels.
-    loaded: Vec<u8>,
+    loaded: Vec<f32>,
     /// Row by row; the places serve every marker of the same extent.
     cells: Vec<Cell>,
     /// Σ over pixels of products of 1, x, y with each other (lower triangle) and with the level.
@@ -126,40 +156,67 @@ pub(super) struct Window {
     ground_right: [f64; 3],
     /// The pixel in the middle.
     pub origin: DVec2,
+    scratch: Scratch,
+}
+
+/// What the loops over one cell hand on to each other. It is kept, for a new one would be cleared first.
+#[derive(Clone, Debug, Default)]
+struct Scratch {
+    place: [u32; WIDTH],
+    off: Lanes,
+    residual: Lanes,
+    pull: Lanes,
 }
 
 impl Window {
-    /// Room for a window of so many pixels on a side.
+    /// Room for a window of so many pixels across.
     pub fn reserve(&mut self, side: usize) {
-        self.cells.reserve((side * side).div_ceil(WIDTH).saturating_sub(self.cells.len()));
+        // A circle through the corners of pixels on its edge has the area of all, and more.
+        let reach = 0.5 * side as f64 + FRAC_1_SQRT_2;
+        let cells = ((PI * reach * reach) as usize).div_ceil(WIDTH);
+        self.cells.reserve(cells.saturating_sub(self.cells.len()));
         self.spans.reserve(side.saturating_sub(self.spans.len()));
-        self.loaded.reserve((side * side).saturating_sub(self.loaded.len()));
+        self.loaded.reserve((cells * WIDTH).saturating_sub(self.loaded.len()));
     }
 
     /// The pixels of `image` within `radius_px` of that at `centre_px`; their number.
     pub fn load(&mut self, image: GrayView<'_>, centre_px: DVec2, radius_px: f64) -> usize {
         self.origin = DVec2::new(round_even(centre_px.x), round_even(centre_px.y));
         let (x, y) = (self.origin.x as i64, self.origin.y as i64);
-        let mut extent = Extent { radius2: (radius_px * radius_px) as i64, ..Extent::default() };
+        let mut extent = Extent::whole(radius_px);
         let reach = extent.reach();
         let within = |middle: i64, len: usize| ((-middle).max(-reach), (len as i64 - 1 - middle).min(reach));
         (extent.columns, extent.rows) = (within(x, image.width()), within(y, image.height()));
+        self.set(extent);
+        self.loaded.clear();
+        for &(dy, first, count) in &self.spans {
+            let row = &image.row((y + dy) as usize)[(x + first) as usize..];
+            self.loaded.extend(row[..count].iter().map(|&level| f32::from(level)));
+        }
+        self.loaded.resize(self.cells.len() * WIDTH, 0.0);
+        for (cell, levels) in self.cells.iter_mut().zip(self.loaded.as_chunks().0) {
+            cell.level.0 = *levels;
+        }
+        self.ground_right = self.sums(|cell| [&cell.one, &cell.x, &cell.y].map(|term| (term, &cell.level)));
+        self.pixels
+    }
+
+    /// The same pixels about no marker, as if the image had no end; their number.
+    pub fn lay(&mut self, radius_px: f64) -> usize {
+        self.set(Extent::whole(radius_px));
+        self.pixels
+    }
+
+    /// Whether the image has all pixels within this radius, and the window no others.
+    pub fn is_whole(&self, radius_px: f64) -> bool {
+        self.extent == Extent::whole(radius_px)
+    }
+
+    fn set(&mut self, extent: Extent) {
         if extent != self.extent {
             self.extent = extent;
             self.place();
         }
-        self.loaded.clear();
-        for &(dy, first, count) in &self.spans {
-            let row = &image.row((y + dy) as usize)[(x + first) as usize..];
-            self.loaded.extend_from_slice(&row[..count]);
-        }
-        for (cell, levels) in self.cells.iter_mut().zip(self.loaded.chunks(WIDTH)) {
-            for (lane, &level) in cell.level.0.iter_mut().zip(levels) {
-                *lane = f32::from(level);
-            }
-        }
-        self.ground_right = self.sums(|cell| [&cell.one, &cell.x, &cell.y].map(|term| (term, &cell.level)));
-        self.pixels
     }
 
     /// Places of the pixels of a new extent, and their sums.
@@ -198,8 +255,8 @@ impl Window {
         let (centre_x, centre_y) = (outline.centre.x as f32, outline.centre.y as f32);
         let per_blur = (1.0 / blur_px) as f32;
         const TINY: f32 = 1e-12;
-        for cell in &mut self.cells {
-            let mut z = Lanes::default();
+        let whole = self.pixels / WIDTH;
+        for (n, cell) in self.cells.iter_mut().enumerate() {
             for k in 0..WIDTH {
                 let (x, y) = (cell.x[k] - centre_x, cell.y[k] - centre_y);
                 let (along, across) = (xx * x + xy * y, xy * x + yy * y);
@@ -208,9 +265,7 @@ impl Window {
                 let q2 = x * along + y * across + TINY;
                 let q = q2 * inverse_root(q2);
                 let inverse = inverse_root(along * along + across * across + TINY);
-                let distance = q * (q - 1.0) * inverse;
-                z[k] = distance * per_blur;
-                cell.distance[k] = distance;
+                cell.distance[k] = q * (q - 1.0) * inverse;
                 cell.basis[0][k] = along * inverse;
                 cell.basis[1][k] = across * inverse;
                 let (x_half, y_half) = (-0.5 * x * inverse, -0.5 * y * inverse);
@@ -218,18 +273,13 @@ impl Window {
                 cell.basis[3][k] = (x_half + x_half) * y;
                 cell.basis[4][k] = y_half * y;
             }
-            let shares = edge.at(&z);
-            for k in 0..WIDTH {
-                cell.inside[k] = shares.inside[k] * cell.one[k];
-                cell.slope[k] = shares.density[k] * per_blur * cell.one[k];
-                cell.weight[k] = shares.weight[k] * cell.one[k];
-            }
+            cell.shade(per_blur, edge, &mut self.scratch, n < whole);
         }
     }
 
     /// Contrast over the gel's level: light that falls off takes its share of the contrast with it, so that where the dot
     /// is a slope of light is 1 plus this as steep.
-    fn light(&mut self, per_ground: f64) {
+    pub fn light(&mut self, per_ground: f64) {
         let per_ground = per_ground as f32;
         for cell in &mut self.cells {
             for k in 0..WIDTH {
@@ -242,20 +292,36 @@ impl Window {
 
     /// Least-squares levels, and the factor of their normal matrix (ground, slopes, contrast).
     pub fn levels(&mut self) -> Option<(Levels, Factor<4>)> {
-        let [square, one, x, y, right] = self.sums(|Cell { x, y, one, level, inside, .. }| {
-            [inside, one, x, y, level].map(|term| (inside, term))
-        });
-        let [ground, along, across] = self.ground;
-        let factor = Factor::new(&[
-            [ground[0], 0.0, 0.0, 0.0],
-            [along[0], along[1], 0.0, 0.0],
-            [across[0], across[1], across[2], 0.0],
-            [one, x, y, square],
-        ])?;
+        let ([one, x, y, square], right) = self.inside_sums();
+        let factor = self.factor_with(one, x, y, square)?;
         let [level, level_x, level_y] = self.ground_right;
         let [ground, x, y, contrast] = factor.solve(&[level, level_x, level_y, right]);
         self.light(contrast / ground.max(1.0));
         Some((Levels { contrast, ground, slope: DVec2::new(x, y) }, factor))
+    }
+
+    /// That factor alone.
+    pub fn follow(&self) -> Option<Factor<4>> {
+        let ([one, x, y, square], _) = self.inside_sums();
+        self.factor_with(one, x, y, square)
+    }
+
+    /// Σ of the share times 1, x, y and itself, and times the level.
+    fn inside_sums(&self) -> ([f64; 4], f64) {
+        let [one, x, y, square, right] = self.sums(|Cell { x, y, one, level, inside, .. }| {
+            [one, x, y, inside, level].map(|term| (inside, term))
+        });
+        ([one, x, y, square], right)
+    }
+
+    fn factor_with(&self, one: f64, x: f64, y: f64, square: f64) -> Option<Factor<4>> {
+        let [ground, along, across] = self.ground;
+        Factor::new(&[
+            [ground[0], 0.0, 0.0, 0.0],
+            [along[0], along[1], 0.0, 0.0],
+            [across[0], across[1], across[2], 0.0],
+            [one, x, y, square],
+        ])
     }
 
     /// By how much the blur should grow, by least squares together with the levels.
@@ -265,7 +331,8 @@ impl Window {
         let mut right = [Sum::default(); 5];
         for cell in &self.cells {
             // ∂Φ(-d/σ)/∂σ = φ(d/σ) d / σ²
-            let wider = Lanes(core::array::from_fn(|k| cell.slope[k] * cell.distance[k] * per_blur));
+            let wider =
+                Lanes(core::array::from_fn(|k| per_blur * per_blur * cell.density[k] * cell.distance[k]));
             let terms = [&cell.one, &cell.x, &cell.y, &cell.inside, &wider];
             for i in 0..5 {
                 right[i].add(terms[i], &cell.level);
@@ -282,13 +349,13 @@ impl Window {
     }
 
     /// The normal matrix of the outline's step, less what the levels take up when they follow it (variable projection).
-    pub fn matrix(&self, levels: &Factor<4>) -> Matrix {
+    pub fn matrix(&self, levels: &Factor<4>, blur_px: f64) -> Matrix {
         let mut sums = [[Sum::default(); 5]; 5];
         let mut with_weight = [[Sum::default(); 4]; 5];
         let mut with_slope = [[Sum::default(); 4]; 5];
         for cell in &self.cells {
             let times = |a: &Lanes, b: &Lanes| Lanes(core::array::from_fn(|k| a[k] * b[k]));
-            let sloped = cell.basis.each_ref().map(|basis| times(&cell.slope, basis));
+            let sloped = cell.basis.each_ref().map(|basis| times(&cell.density, basis));
             let weighted = cell.basis.each_ref().map(|basis| times(&cell.weight, basis));
             let terms = [&cell.one, &cell.x, &cell.y, &cell.inside];
             let seen = [&cell.one, &cell.lit[0], &cell.lit[1], &cell.inside];
@@ -302,9 +369,10 @@ impl Window {
                 }
             }
         }
-        let mut matrix = sums.map(|row| row.each_ref().map(Sum::total));
+        let per_blur = 1.0 / blur_px;
+        let mut matrix = sums.map(|row| row.each_ref().map(|sum| per_blur * sum.total()));
         let with_weight = with_weight.map(|row| row.each_ref().map(Sum::total));
-        let with_slope = with_slope.map(|row| row.each_ref().map(Sum::total));
+        let with_slope = with_slope.map(|row| row.each_ref().map(|sum| per_blur * sum.total()));
         let followed = with_slope.map(|row| levels.solve(&row));
         let dot = |a: &[f64; 4], b: &[f64; 4]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         for i in 0..5 {
@@ -316,17 +384,14 @@ impl Window {
         matrix
     }
 
-    /// How the centre answers to every pixel, px per grey level: the step of `matrix` at this contrast with the levels
-    /// following. Places are whole pixels from the middle.
-    pub fn influence(
-        &self,
-        matrix: &Factor<5>,
-        levels: &Factor<4>,
-        contrast: f64,
-        mut each: impl FnMut([i32; 2], DVec2),
-    ) {
-        let row = |axis: usize| matrix.solve(&core::array::from_fn(|k| f64::from(u8::from(k == axis))));
-        let rows = [row(0), row(1)].map(|row| row.map(|entry| (entry / contrast) as f32));
+    /// How the parameters times the contrast, and the contrast, answer to every pixel: the step of `matrix` with the levels
+    /// following. Cell by cell, after what `out` has.
+    pub fn answers(&self, matrix: &Factor<5>, levels: &Factor<4>, out: &mut Vec<Answers>) {
+        let unit = |len: usize, axis: usize| move |k: usize| f64::from(u8::from(k == axis && k < len));
+        let rows: [[f32; 5]; 5] = core::array::from_fn(|axis| {
+            matrix.solve(&core::array::from_fn(unit(5, axis))).map(|entry| entry as f32)
+        });
+        let contrast = levels.solve(&core::array::from_fn(unit(4, 3)));
         let pulled = |cell: &Cell, row: &[f32; 5]| {
             Lanes(core::array::from_fn(|k| {
                 let along: f32 = row.iter().zip(&cell.basis).map(|(r, basis)| r * basis[k]).sum();
@@ -343,34 +408,55 @@ impl Window {
             levels.solve(&sums.each_ref().map(Sum::total))
         });
         for cell in &self.cells {
-            let pulls = rows.map(|row| pulled(cell, &row));
+            let level = |of: &[f64; 4], k: usize| {
+                let [ground, x, y, inside] = of.map(|entry| entry as f32);
+                ground * cell.one[k] + x * cell.x[k] + y * cell.y[k] + inside * cell.inside[k]
+            };
+            let mut answers = [Lanes::default(); ANSWERS];
+            for axis in 0..5 {
+                let pull = pulled(cell, &rows[axis]);
+                answers[axis] = Lanes(core::array::from_fn(|k| pull[k] - level(&taken[axis], k)));
+            }
+            answers[5] = Lanes(core::array::from_fn(|k| level(&contrast, k)));
+            out.push(Answers(answers));
+        }
+    }
+
+    /// What answers to the levels.
+    pub fn sum_answers(&self, answers: &[Answers]) -> [f64; ANSWERS] {
+        let mut sums = [Sum::default(); ANSWERS];
+        for (cell, Answers(answers)) in self.cells.iter().zip(answers) {
+            sums.iter_mut().zip(answers).for_each(|(sum, answer)| sum.add(answer, &cell.level));
+        }
+        sums.each_ref().map(Sum::total)
+    }
+
+    /// Calls with each pixel's place and how the centre answers to it, px per grey level at a contrast of 1.
+    pub fn each_answer(&self, answers: &[Answers], mut each: impl FnMut([i32; 2], DVec2)) {
+        for (cell, Answers([x, y, ..])) in self.cells.iter().zip(answers) {
             for lane in (0..WIDTH).filter(|&lane| cell.one[lane] > 0.0) {
-                let terms = [&cell.one, &cell.x, &cell.y, &cell.inside].map(|lanes| f64::from(lanes[lane]));
-                let answer = |axis: usize| {
-                    let level: f64 = taken[axis].iter().zip(terms).map(|(taken, term)| taken * term).sum();
-                    f64::from(pulls[axis][lane]) - level
-                };
-                each([cell.x[lane] as i32, cell.y[lane] as i32], DVec2::new(answer(0), answer(1)));
+                let place = [cell.x[lane] as i32, cell.y[lane] as i32];
+                each(place, DVec2::new(f64::from(x[lane]), f64::from(y[lane])));
             }
         }
     }
 
     /// The weighted residuals at these levels.
-    pub fn pull(&self, levels: &Levels) -> Pull {
+    pub fn pull(&mut self, levels: &Levels) -> Pull {
         let [ground, along, across, contrast] =
             [levels.ground, levels.slope.x, levels.slope.y, levels.contrast].map(|level| level as f32);
         let (mut right, mut square) = ([Sum::default(); 5], Sum::default());
-        for cell in &self.cells {
-            let (mut residual, mut pull) = (Lanes::default(), Lanes::default());
+        let Self { cells, scratch: Scratch { residual, pull, .. }, .. } = self;
+        for cell in &*cells {
             for k in 0..WIDTH {
                 let slopes = along * cell.lit[0][k] + across * cell.lit[1][k];
                 let expected = ground * cell.one[k] + slopes + contrast * cell.inside[k];
                 residual[k] = cell.level[k] - expected;
                 pull[k] = cell.weight[k] * residual[k];
             }
-            square.add(&residual, &residual);
+            square.add(residual, residual);
             for i in 0..5 {
-                right[i].add(&pull, &cell.basis[i]);
+                right[i].add(pull, &cell.basis[i]);
             }
         }
         Pull { right: right.each_ref().map(Sum::total), residual2: square.total() }

@@ -36,14 +36,6 @@ const LEAST_SHARE: f64 = 0.03;
 /// fourth makes it 16 bytes.
 type Node = [f32; 4];
 
-/// An edge at some places.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Shares {
-    pub inside: Lanes,
-    pub density: Lanes,
-    pub weight: Lanes,
-}
-
 /// Profile and weights over the distance from an edge.
 #[derive(Clone, Debug)]
 pub(super) struct Edge {
@@ -108,6 +100,13 @@ impl Edge {
         self.spread(blur_px);
     }
 
+    /// Chooses the weights of least squares, for white noise: the slope of the profile.
+    pub fn weigh_alike(&mut self, blur_px: f64) {
+        for node in self.nodes.iter_mut() {
+            node[2] = node[1] / blur_px as f32;
+        }
+    }
+
     /// Weights between those of the coarse nodes, and their integrals.
     fn spread(&mut self, blur_px: f64) {
         let mut across = Across::default();
@@ -135,28 +134,32 @@ impl Edge {
         &self.across
     }
 
-    /// At distances `z` over blur, the share with its tangent.
+    /// Nodes next to these distances, px, and how far off they are over the blur.
     #[inline]
-    pub fn at(&self, z: &Lanes) -> Shares {
+    pub fn find(distance: &Lanes, per_blur: f32, place: &mut [u32; WIDTH], off: &mut Lanes) {
         // 2^23: a sum with it is rounded to an integer, which stands in its lowest bits.
         const ROUND: f32 = 8_388_608.0;
-        let (mut shares, mut off, mut place) = (Shares::default(), Lanes::default(), [0_u32; WIDTH]);
         let limit = REACH as f32 - 0.02;
         for k in 0..WIDTH {
-            let low = if z[k] > -limit { z[k] } else { -limit };
+            let z = distance[k] * per_blur;
+            let low = if z > -limit { z } else { -limit };
             let within = if low < limit { low } else { limit };
             let at = (within + REACH as f32) * PER_UNIT as f32;
             let rounded = at + ROUND;
             place[k] = rounded.to_bits();
             off[k] = (at - (rounded - ROUND)) * (1.0 / PER_UNIT as f32);
         }
+    }
+
+    /// Shares, how they fall with the distance over the blur, and weights: of the nodes, but shares with their tangents.
+    #[inline]
+    pub fn look_up(&self, place: &[u32; WIDTH], off: &Lanes, [inside, density, weight]: [&mut Lanes; 3]) {
         for k in 0..WIDTH {
             let node = &self.nodes[place[k] as usize % NODES];
-            (shares.inside[k], shares.density[k], shares.weight[k]) = (node[0], node[1], node[2]);
+            (inside[k], density[k], weight[k]) = (node[0], node[1], node[2]);
         }
         for k in 0..WIDTH {
-            shares.inside[k] -= off[k] * shares.density[k];
+            inside[k] -= off[k] * density[k];
         }
-        shares
     }
 }

@@ -7,6 +7,8 @@ use alloc::vec::Vec;
 /// Farthest pixel from the middle that is looked at. A larger marker has edges that are straight within the grain.
 const REACH: i32 = 16;
 const SIDE: usize = 2 * REACH as usize + 1;
+/// Most pixels that are looked at.
+pub(super) const MOST_PIXELS: usize = SIDE * SIDE;
 
 /// Something's variance for a variance of 1 of the white noise, and of the grain.
 #[derive(Clone, Copy, Debug, Default)]
@@ -20,22 +22,25 @@ pub(in crate::detect) struct Variances {
 pub(in crate::detect) struct Influence {
     answers: Vec<DVec2>,
     blurred: Vec<DVec2>,
+    /// Farthest pixel with an answer, along either axis.
+    farthest: usize,
     fits: bool,
 }
 
 impl Influence {
     pub fn new() -> Self {
         let zero = || vec![DVec2::ZERO; SIDE * SIDE];
-        Self { answers: zero(), blurred: zero(), fits: true }
+        Self { answers: zero(), blurred: zero(), farthest: 0, fits: true }
     }
 
     pub fn clear(&mut self) {
         self.answers.fill(DVec2::ZERO);
-        self.fits = true;
+        (self.farthest, self.fits) = (0, true);
     }
 
     pub fn set(&mut self, [x, y]: [i32; 2], answer: DVec2) {
         if x.abs() <= REACH && y.abs() <= REACH {
+            self.farthest = self.farthest.max(x.unsigned_abs().max(y.unsigned_abs()) as usize);
             self.answers[(y + REACH) as usize * SIDE + (x + REACH) as usize] = answer;
         } else {
             self.fits = false;
@@ -51,30 +56,30 @@ impl Influence {
         }
         let l2 = grain_size_px * grain_size_px;
         let alike: [f64; SIDE] = core::array::from_fn(|d| exp(-0.25 * (d * d) as f64 / l2));
-        blur(&self.answers, &mut self.blurred, &alike, SIDE);
-        let white: f64 = self.answers.iter().map(|g| g.length_squared()).sum();
+        let within = REACH as usize - self.farthest..REACH as usize + self.farthest + 1;
+        let rows = within.start * SIDE..within.end * SIDE;
+        let (answers, blurred) = (&self.answers[rows.clone()], &mut self.blurred[rows]);
+        let white: f64 = answers.iter().map(|g| g.length_squared()).sum();
         let mut grain = 0.0;
-        for (row, answers) in self.answers.chunks_exact(SIDE).enumerate() {
-            if answers.iter().all(|&g| g == DVec2::ZERO) {
-                continue;
-            }
-            for (other, blurred) in self.blurred.chunks_exact(SIDE).enumerate() {
-                let product: f64 = answers.iter().zip(blurred).map(|(a, b)| a.dot(*b)).sum();
-                grain += alike[row.abs_diff(other)] * product;
+        for (from, to) in answers.chunks_exact(SIDE).zip(blurred.chunks_exact_mut(SIDE)) {
+            blur(&from[within.clone()], &mut to[within.clone()], &alike);
+        }
+        for (row, answers) in answers.chunks_exact(SIDE).enumerate() {
+            for (other, blurred) in blurred.chunks_exact(SIDE).enumerate() {
+                let pairs = answers[within.clone()].iter().zip(&blurred[within.clone()]);
+                grain += alike[row.abs_diff(other)] * pairs.map(|(a, b)| a.dot(*b)).sum::<f64>();
             }
         }
         Some(Variances { white, grain })
     }
 }
 
-/// Convolves every row with a symmetric kernel.
-fn blur(from: &[DVec2], to: &mut [DVec2], kernel: &[f64; SIDE], width: usize) {
+/// Convolves a row with a symmetric kernel.
+fn blur(from: &[DVec2], to: &mut [DVec2], kernel: &[f64; SIDE]) {
     to.fill(DVec2::ZERO);
-    for (from, to) in from.chunks_exact(width).zip(to.chunks_exact_mut(width)) {
-        for (x, &value) in from.iter().enumerate().filter(|(_, value)| **value != DVec2::ZERO) {
-            for (k, sum) in to.iter_mut().enumerate() {
-                *sum += value * kernel[x.abs_diff(k)];
-            }
+    for (x, &value) in from.iter().enumerate().filter(|(_, value)| **value != DVec2::ZERO) {
+        for (k, sum) in to.iter_mut().enumerate() {
+            *sum += value * kernel[x.abs_diff(k)];
         }
     }
 }

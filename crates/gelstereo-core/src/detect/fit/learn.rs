@@ -1,9 +1,12 @@
 //! What the markers of an image have in common: noise, blur, and what the covariance must allow for.
 
-use super::influence::Variances;
-use super::{DiscFit, FIRST_BLUR_PX, Outline, Start, apply, covariance, plausible, step};
-use crate::detect::fit::{Factor, Noise};
+use super::influence::{MOST_PIXELS, Variances};
+use super::lanes::WIDTH;
+use super::noise::ENOUGH_ROWS;
+use super::{DiscFit, FIRST_BLUR_PX, Matrix, Outline, Start, apply, covariance, plausible, step};
+use crate::detect::fit::{Factor, contour};
 use crate::image::GrayView;
+use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, ceil, median, sqrt};
 
 /// Markers from which an image's blur is estimated, spread evenly over the list, and rounds.
@@ -27,6 +30,8 @@ pub(super) struct Sample {
     outline: Outline,
     contrast: f64,
     ground: f64,
+    /// Radius of its window.
+    window_px: f64,
     alive: bool,
 }
 
@@ -36,20 +41,39 @@ impl DiscFit {
         self.blur_px = self.given_blur_px.unwrap_or(FIRST_BLUR_PX);
         self.radius_off_px = 0.0;
         self.take_samples(starts);
+        self.answers.clear();
+        self.answers.reserve(MOST_PIXELS.div_ceil(WIDTH));
         // Least squares will do for what is common to all.
         let radius_px = self.median_of(|sample| Some(sample.start.radius_px()));
-        self.edge.weigh(self.blur_px, radius_px, &Noise::default());
+        self.edge.weigh_alike(self.blur_px);
         self.learn_blur(image);
         self.radius_off_px = self.median_of(|sample| {
             let spread_px2 = sample.outline.spread_px2()?;
             Some(Start { spread_px2, ..sample.start }.radius_px() - sample.start.radius_px())
         });
+        let usual_px2 = self.usual_spread_px2();
         self.contrast = self.median_of(|sample| Some(sample.contrast));
         let gel_level = self.median_of(|sample| Some(sample.ground));
         let clearance_px = ceil(CLEAR_BLURS * self.blur_px - 0.5).clamp(CLEAR_PX.0, CLEAR_PX.1) as usize;
-        self.noise = self.meter.run(image, mask, 1, clearance_px).unwrap_or_default().at(gel_level);
+        let every = (image.height() / ENOUGH_ROWS).max(1);
+        self.noise = self.meter.run(image, mask, every, clearance_px).unwrap_or_default().at(gel_level);
         self.edge.weigh(self.blur_px, radius_px + self.radius_off_px, &self.noise);
         self.measure_sandwich(image);
+        let window_px = self.median_of(|sample| Some(sample.window_px));
+        self.template.forget();
+        if let Some(spread_px2) = usual_px2 {
+            let Self { template, window, edge, .. } = self;
+            let per_ground = self.contrast / gel_level.max(1.0);
+            template.learn(window, (&spread_px2, window_px), per_ground, (self.blur_px, edge));
+        }
+    }
+
+    /// Of the samples' outlines.
+    fn usual_spread_px2(&mut self) -> Option<Symmetric<2>> {
+        let mut entry =
+            |i: usize, j: usize| self.median_of(|sample| Some(sample.outline.spread_px2()?[i][j]));
+        let (xx, xy, yy) = (entry(0, 0), entry(1, 0), entry(1, 1));
+        (xx * yy > xy * xy).then_some([[xx, xy], [xy, yy]])
     }
 
     fn take_samples(&mut self, starts: &[Start]) {
@@ -59,7 +83,8 @@ impl DiscFit {
         for k in 0..count {
             let start = starts[k * starts.len() / count];
             let Some(outline) = Outline::new(DVec2::ZERO, &start.spread_px2) else { continue };
-            self.samples.push(Sample { start, outline, contrast: 0.0, ground: 0.0, alive: true });
+            let window_px = self.window_px(&start);
+            self.samples.push(Sample { start, outline, contrast: 0.0, ground: 0.0, window_px, alive: true });
         }
     }
 
@@ -99,7 +124,7 @@ impl DiscFit {
         self.window.draw(&outline, self.blur_px, &self.edge);
         let (levels, follow) = self.window.levels()?;
         let wider_px = self.window.blur_step(self.blur_px)?;
-        let factor = Factor::new(&self.window.matrix(&follow))?;
+        let factor = Factor::new(&self.window.matrix(&follow, self.blur_px))?;
         apply(&mut outline, &step(&factor, &self.window.pull(&levels).right, &levels)?);
         outline.centre -= start.centre_px - self.window.origin;
         self.samples[k].outline = outline;
@@ -108,7 +133,7 @@ impl DiscFit {
         self.samples[k].alive.then_some(wider_px)
     }
 
-    /// Measures variances of some samples' centres over what the inverse information says.
+    /// Measures variances of some samples' centres over what the inverse information says, taken as the fit takes it.
     fn measure_sandwich(&mut self, image: GrayView<'_>) {
         let mut sums = Variances::default();
         let (mut count, mut straight, mut ratios) = (0.0, 0.0, [0.0; 5]);
@@ -140,21 +165,35 @@ impl DiscFit {
         if !alive {
             return None;
         }
-        self.load(image, &start)?;
+        self.load(image, &start).filter(|&pixels| pixels <= MOST_PIXELS)?;
         outline.centre += start.centre_px - self.window.origin;
         self.window.draw(&outline, self.blur_px, &self.edge);
         let (levels, follow) = self.window.levels()?;
-        let matrix = self.window.matrix(&follow);
+        let matrix = self.window.matrix(&follow, self.blur_px);
         let quick = self.is_straight(&outline).then(|| self.along(&outline, &levels, &follow)).flatten();
-        let over: Option<[f64; 5]> = quick.map(|quick| core::array::from_fn(|i| matrix[i][i] / quick[i][i]));
+        let over = quick.and_then(|quick| over_contour(&matrix, &quick));
         let factor = Factor::new(&matrix)?;
-        let [[xx, _], [_, yy]] = covariance(&factor, &levels, 1.0)?;
-        let Self { window, influence, .. } = self;
+        // What the fit will say of such a marker.
+        let said = match (&quick, &over) {
+            (Some(quick), Some(over)) => Factor::new(&contour::scaled(quick, over))?,
+            _ => factor,
+        };
+        let [[xx, _], [_, yy]] = covariance(&said, &levels, 1.0)?;
+        let Self { window, influence, answers, .. } = self;
         influence.clear();
-        window.influence(&factor, &follow, levels.contrast, |place, answer| influence.set(place, answer));
+        answers.clear();
+        window.answers(&factor, &follow, answers);
+        let per_contrast = 1.0 / levels.contrast;
+        window.each_answer(answers, |place, answer| influence.set(place, answer * per_contrast));
         let Variances { white, grain } = influence.variances_px2(self.noise.grain_size_px)?;
         let ratios = Variances { white: white / (xx + yy), grain: grain / (xx + yy) };
-        let over = over.filter(|over| over.iter().all(|over| OVER_CONTOUR.contains(over)));
-        (ratios.white.is_finite() && ratios.grain.is_finite()).then_some((ratios, over))
+        (ratios.white.is_finite() && ratios.grain.is_finite())
+            .then_some((ratios, over.map(|over| over.map(|over| over * over))))
     }
+}
+
+/// Square roots of the normal matrix's diagonal over that of the integral, where the latter is believed.
+fn over_contour(matrix: &Matrix, quick: &Matrix) -> Option<[f64; 5]> {
+    let over: [f64; 5] = core::array::from_fn(|i| matrix[i][i] / quick[i][i]);
+    over.iter().all(|over| OVER_CONTOUR.contains(over)).then(|| over.map(sqrt))
 }

@@ -2,8 +2,9 @@
 //!
 //! Nine parameters per marker (centre, ellipse, contrast, ground, its two slopes), and for the whole image the blur, the
 //! noise and the grain. Gauss-Newton steps move the outline until the residuals, weighted for the image's noise along the
-//! edge, balance. In white noise that is least squares; in grain, which makes neighbouring pixels alike,
-//! least squares would be half as precise again as the bound (Kay, Estimation Theory, section 4.5: whitened residuals).
+//! edge, balance; the first step is a linear filter that is the same for all markers. In white noise that is least squares; in
+//! grain, which makes neighbouring pixels alike, least squares would be half as precise again as the bound (Kay,
+//! Estimation Theory, section 4.5: whitened residuals).
 
 mod bessel;
 mod contour;
@@ -14,6 +15,7 @@ mod lanes;
 mod learn;
 mod noise;
 mod solve;
+mod template;
 
 pub(super) use influence::Influence;
 pub use noise::Noise;
@@ -28,10 +30,12 @@ use crate::math::{DVec2, round, sqrt};
 use crate::params::DetectParams;
 use crate::track::grid::Grid;
 use alloc::vec::Vec;
-use disc::{Levels, Matrix, Outline, Window};
+use core::f64::consts::FRAC_1_PI;
+use disc::{Answers, Levels, Matrix, Outline, Window};
 use edge::Edge;
 use influence::Variances;
 use learn::Sample;
+use template::Template;
 
 /// Gel around the outline that takes part: farther pixels say nothing of the edge and little of the light.
 const REACH_PX: f64 = 3.5;
@@ -53,9 +57,11 @@ const MOST_INFLATION: f64 = 10.0;
 const SAME_SLOPES_PX: f64 = 0.25;
 /// A step that moves the outline by less leaves its shape as it is.
 const SAME_SHAPE_PX: f64 = 0.15;
-/// Steps by the integral along the outline, and the least radius that the outline may have for it, in blurs.
+/// Steps by the integral along the outline, and the least radius of curvature that the outline may have for it, in blurs.
 const QUICK_STEPS: usize = 2;
 const STRAIGHT_BLURS: f64 = 2.0;
+/// Radii of windows that differ by less are alike.
+const LIKE_USUAL_PX: f64 = 0.5;
 /// Longest step.
 const MOST_PX: f64 = 0.6;
 /// Standard deviation of a grey centroid over the bound, where the fit did not settle.
@@ -112,6 +118,8 @@ pub struct DiscFit {
     /// Contrast of the samples, grey levels.
     contrast: f64,
     influence: Influence,
+    answers: Vec<Answers>,
+    template: Template,
     /// Variance of a centre over the inverse information, for a variance of 1 of white noise and of grain: the sandwich
     /// J⁻¹ K J⁻¹ over J⁻¹ (Huber 1967), for the weights are those of a straight edge without end in the light of the
     /// samples.
@@ -120,6 +128,8 @@ pub struct DiscFit {
     /// outline is straight enough for it.
     over_contour: Option<[f64; 5]>,
     starts: Vec<Start>,
+    /// Indices of those of the last image that did not fit.
+    unfitted: Vec<u32>,
     grid: Grid,
     centres: Vec<DVec2>,
     samples: Vec<Sample>,
@@ -130,8 +140,9 @@ impl DiscFit {
     /// With these settings.
     #[must_use]
     pub fn new(params: &DetectParams) -> Self {
-        // A square of twice the reach beyond the largest marker's ellipse, stretched twice.
-        let most_side_px = (2.0 * sqrt(f64::from(params.max_area_px2)) + 4.0 * REACH_PX) as usize;
+        // Twice the reach beyond the longer axis of the largest marker, twice as long as the other.
+        let longest_px = sqrt(8.0 * FRAC_1_PI * f64::from(params.max_area_px2));
+        let most_side_px = (longest_px + 4.0 * REACH_PX) as usize;
         Self {
             given_blur_px: params.fit.blur_px,
             step_px: params.fit.step_px,
@@ -144,9 +155,12 @@ impl DiscFit {
             radius_off_px: 0.0,
             contrast: 0.0,
             influence: Influence::new(),
+            answers: Vec::new(),
+            template: Template::new(),
             sandwich: Variances::default(),
             over_contour: None,
             starts: Vec::new(),
+            unfitted: Vec::new(),
             grid: Grid::default(),
             centres: Vec::new(),
             samples: Vec::new(),
@@ -170,9 +184,8 @@ impl DiscFit {
     /// the start's.
     #[must_use]
     pub fn run(&mut self, image: GrayView<'_>, start: &Start) -> Option<Fitted> {
-        let pixels = self.load(image, start)?;
+        let (pixels, mut outline) = self.begin(image, start)?;
         let offset = start.centre_px - self.window.origin;
-        let mut outline = Outline::new(offset, &self.grown(start))?;
         let mut last = None;
         for steps in 1..=MOST_STEPS {
             self.window.draw(&outline, self.blur_px, &self.edge);
@@ -207,6 +220,23 @@ impl DiscFit {
         None
     }
 
+    /// Loads the marker's pixels; their number, and the outline before the first step.
+    fn begin(&mut self, image: GrayView<'_>, start: &Start) -> Option<(usize, Outline)> {
+        let usual_px = self.template.radius_px();
+        if crate::math::abs(self.window_px(start) - usual_px) <= LIKE_USUAL_PX && start.centre_px.is_finite()
+        {
+            let pixels = self.window.load(image, start.centre_px, usual_px);
+            let offset = start.centre_px - self.window.origin;
+            if let Some(outline) = self.template.start(&self.window, offset)
+                && plausible(start, outline.centre - offset, outline.spread_px2())
+            {
+                return Some((pixels, outline));
+            }
+        }
+        let pixels = self.load(image, start)?;
+        Some((pixels, Outline::new(start.centre_px - self.window.origin, &self.grown(start))?))
+    }
+
     /// Covariance over the inverse information, in the light of this marker.
     fn inflation(&self, levels: &Levels) -> f64 {
         let Noise { white_levels2, grain_levels2, .. } = self.noise;
@@ -238,16 +268,9 @@ impl DiscFit {
         steps: usize,
     ) -> Option<Factor<5>> {
         let over = self.over_contour.filter(|_| steps <= QUICK_STEPS && self.is_straight(outline));
-        let quick = over.and_then(|over| {
-            let mut matrix = self.along(outline, levels, follow)?;
-            for i in 0..5 {
-                for j in 0..=i {
-                    matrix[i][j] *= over[i] * over[j];
-                }
-            }
-            Factor::new(&matrix)
-        });
-        quick.or_else(|| Factor::new(&self.window.matrix(follow)))
+        let quick =
+            over.and_then(|over| Factor::new(&contour::scaled(&self.along(outline, levels, follow)?, &over)));
+        quick.or_else(|| Factor::new(&self.window.matrix(follow, self.blur_px)))
     }
 
     /// The integral along the outline.
@@ -275,6 +298,16 @@ impl DiscFit {
 
     /// Loads the pixels that belong to this marker alone; their number, if it suffices.
     fn load(&mut self, image: GrayView<'_>, start: &Start) -> Option<usize> {
+        let radius_px = self.window_px(start);
+        if !(2.0 * radius_px + 1.0 <= self.most_side_px as f64 && start.centre_px.is_finite()) {
+            return None;
+        }
+        self.window.reserve(self.most_side_px);
+        Some(self.window.load(image, start.centre_px, radius_px)).filter(|&pixels| pixels >= 20)
+    }
+
+    /// How far they reach from its centre.
+    fn window_px(&self, start: &Start) -> f64 {
         let [[xx, xy], [_, yy]] = start.spread_px2;
         let mean = 0.5 * (xx + yy);
         let longest = sqrt(mean + sqrt((mean * mean - (xx * yy - xy * xy)).max(0.0)));
@@ -282,18 +315,15 @@ impl DiscFit {
         let gap = start.neighbour_px - 2.0 * longest - 1.5 * self.blur_px;
         let reach = (REACH_PX + self.blur_px - FIRST_BLUR_PX).max(REACH_PX).min(gap).max(LEAST_REACH_PX);
         // Markers alike share one window's places.
-        let radius = round(2.0 * (longest + reach)) * 0.5;
-        if !(2.0 * radius + 1.0 <= self.most_side_px as f64 && start.centre_px.is_finite()) {
-            return None;
-        }
-        self.window.reserve(self.most_side_px);
-        Some(self.window.load(image, start.centre_px, radius)).filter(|&pixels| pixels >= 20)
+        round(2.0 * (longest + reach)) * 0.5
     }
 
     /// Forgets the markers of the last image; `most` is how many there can be.
     pub fn clear(&mut self, most: usize) {
         self.starts.clear();
         self.starts.reserve(most);
+        self.unfitted.clear();
+        self.unfitted.reserve(most);
     }
 
     /// Takes note of a marker whose approximate centre and spread ([`Blob::spread_px2`](super::components::Blob::spread_px2))
@@ -314,13 +344,12 @@ impl DiscFit {
         self.find_neighbours(image, others_px);
         let starts = core::mem::take(&mut self.starts);
         self.learn(image, mask, &starts);
-        markers.unfitted = 0;
         let found = markers.centres_px.iter_mut().zip(&mut markers.covariance_px2);
-        for (start, (centre, covariance)) in starts.iter().zip(found) {
+        for (k, (start, (centre, covariance))) in (0..).zip(starts.iter().zip(found)) {
             match self.run(image, start) {
                 Some(fitted) => (*centre, *covariance) = (fitted.centre_px, fitted.covariance_px2),
                 None => {
-                    markers.unfitted += 1;
+                    self.unfitted.push(k);
                     let variance = self.unfitted_variance_px2(start);
                     covariance[0][0] = covariance[0][0].max(variance);
                     covariance[1][1] = covariance[1][1].max(variance);
@@ -328,6 +357,12 @@ impl DiscFit {
             }
         }
         self.starts = starts;
+        markers.unfitted = self.unfitted.len();
+    }
+
+    /// Indices of those that keep their places, in order.
+    pub fn unfitted(&self) -> impl Iterator<Item = usize> {
+        self.unfitted.iter().map(|&k| k as usize)
     }
 
     fn find_neighbours(&mut self, image: GrayView<'_>, others_px: impl Iterator<Item = DVec2>) {

@@ -21,8 +21,10 @@ const SPREAD_OF_SIZES: f64 = 0.4;
 const LARGEST_LOG_SIZE: f64 = 1.2;
 /// Grain is believed to differ by at most this factor from that of the gel on which it was measured.
 const MOST_SHARE: f64 = 16.0;
-/// Grain must explain this much more of the sum of squares than none at all (Akaike's criterion, one parameter) where only
-/// some rows are looked at: chance is then larger than grain that matters, and its share above 0 would count.
+/// Rows in which even faint grain shows.
+pub(in crate::detect) const ENOUGH_ROWS: usize = 240;
+/// Grain must explain this much more of the sum of squares than none at all (Akaike's criterion, one parameter) where fewer
+/// rows are looked at: chance is then larger than grain that matters, and its share above 0 would count.
 const LEAST_GAIN: f64 = 2.0;
 /// Rows that are farther from the median than this many times the median distance from it show something else than gel.
 const MOST_OFF: f64 = 7.0;
@@ -149,7 +151,7 @@ struct Row {
 }
 
 impl NoiseMeter {
-    /// From the pixels of every so many rows of `image` (faint grain shows in no fewer than all) that lie so many pixels off
+    /// From the pixels of every so many rows of `image` (faint grain shows in no fewer than [`ENOUGH_ROWS`]) that lie so many pixels off
     /// the set pixels of `mask`: means over the rows, without those that a scratch or a smear reaches. `None` when there is no
     /// such gel.
     pub fn run(
@@ -200,7 +202,9 @@ impl NoiseMeter {
         let (one, more) = (self.mean(0)?, [self.mean(1)?, self.mean(2)?]);
         // In white noise, as the difference of two covariances of so many pairs.
         let sigma = (one + more[1].max(0.0)).max(ROUNDING_LEVELS2) * sqrt(2.0 / pairs as f64);
-        let least_gain = if every == 1 { 0.0 } else { LEAST_GAIN };
+
+        let enough = every == 1 || height / every >= ENOUGH_ROWS;
+        let least_gain = if enough { 0.0 } else { LEAST_GAIN };
         let noise = Noise::from_variogram(&Variogram { one, more, sigma }, least_gain);
         Some(Noise { gel_level: levels as f64 / pairs as f64, ..noise })
     }
