@@ -22,7 +22,7 @@ from gelstereo.frontier.runners import geometry_of, write_input
 from gelstereo.frontier.saliency import f1
 from gelstereo.frontier.scenes import BOARDS_MM, FORMATS, LATTICES, PARTS, VGA, Part, sphere_press
 from gelstereo.frontier.sequences import SEQUENCES
-from gelstereo.frontier.speed import Growth, Speed
+from gelstereo.frontier.speed import BASELINE, Growth, Speed, speed_targets
 from gelstereo.frontier.table import Table, Target
 from gelstereo.frontier.timing import InstructionCounter, Stopwatch, Times, time_side_by_side
 from gelstereo.frontier.tracking import Named, score
@@ -369,3 +369,16 @@ def test_all_ways_to_a_distance_agree_on_what_they_measure() -> None:
             limit = 1e-12 if "closest" in name or "signed" in name else 0.3
             if "plane" not in name:
                 assert np.abs(distances - exact).max() < limit, name
+
+
+def test_speed_is_judged_by_its_time_and_by_its_ratio_to_opencv() -> None:
+    def speed(method: str, track_ms: float) -> Speed:
+        return Speed(VGA, 25, method, {"track": Times(track_ms, track_ms), "afresh": Times(2.0, 2.0)})
+
+    targets = {t.what: t for t in speed_targets([speed("preset fast", 0.5), speed(BASELINE, 6.0)])}
+    name = "speed, preset fast, 640x480, 25x25, tracking"
+    time, ratio = targets[name], targets[f"{name}, OpenCV's time over this"]
+    assert (time.measured, time.limit, time.met) == (0.5, 0.6, True)
+    # A machine on which OpenCV is as quick asks for more than half a millisecond.
+    assert (ratio.measured, ratio.limit, ratio.met) == (12.0, 13.33, False)
+    assert targets["speed, preset fast, 640x480, 25x25, afresh, OpenCV's time over this"].limit == 5.33

@@ -225,6 +225,34 @@ fn beyond_its_reach_the_polynomial_is_the_rays_to_the_bit() {
     }
 }
 
+/// A fit in steps is exact until it is done, and then what one at once is.
+#[test]
+fn a_map_fitted_step_by_step_is_the_map() {
+    for rig in [parallel(), turned_rig(), layered_rig()] {
+        let (whole, exact) =
+            (stage(&rig, TriangulateMethod::Polynomial), stage(&rig, TriangulateMethod::Rays));
+        let params = TriangulateParams { method: TriangulateMethod::Polynomial, ..Default::default() };
+        let mut stepped = Triangulator::new(&rig, &params).unwrap();
+        let (left, right) = rig.project(DVec3::new(4.0, 0.5, 28.0)).unwrap();
+        stepped.begin_map(&rest());
+        let mut steps = 1;
+        loop {
+            assert_eq!(stepped.map_error_mm(), None);
+            assert_eq!(point(&stepped, left, right), point(&exact, left, right), "step {steps}");
+            steps += 1;
+            if !stepped.continue_map() {
+                break;
+            }
+        }
+        // Outline, nodes, checks, polynomials and at most four cuts into tiles.
+        assert!((5..=8).contains(&steps), "{steps} steps");
+        assert_eq!(stepped.map_error_mm(), whole.map_error_mm());
+        assert_eq!(point(&stepped, left, right), point(&whole, left, right));
+        assert!(!stepped.continue_map(), "a finished map stays");
+        assert!(stepped.map_error_mm().is_some());
+    }
+}
+
 /// The first-order covariance against 20000 draws, on every rung. The sample variance of n normal numbers has a
 /// relative standard deviation of sqrt(2 / n) = 1 %; 5 % is five of them.
 #[test]

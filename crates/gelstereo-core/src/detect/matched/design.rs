@@ -1,5 +1,6 @@
 //! Which weights tell best where a blurred disc is.
 
+use super::cholesky::Cholesky;
 use super::disc::Disc;
 use crate::detect::fit::{Factor, Noise};
 use crate::math::linalg::Symmetric;
@@ -20,9 +21,6 @@ const NOISE_SHARE: f64 = 1.0 / 40.0;
 /// White noise that is assumed over that at the lowest frequency: in grain alone the weights would swing ever more between
 /// neighbouring pixels.
 const LEAST_SHARE: f64 = 0.03;
-/// Residual of the conjugate gradients: the weights are rounded to 1e-4 later.
-const TOLERANCE: f64 = 1e-4;
-const MOST_ROUNDS: usize = 100;
 /// Columns that are summed at a time.
 const LANES: usize = 8;
 /// Most columns and rows of a support.
@@ -81,7 +79,8 @@ pub(super) struct Design {
     columns: [Vec<f64>; COLUMNS],
     whitened: [Vec<f64>; COLUMNS],
     covariance: Covariance,
-    scratch: Gradients,
+    cholesky: Cholesky,
+    scratch: Scratch,
     pub weights: Weights,
 }
 
@@ -89,31 +88,33 @@ impl Design {
     /// Makes room for supports of at most so many pixels on a side.
     pub fn reserve(&mut self, side: usize) {
         let Weights { x, y, contrast, radius, blur, share, .. } = &mut self.weights;
-        let Gradients { residual, direction, image, rows } = &mut self.scratch;
-        let own = [x, y, contrast, radius, blur, share, residual, direction, image, rows];
+        let Scratch { image, rows } = &mut self.scratch;
+        let own = [x, y, contrast, radius, blur, share, image, rows];
         let all = own.into_iter().chain(&mut self.columns).chain(&mut self.whitened);
         for list in all.chain([&mut self.covariance.mask, &mut self.covariance.alike]) {
             list.clear();
             list.reserve(side * side.next_multiple_of(LANES));
         }
+        self.cholesky.reserve(side * side);
+    }
+
+    /// Starts the designs for one support and one noise.
+    pub fn start(&mut self, support: Support, noise: &Noise) {
+        self.covariance.limited(support, noise);
+        let (inside, covariance) = (support.places().map(|at| support.has(at)), &self.covariance);
+        self.cholesky.factor(support.side, inside, |columns, rows| covariance.between(columns, rows));
     }
 
     /// The best linear unbiased estimator K = (Jᵀ C⁻¹ J)⁻¹ Jᵀ C⁻¹ (Kay, Estimation Theory, section 6.5) for the
     /// derivatives J of the levels by all parameters and the covariance C of the noise, so that no error of the other
     /// parameters moves the centre to first order. `per_ground` is the contrast over the gel's level. `None` for a disc that its pixels do not determine.
-    pub fn run(
-        &mut self,
-        disc: &Disc,
-        support: Support,
-        off_px: DVec2,
-        noise: &Noise,
-        per_ground: f64,
-    ) -> Option<&Weights> {
-        let Self { columns, whitened, covariance, scratch, weights } = self;
+    ///
+    /// C is that of [`Self::start`] with the same support.
+    pub fn run(&mut self, disc: &Disc, support: Support, off_px: DVec2, per_ground: f64) -> Option<&Weights> {
+        let Self { columns, whitened, cholesky, weights, .. } = self;
         derive(columns, disc, support, off_px, per_ground);
-        covariance.limited(support, noise);
         for (column, whitened) in columns.iter().zip(whitened.iter_mut()) {
-            covariance.solve(column, whitened, scratch);
+            cholesky.solve(column, whitened);
         }
         let mut matrix: Symmetric<COLUMNS> = [[0.0; COLUMNS]; COLUMNS];
         for i in 0..COLUMNS {
@@ -159,7 +160,7 @@ impl Design {
         let mut grain = sizes_px.map(|grain_size_px| {
             let noise = Noise { white_levels2: 0.0, grain_levels2: 1.0, grain_size_px, gel_level: 0.0 };
             self.covariance.exactly(support, &noise);
-            let Gradients { image, rows, .. } = &mut self.scratch;
+            let Scratch { image, rows } = &mut self.scratch;
             self.covariance.times(&self.weights.x, image, rows);
             dot(&self.weights.x, image)
         });
@@ -207,11 +208,9 @@ struct Covariance {
     mask: Vec<f64>,
 }
 
-/// Scratch of the conjugate gradients.
+/// Scratch of a product with the covariance.
 #[derive(Clone, Debug, Default)]
-struct Gradients {
-    residual: Vec<f64>,
-    direction: Vec<f64>,
+struct Scratch {
     image: Vec<f64>,
     rows: Vec<f64>,
 }
@@ -262,32 +261,11 @@ impl Covariance {
         }
     }
 
-    /// C⁻¹ v for v within the support, by conjugate gradients (Golub and Van Loan, section 11.3).
-    fn solve(&self, v: &[f64], solution: &mut Vec<f64>, scratch: &mut Gradients) {
-        let Gradients { residual, direction, image, rows } = scratch;
-        solution.clear();
-        solution.resize(v.len(), 0.0);
-        for list in [&mut *residual, &mut *direction] {
-            list.clear();
-            list.extend_from_slice(v);
-        }
-        let mut left = dot(residual, residual);
-        let enough = TOLERANCE * TOLERANCE * left;
-        for _ in 0..MOST_ROUNDS {
-            if left <= enough {
-                break;
-            }
-            self.times(direction, image, rows);
-            let step = left / dot(direction, image);
-            for k in 0..v.len() {
-                solution[k] += step * direction[k];
-                residual[k] -= step * image[k];
-            }
-            let next = dot(residual, residual);
-            let share = next / left;
-            direction.iter_mut().zip(residual.iter()).for_each(|(d, &r)| *d = r + share * *d);
-            left = next;
-        }
+    /// Between two pixels of the support so many columns and rows apart.
+    fn between(&self, columns: usize, rows: usize) -> f64 {
+        let last = self.side - 1;
+        let own = if columns == 0 && rows == 0 { self.white } else { 0.0 };
+        own + self.grain * self.alike[last + columns] * self.alike[last + rows]
     }
 }
 
@@ -304,4 +282,29 @@ fn weighted<'a>(lists: impl Iterator<Item = (&'a f64, &'a [f64])>) -> [f64; LANE
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The product with the covariance, which is taken along rows and columns, undoes the solution.
+    #[test]
+    fn what_is_solved_for_comes_back_by_the_product() {
+        let [mut solution, mut back, mut rows] = [const { Vec::new() }; 3];
+        let mut design = Design::default();
+        for (radius_px, grain_levels2) in [(2.5, 0.0), (4.0, 0.5), (7.3, 4.0), (11.9, 8.0)] {
+            let support = Support::new(radius_px);
+            let noise = Noise { white_levels2: 1.0, grain_levels2, grain_size_px: 1.3, gel_level: 0.0 };
+            design.start(support, &noise);
+            let inside = support.places().map(|at| support.has(at));
+            let v: Vec<f64> =
+                (0..).zip(inside).map(|(n, on)| if on { f64::from(n % 7) - 2.5 } else { 0.0 }).collect();
+            design.cholesky.solve(&v, &mut solution);
+            design.covariance.times(&solution, &mut back, &mut rows);
+            // White noise of 3 % of the spectrum at least: a condition below 40, so that 500 sums of round-off stay below 1e-11.
+            let off = v.iter().zip(&back).map(|(v, b)| (v - b).abs()).fold(0.0, f64::max);
+            assert!(off < 1e-11, "{radius_px} px: {off}");
+        }
+    }
 }

@@ -7,6 +7,7 @@
 //! whole numbers. They do not answer to contrast, ground, slope of light, radius, stretch and blur, and what is left of a
 //! displacement after a step is of third order in it.
 
+mod cholesky;
 mod correlate;
 mod design;
 mod disc;

@@ -302,13 +302,14 @@ impl Tables {
     fn fill(&mut self, first: usize, support: Support, radius_px: f64) -> Option<[f64; 8]> {
         let noise = self.conditions.noise();
         self.disc.draw(radius_px, self.blur_px);
+        self.design.start(support, &noise);
         let (mut units, mut bend, mut gains) = ([0.0; 3], 0.0, [0.0; 4]);
         let half = PLACES / 2;
         let off = |k: usize| (k as f64 + 0.5) / PLACES as f64 - 0.5;
         // One quarter of the places; the others are its mirror images.
         for (n, (row, column)) in (0..half * half).map(|n| (n, (half + n / half, half + n % half))) {
             let at = DVec2::new(off(column), off(row));
-            self.design.run(&self.disc, support, at, &noise, 0.25 * f64::from(self.conditions.dot_slope))?;
+            self.design.run(&self.disc, support, at, 0.25 * f64::from(self.conditions.dot_slope))?;
             let sizes = SIZES.map(|size| size * noise.grain_size_px);
             for (sum, gain) in gains.iter_mut().zip(self.design.gains(support, &sizes)) {
                 *sum += gain / (half * half) as f64;
