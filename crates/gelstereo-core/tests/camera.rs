@@ -71,6 +71,28 @@ fn row_22_a_pixel_beyond_the_monotone_range_is_refused() {
     assert_eq!(camera.undistort(DVec2::new(f64::NAN, 0.0)), Err(CameraError::PixelNotFinite));
 }
 
+proptest! {
+    /// One radial term folds over at r = 1 / sqrt(-3 k1), where r_d = 2 r / 3: every pixel within has a ray of less slope, which
+    /// leads back to it, and none beyond has any.
+    #[test]
+    fn row_22_one_radial_term_is_inverted_up_to_its_fold(k1 in -3.0..-0.05_f64, share in 0.0..3.0_f64, way in 0.0..6.3_f64) {
+        prop_assume!((share - 1.0).abs() > 1e-6);
+        let fold = (-3.0 * k1).sqrt().recip();
+        let camera = camera([k1, 0.0, 0.0, 0.0, 0.0]);
+        let distorted = share * 2.0 / 3.0 * fold * DVec2::new(way.cos(), way.sin());
+        let pixel_px = DVec2::new(320.0, 240.0) + distorted * DVec2::new(560.0, 555.0);
+        match camera.undistort(pixel_px) {
+            Ok(p) => {
+                prop_assert!(share < 1.0 && p.length() < fold, "{p} for {share} of the fold");
+                // A pixel is off by round-off, the ray by that over the slope, which vanishes at the fold.
+                let back = p * (1.0 + k1 * p.length_squared());
+                prop_assert!(back.distance(distorted) < 16.0 * f64::EPSILON * (1.0 + fold), "{back} {distorted}");
+            }
+            Err(error) => prop_assert!(share > 1.0 && matches!(error, CameraError::BeyondDistortion { .. }), "{share}"),
+        }
+    }
+}
+
 #[test]
 fn impossible_cameras_and_rigs_are_refused_by_name() {
     let mut bad = camera([0.0; 5]);

@@ -7,9 +7,9 @@ use gelstereo_core::digest::Digest;
 use gelstereo_core::image::GrayView;
 use gelstereo_core::math::DVec2;
 use gelstereo_core::math::random::Stream;
-use gelstereo_core::params::{Background, Centre, DetectParams, Polarity, Threshold};
+use gelstereo_core::params::{Background, Centre, DetectParams, Params, Polarity, Threshold};
 use proptest::prelude::*;
-use support::{Dots, errors, paper_lattice, view};
+use support::{Dots, errors, lattice, paper_lattice, view};
 
 fn detect(params: &DetectParams, image: &[u8], width: usize) -> Result<Markers, DetectError> {
     let mut markers = Markers::default();
@@ -317,4 +317,30 @@ fn row_30_an_image_of_nothing_but_stripes_is_refused_by_name() {
     assert!(markers.centres_px.is_empty());
     detector.run(view(&dots, width), &mut markers).unwrap();
     assert_eq!(markers, detect(&params, &dots, width).unwrap());
+}
+
+/// Gel that is squeezed beside a dragged part brings two dots within a window of each other. Each has a component of its own, and
+/// a centre of its own: once both were given that of their middle, 4.4 px off.
+#[test]
+fn two_markers_within_a_window_have_two_centres() {
+    let params = Params::preset("fast").unwrap().detect;
+    let mut wide = lattice(9, 9, 17.6, DVec2::new(100.0, 100.0), 0.0, 0.0);
+    let gap = wide.swap_remove(40);
+    let mut stream = Stream::new(1, "pairs");
+    for pair in 0..40 {
+        // Dots of 3 px radius leave 1.2 px of gel and more between them.
+        let (apart_px, way) = (7.2 + 1.3 * stream.uniform(), 3.2 * stream.uniform());
+        let half = 0.5 * apart_px * DVec2::new(way.cos(), way.sin());
+        let near = DVec2::new(stream.uniform(), stream.uniform()) + gap;
+        let narrow = vec![near - half, near + half];
+        let image = Dots { noise: 2.0, seed: pair, ..Dots::new(200, 200, wide.clone()) }.render();
+        let thin = Dots { radius_px: 3.0, ..Dots::new(200, 200, narrow.clone()) }.render();
+        let image: Vec<u8> = image.iter().zip(&thin).map(|(a, b)| *a.min(b)).collect();
+        let mut found = Markers::default();
+        Detector::new(&params).run(view(&image, 200), &mut found).unwrap();
+        for truth in wide.iter().chain(&narrow) {
+            let off = found.centres_px.iter().map(|c| c.distance(*truth)).fold(f64::INFINITY, f64::min);
+            assert!(off < 0.5, "pair {pair}, {apart_px} px apart: {off} px");
+        }
+    }
 }

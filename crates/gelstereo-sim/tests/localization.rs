@@ -158,9 +158,7 @@ fn worst(press: &Press, seen: &Seen, template: &Template, method: RegisterMethod
 
 /// All errors of a rung over the presses.
 fn errors(method: RegisterMethod) -> Vec<(f64, f64)> {
-    // Every salient marker is registered, those on the shoulder too: the preset's patch would leave most of them out.
-    let mut params = Params::preset("balanced").unwrap();
-    params.contact.patch_share = 0.0;
+    let params = Params::preset("balanced").unwrap();
     presses()
         .iter()
         .map(|press| {

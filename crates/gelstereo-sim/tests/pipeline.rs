@@ -162,9 +162,9 @@ fn row_34_one_thread_or_two_and_any_repeat_give_the_same_bits() {
 fn row_34_the_bits_of_a_fixed_scene_are_known() {
     let known = [
         ("paper", 0x2b40_eb98_c8ce_3af0),
-        ("fast", 0x019a_cb5c_aa3f_a7a6),
-        ("balanced", 0xe64b_ad2d_325c_a7ba),
-        ("exact", 0xe46b_3a76_6cce_5ab3),
+        ("fast", 0x7ed2_774f_dbf9_1d8f),
+        ("balanced", 0x9235_fb31_c33f_0853),
+        ("exact", 0xc8b2_b00c_dade_bdd4),
     ];
     assert_eq!(known.map(|(preset, _)| preset), Params::PRESETS, "every preset has its digest");
     let found = known.map(|(preset, _)| {

@@ -58,8 +58,8 @@ impl Anchor {
 ///
 /// The turn is the one whose rows run as the predicted ones do, within 35 degrees; without a prediction it is 0, the upright
 /// one, or the upright one of those that fit when rows and columns differ in number. Rows are unique when both their ends are
-/// in view and as many were found as are printed, whatever the prediction says: so a frame that moved by more than half a pitch
-/// is anchored all the same. Otherwise the prediction decides, if one shift is clearly nearer to it than all others, the second
+/// in view and as many were found as are printed, or when every printed marker was found, whatever the prediction says: so a
+/// frame that moved by more than half a pitch is anchored all the same. Otherwise the prediction decides, if one shift is clearly nearer to it than all others, the second
 /// best at least 1.8 times as far off; and if an end in view agrees.
 ///
 /// Linear in the markers, without allocation.
@@ -80,7 +80,10 @@ pub fn anchor(
         if history { turn_as(found, rows, cols, predicted_px)? } else { turn_that_fits(found, rows, cols)? };
     let axes = axes(found, quarter_turns);
     let frame = Frame { found, detected_px, rows, cols, predicted_px, quarter_turns };
-    let [by_rows, by_cols] = [(axes[0], rows), (axes[1], cols)].map(|(axis, printed)| axis.shift(printed));
+    // With a marker at every place there is no room for another shift, whatever the image's border hides.
+    let complete = found.placed == rows * cols;
+    let [by_rows, by_cols] =
+        [(axes[0], rows), (axes[1], cols)].map(|(axis, printed)| axis.shift(printed, complete));
     if let (Some(row), Some(col)) = (by_rows, by_cols) {
         let off_pitches = if history { frame.off_pitches((row, col)) } else { f64::INFINITY };
         let evidence = AnchorEvidence { by_extents: true, off_pitches, second_pitches: f64::INFINITY };
@@ -104,9 +107,10 @@ struct Axis {
 }
 
 impl Axis {
-    /// The shift that both ends in view give, if they lie as far apart as printed.
-    fn shift(self, printed: usize) -> Option<i32> {
-        let fits = self.low_ends && self.high_ends && (self.high - self.low + 1) as usize == printed;
+    /// The shift that both ends in view give, or all markers, if they lie as far apart as printed.
+    fn shift(self, printed: usize, complete: bool) -> Option<i32> {
+        let ends = complete || (self.low_ends && self.high_ends);
+        let fits = ends && (self.high - self.low + 1) as usize == printed;
         fits.then_some(-self.low)
     }
 

@@ -38,8 +38,9 @@ pub struct ContactParams {
     /// Indentation from which a marker is salient, for `saliency = depth` (Eq. 4). Default: `0.35` mm.
     pub saliency_mm: f64,
     /// Share of the deepest indentation that a salient marker must reach to belong to the contact patch, which is what is
-    /// registered. Beside a deep press the gel is lifted too, but shows no surface of the part; where a ball or a
-    /// cylinder leaves the gel, that has sunk about half as deep as in the middle (Hertz). Default: `0`, all of them.
+    /// registered. For `saliency = depth`: beside a deep press the gel is lifted too, but shows no surface of the part; where a
+    /// ball or a cylinder leaves the gel, that has sunk about half as deep as in the middle (Hertz). By pressure the shoulder is
+    /// not salient, and a share would only cut off what a tilted part presses less. Default: `0`, all of them.
     pub patch_share: f64,
     /// Mean marker motion at which the gripper stops closing. Default: `10` px.
     pub grasp_trigger_px: f64,

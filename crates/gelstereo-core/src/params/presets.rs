@@ -55,7 +55,7 @@ impl Params {
             track: TrackParams { motion: Motion::ConstantVelocity, ..Default::default() },
             label: LabelParams { method: LabelMethod::Lattice, ..Default::default() },
             triangulate: TriangulateParams { method: TriangulateMethod::Polynomial, ..Default::default() },
-            contact: ContactParams { saliency: Saliency::Pressure, patch_share: 0.65, ..Default::default() },
+            contact: ContactParams { saliency: Saliency::Pressure, ..Default::default() },
             register: RegisterParams { method: RegisterMethod::SurfaceSearch, ..Default::default() },
         }
     }

@@ -86,9 +86,7 @@ class Senses:
         self._rest = rest = Simulator(still)[0]
         self._pipelines: dict[str, tuple[Pipeline, RestRecord]] = {}
         for preset in presets:
-            # What touches is told by its pressure where the preset does so, and then all of it counts.
-            params = Params.preset(preset).replace({"contact.patch_share": 0.0})
-            pipeline = Pipeline(simulator.scene.rig, params)
+            pipeline = Pipeline(simulator.scene.rig, Params.preset(preset))
             pipeline.process(rest.left, rest.right)
             record = pipeline.rest_record()
             if record is None:
