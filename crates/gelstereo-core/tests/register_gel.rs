@@ -25,7 +25,7 @@ fn a_long_shoulder_is_told_from_the_part() {
         let template = Template::from_mesh(&part.mesh, 0.4, 1).unwrap();
         let template = template.with_field(Template::DEFAULT_CELL_MM, Template::DEFAULT_REACH_MM);
         let mut random = Stream::new(21, part.name);
-        for _ in 0..3 {
+        for _ in 0..2 {
             let problem = Problem::press_into(SOFT_MM, &part, Sensing::GOOD, &mut random);
             let guess = problem.guess_within(&CLASSES[1], &mut random);
             for (decay_mm, tally) in [(SOFT_MM, &mut with), (SHOULDER_MM, &mut without)] {

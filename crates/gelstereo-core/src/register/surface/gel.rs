@@ -87,7 +87,7 @@ impl Gel {
         }
         let pitch_mm = pitch(&self.nodes);
         // A gel that comes back to rest within a pitch does so between the markers.
-        if !NODES.contains(&self.nodes.len()) || !(pitch_mm > 0.0 && pitch_mm <= decay_mm) {
+        if !(NODES.contains(&self.nodes.len()) && pitch_mm > 0.0 && pitch_mm <= decay_mm) {
             return self.clear();
         }
         let low_mm = self.nodes.iter().map(|node| node.across_mm.y).fold(f64::INFINITY, f64::min);

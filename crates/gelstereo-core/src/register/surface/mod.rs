@@ -3,7 +3,8 @@
 //!
 //! A salient point touches the part or hangs beside it, and no marker is within it ([`noise`]). The pose is the most
 //! likely one under that mixture, with the guess as a weak prior that keeps the directions which the contact leaves free
-//! where they were guessed. One start finds it from close by; from farther off many are needed, since threads, teeth
+//! where they were guessed. Where all markers are known, the full search ends on what the gel does between them
+//! ([`settled`]). One start finds it from close by; from farther off many are needed, since threads, teeth
 //! and edges each have a minimum of their own.
 
 mod contact;
@@ -76,6 +77,7 @@ pub(super) fn run(
             sigma_mm: params.start_sigma_mm,
         },
         work: 0,
+        is_settled: false,
     };
     check_reach(&search, solid, params)?;
     let end = match params.method {
@@ -83,8 +85,7 @@ pub(super) fn run(
         RegisterMethod::SurfaceClose => search.close(candidates, polish),
         _ => search.many(candidates, polish, settled),
     };
-    let is_settled = extent == Extent::Gel && samples.gel.is_known();
-    let information = is_settled.then(|| search.information(&candidates[0], settled));
+    let information = search.is_settled.then(|| search.information(&candidates[0], settled));
     let ended = (end.converged, end.iterations);
     Ok(evidence::registration(params, samples, candidates, (polish, settled, information), ended))
 }

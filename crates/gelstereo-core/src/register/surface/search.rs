@@ -51,6 +51,8 @@ const FIRST_STEPS: u32 = 3;
 const MOST_STEPS: u32 = 15;
 /// Finalists whose likelihood is less than that of the best by this, in logarithms, are not polished on.
 const HOPELESS: f64 = 12.0;
+/// With fewer of the markers around the contact explained the gel is another than it is said to be, and is not asked.
+const EXPLAINED: f64 = 0.75;
 /// Widths of the steps that ask the gel, on the field and on the exact surface.
 const BLURRED: &[(&[f64], usize)] = &[(&[0.3], 5), (&[0.2], 3), (&[0.1], 2)];
 const SHARP: &[f64] = &[0.05];
@@ -68,6 +70,8 @@ pub(super) struct Search<'a> {
     pub faces: Exact<'a>,
     pub prior: Prior,
     pub work: u64,
+    /// Whether the answer is that of the gel.
+    pub is_settled: bool,
 }
 
 impl Search<'_> {
@@ -131,8 +135,17 @@ impl Search<'_> {
         }
         self.round(candidates, &FIRST, self.samples.coarse_unpressed);
         self.round(candidates, &SECOND, self.samples.medium_unpressed);
+        self.is_settled = false;
         if self.samples.gel.is_known() {
-            return self.settle(candidates, scratch, settled);
+            let before: [Option<Candidate>; SECOND.keeps] =
+                core::array::from_fn(|k| candidates.get(k).copied());
+            let end = self.settle(candidates, scratch, settled);
+            self.is_settled = self.settled(true).explained(&settled.here) >= EXPLAINED;
+            if self.is_settled {
+                return end;
+            }
+            candidates.clear();
+            candidates.extend(before.into_iter().flatten());
         }
         for k in 0..candidates.len() {
             if self.work >= self.budget() {

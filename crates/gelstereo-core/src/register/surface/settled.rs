@@ -27,6 +27,8 @@ const DECAY_SIGMA: f64 = 0.6;
 const PLANE_SIGMA_MM: f64 = 1.0;
 /// No free height is wrong by more than this share of its gap to the part.
 const GAP_SHARE: f64 = 0.5;
+/// Standard deviations from which gel is lifted.
+const LIFTED: f64 = 3.0;
 /// Standard deviation of what lies anywhere between two markers, in pitches: 1 / √12.
 const BETWEEN: f64 = 0.288_675;
 /// Outliers are spread over this much, and there may be some even where none are expected.
@@ -390,6 +392,18 @@ impl Settled<'_> {
             out
         });
         (step, work)
+    }
+
+    /// Share of the markers that touch or are lifted which are no outliers.
+    pub fn explained(&self, here: &Prediction) -> f64 {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for (sight, &height_mm) in here.sights.iter().zip(&here.heights_mm) {
+            if sight.touches || height_mm * height_mm > LIFTED * LIFTED * sight.variance_mm2 {
+                sum += sight.weight;
+                count += 1.0;
+            }
+        }
+        if count > 0.0 { sum / count } else { 0.0 }
     }
 
     /// Information about (ρ ω, v) about the centroid, of the state whose prediction is `here`: of the markers that touch,
