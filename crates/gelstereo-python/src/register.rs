@@ -152,7 +152,7 @@ const MOST_POINTS: usize = 20_000;
 /// covariance_mm2 : (N, 3, 3) or (N, 9) array_like, optional
 ///     Covariance of each of `points_mm`, for the same methods; without it ``register.point_sigma_mm`` holds for all.
 /// params : Params, optional
-///     Its ``register`` part is used.
+///     Its ``register`` part is used, and ``contact.decay_mm``.
 ///
 /// Returns
 /// -------
@@ -177,7 +177,8 @@ pub fn localize(
     let template = template.get().inner();
     let mut stage = core::Registrar::new(&Params::or_default(params).register);
     let register = |contact: &core::Contact<'_>| stage.register(contact, template, &guess);
-    let found = with_contact(py, points_mm, all_points_mm, covariance_mm2, register)?;
+    let decay_mm = Params::or_default(params).contact.decay_mm;
+    let found = with_contact(py, points_mm, all_points_mm, covariance_mm2, decay_mm, register)?;
     Localization::new(py, found, None)
 }
 
@@ -187,6 +188,7 @@ fn with_contact<T: Send>(
     points_mm: &Bound<'_, PyAny>,
     all_points_mm: Option<&Bound<'_, PyAny>>,
     covariance_mm2: Option<&Bound<'_, PyAny>>,
+    decay_mm: f64,
     run: impl FnOnce(&core::Contact<'_>) -> Result<T, core::RegisterError> + Send,
 ) -> PyResult<T> {
     let points = Numbers::new(points_mm, "points_mm")?;
@@ -207,6 +209,7 @@ fn with_contact<T: Send>(
         run(&core::Contact {
             covariance_mm2: covariances,
             unpressed_mm: &unpressed_mm,
+            decay_mm,
             ..core::Contact::new(points)
         })
     })
@@ -243,6 +246,7 @@ fn with_contact<T: Send>(
 #[pyclass(frozen, module = "gelstereo")]
 pub struct Localizer {
     stage: Mutex<core::Localizer>,
+    decay_mm: f64,
     template: Py<Template>,
 }
 
@@ -262,8 +266,9 @@ impl Localizer {
         params: Option<&Bound<'_, Params>>,
     ) -> PyResult<Self> {
         let expected = arrays::pose(t_sensor_object, "t_sensor_object")?;
-        let stage = core::Localizer::new(&Params::or_default(params).register, &expected);
-        Ok(Self { stage: Mutex::new(stage), template })
+        let params = Params::or_default(params);
+        let stage = core::Localizer::new(&params.register, &expected);
+        Ok(Self { stage: Mutex::new(stage), decay_mm: params.contact.decay_mm, template })
     }
 
     /// The part that is followed.
@@ -317,7 +322,7 @@ impl Localizer {
     ) -> PyResult<Localization> {
         let template = self.template.get().inner();
         let run = |contact: &core::Contact<'_>| self.lock().run(contact, template);
-        let located = with_contact(py, points_mm, all_points_mm, covariance_mm2, run)?;
+        let located = with_contact(py, points_mm, all_points_mm, covariance_mm2, self.decay_mm, run)?;
         Localization::new(py, located.registration, Some(located.standing))
     }
 }

@@ -52,7 +52,7 @@ impl Default for ContactParams {
     fn default() -> Self {
         Self {
             saliency: Saliency::Depth,
-            decay_mm: 2.5,
+            decay_mm: Self::DECAY_MM,
             learn_decay: false,
             saliency_mm: 0.35,
             patch_share: 0.0,
@@ -63,6 +63,9 @@ impl Default for ContactParams {
 }
 
 impl ContactParams {
+    /// Default of [`Self::decay_mm`].
+    pub(crate) const DECAY_MM: f64 = 2.5;
+
     /// Checks every setting against its meaning.
     ///
     /// # Errors

@@ -111,6 +111,11 @@ pub enum RegisterError {
     },
     /// The way of the press is no unit vector.
     PressDirection,
+    /// A decay length that no gel has.
+    Decay {
+        /// The length found.
+        found_mm: f64,
+    },
     /// Points and covariances are not equally many.
     Covariances {
         /// Points found.
@@ -164,6 +169,12 @@ impl core::fmt::Display for RegisterError {
             ),
             Self::PressDirection => {
                 write!(f, "the press direction is no unit vector; give the way from the part into the gel")
+            }
+            Self::Decay { found_mm } => {
+                write!(
+                    f,
+                    "the gel's decay length is {found_mm} mm; valid is a length above 0: contact.decay_mm"
+                )
             }
             Self::Covariances { points, covariances } => {
                 write!(

@@ -127,6 +127,17 @@ impl System {
         self.points += weight;
     }
 
+    /// Points' standard deviation along the normal.
+    pub const fn sigma_mm(&self) -> f64 {
+        self.sigma_mm
+    }
+
+    /// Another source knows the information, per mm²; the noise of the normals stays that of the points.
+    pub fn replace_information(&mut self, information: &Symmetric<6>) {
+        let sigma_squared = self.sigma_mm * self.sigma_mm;
+        self.hessian = information.map(|row| row.map(|x| x * sigma_squared));
+    }
+
     /// The rule of this module, about a centroid.
     pub fn observe(&self, centre_mm: DVec3) -> Observability {
         let eigen = linalg::eigen(&self.hessian);

@@ -7,7 +7,9 @@ use gelstereo_core::math::{DVec3, Pose};
 /// Nodes between two markers.
 pub const FINE: usize = 3;
 /// Decay of the shoulder beside the contact: 0.17 of a layer of 3.5 mm at Poisson's ratio 0.45.
-const SHOULDER_MM: f64 = 0.6;
+pub const SHOULDER_MM: f64 = 0.6;
+/// Of a soft one: half of a layer of 5 mm.
+pub const SOFT_MM: f64 = 2.5;
 const NODES: usize = (SIDE - 1) * FINE + 1;
 const STEP_MM: f64 = PITCH_MM / FINE as f64;
 
@@ -22,8 +24,13 @@ pub struct Gel {
 impl Gel {
     /// The part at that pose, its shape seen along z.
     pub fn press(part: &Part, t_sensor_object: &Pose) -> Self {
+        Self::press_into(SHOULDER_MM, part, t_sensor_object)
+    }
+
+    /// The same in a gel of that decay length.
+    pub fn press_into(decay_mm: f64, part: &Part, t_sensor_object: &Pose) -> Self {
         let obstacle = heights(part, t_sensor_object);
-        let settled = settle(&obstacle);
+        let settled = settle(&obstacle, decay_mm);
         Self { obstacle, settled }
     }
 
@@ -80,22 +87,25 @@ fn heights(part: &Part, pose: &Pose) -> Vec<(f64, DVec3)> {
 }
 
 /// h - l² Δh = p, h >= obstacle, p >= 0: projected over-relaxation, the border at rest.
-fn settle(obstacle: &[(f64, DVec3)]) -> Vec<f64> {
+fn settle(obstacle: &[(f64, DVec3)], decay_mm: f64) -> Vec<f64> {
     let mut h: Vec<f64> = obstacle.iter().map(|(o, _)| o.max(0.0)).collect();
-    let k = (SHOULDER_MM / STEP_MM) * (SHOULDER_MM / STEP_MM);
+    let k = (decay_mm / STEP_MM) * (decay_mm / STEP_MM);
+    let jacobi = 4.0 * k / (1.0 + 4.0 * k);
+    let (over, sweeps) =
+        if decay_mm > PITCH_MM { (2.0 / (1.0 + (1.0 - jacobi * jacobi).sqrt()), 160) } else { (1.6, 120) };
     let at = |h: &[f64], row: isize, col: isize| {
         // Beyond the border the gel goes on as it is.
         let clamp = |x: isize| x.clamp(0, NODES as isize - 1) as usize;
         h[clamp(row) * NODES + clamp(col)]
     };
-    for _ in 0..120 {
+    for _ in 0..sweeps {
         for row in 0..NODES as isize {
             for col in 0..NODES as isize {
                 let n = row as usize * NODES + col as usize;
                 let around =
                     at(&h, row - 1, col) + at(&h, row + 1, col) + at(&h, row, col - 1) + at(&h, row, col + 1);
                 let free = k * around / (1.0 + 4.0 * k);
-                h[n] = (h[n] + 1.6 * (free - h[n])).max(obstacle[n].0.max(0.0));
+                h[n] = (h[n] + over * (free - h[n])).max(obstacle[n].0.max(0.0));
             }
         }
     }

@@ -61,9 +61,14 @@ fn unit(random: &mut Stream) -> DVec3 {
 impl Problem {
     /// A part lying across the sensor with its tip on it, turned and pressed by chance.
     pub fn press(part: &Part, sensing: Sensing, random: &mut Stream) -> Self {
+        Self::press_into(gel::SHOULDER_MM, part, sensing, random)
+    }
+
+    /// The same in a gel of that decay length.
+    pub fn press_into(decay_mm: f64, part: &Part, sensing: Sensing, random: &mut Stream) -> Self {
         loop {
             let t_sensor_object = place(part, random);
-            let gel = Gel::press(part, &t_sensor_object);
+            let gel = Gel::press_into(decay_mm, part, &t_sensor_object);
             let problem = Self::sense(&gel, t_sensor_object, sensing, random);
             let touching = problem.normals.iter().flatten().count();
             if touching >= 20 && (30..=300).contains(&problem.points_mm.len()) {
@@ -240,6 +245,7 @@ impl Problem {
         Contact {
             covariance_mm2: Some(&self.covariance_mm2),
             unpressed_mm: &self.unpressed_mm,
+            decay_mm: gel::SHOULDER_MM,
             ..Contact::new(&self.points_mm)
         }
     }

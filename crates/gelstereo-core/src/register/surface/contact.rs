@@ -1,7 +1,9 @@
 //! What was sensed, as the surface rungs see it: points about the patch's centroid, and which of them a coarse look needs.
 
+use super::gel::Gel;
 use crate::math::linalg::{Symmetric, eigen};
 use crate::math::{DVec3, sqrt};
+use crate::params::ContactParams;
 use crate::register::RegisterError;
 use crate::register::template::REACH_MM;
 use alloc::vec::Vec;
@@ -17,13 +19,17 @@ pub struct Contact<'a> {
     pub unpressed_mm: &'a [DVec3],
     /// The way from the part into the gel, a unit vector: only faces that look this way can be touched.
     pub press_direction: DVec3,
+    /// Length over which the gel's surface comes back to rest beside a contact, `contact.decay_mm`. With it and the
+    /// markers that nothing presses on it is known which markers a pose touches.
+    pub decay_mm: f64,
 }
 
 impl<'a> Contact<'a> {
     /// Salient points alone, pressed toward the camera.
     #[must_use]
     pub const fn new(points_mm: &'a [DVec3]) -> Self {
-        Self { points_mm, covariance_mm2: None, unpressed_mm: &[], press_direction: DVec3::NEG_Z }
+        let decay_mm = ContactParams::DECAY_MM;
+        Self { points_mm, covariance_mm2: None, unpressed_mm: &[], press_direction: DVec3::NEG_Z, decay_mm }
     }
 
     /// Refuses covariances and markers without meaning; the salient points have been checked.
@@ -34,6 +40,9 @@ impl<'a> Contact<'a> {
         }
         if !((self.press_direction.length_squared() - 1.0).abs() < 1e-6) {
             return Err(RegisterError::PressDirection);
+        }
+        if !(self.decay_mm > 0.0 && self.decay_mm <= REACH_MM) {
+            return Err(RegisterError::Decay { found_mm: self.decay_mm });
         }
         let Some(all) = self.covariance_mm2 else { return Ok(()) };
         if all.len() != self.points_mm.len() {
@@ -119,8 +128,18 @@ pub(super) struct Samples {
     pub salient_from_mm: f64,
     /// From the lowest salient point to the highest, and no less than noise makes of level ones.
     pub height_mm: f64,
+    /// All markers, where a search asks what the gel does.
+    pub gel: Gel,
     nearest_squared: Vec<f64>,
     flat: Vec<DVec3>,
+}
+
+/// Which markers are wanted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Extent {
+    Salient,
+    Around,
+    Gel,
 }
 
 /// More salient points than this are not asked for their neighbours, which takes the square of their number.
@@ -141,8 +160,8 @@ const HOLLOW: f64 = 3.0;
 pub(super) const NEIGHBOURS: usize = 6;
 
 impl Samples {
-    /// `is_whole` unless the salient points alone are wanted, soon.
-    pub fn fill(&mut self, contact: &Contact<'_>, sigma_mm: f64, is_whole: bool) {
+    /// The salient points alone, soon; or all markers that a search of one start needs; or of many.
+    pub fn fill(&mut self, contact: &Contact<'_>, sigma_mm: f64, extent: Extent) {
         let square = sigma_mm * sigma_mm;
         let isotropic = [square, square, square, 0.0, 0.0, 0.0];
         self.centre_mm = crate::math::centroid(contact.points_mm);
@@ -158,7 +177,11 @@ impl Samples {
         self.radius_mm = sqrt(sum / self.pressed.len().max(1) as f64).max(10.0 * sigma_mm);
         self.may_touch = self.pressed.len();
         self.find_saliency(contact.press_direction);
-        if is_whole {
+        self.gel.clear();
+        if extent == Extent::Gel {
+            self.fill_gel(contact);
+        }
+        if extent != Extent::Salient {
             self.find_hanging(contact);
             self.spread();
             self.take_unpressed(contact.unpressed_mm, isotropic);
@@ -168,6 +191,21 @@ impl Samples {
             self.neighbours.clear();
             self.neighbours.extend((0..self.pressed.len() as u32).map(|k| [k; NEIGHBOURS]));
         }
+    }
+
+    /// What is not known of the noise of other markers is taken to be as with the salient ones.
+    fn fill_gel(&mut self, contact: &Contact<'_>) {
+        if contact.unpressed_mm.is_empty() {
+            return;
+        }
+        let count = self.pressed.len().max(1) as f64;
+        let covariance =
+            core::array::from_fn(|i| self.pressed.iter().map(|s| s.covariance[i]).sum::<f64>() / count);
+        let Self { pressed, gel, centre_mm, .. } = self;
+        let others = contact.unpressed_mm.iter();
+        let others = others.map(|&p| Sample { p_mm: p - *centre_mm, covariance, hangs: false });
+        let markers = pressed.iter().copied().chain(others);
+        gel.fill(markers, pressed.len(), contact.press_direction, contact.decay_mm);
     }
 
     /// All markers beside salient ones, these first, about the centroid with the press along z.

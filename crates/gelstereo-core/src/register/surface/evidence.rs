@@ -4,6 +4,7 @@ use super::contact::Samples;
 use super::odds::log_odds;
 use super::polish::PolishScratch;
 use super::search::Candidate;
+use super::settled::SettledScratch;
 use super::step::Placement;
 use crate::math::linalg::Symmetric;
 use crate::math::{Pose, sqrt};
@@ -64,7 +65,7 @@ pub(super) fn registration(
     params: &RegisterParams,
     samples: &Samples,
     candidates: &[Candidate],
-    scratch: &PolishScratch,
+    (scratch, settled, information): (&PolishScratch, &SettledScratch, Option<Symmetric<6>>),
     (converged, iterations): (bool, u32),
 ) -> Registration {
     let best = &candidates[0];
@@ -83,7 +84,7 @@ pub(super) fn registration(
             sum_squared += touches * r.distance_mm * r.distance_mm;
             total += touches;
         }
-        if touches > 0.0 {
+        if touches > 0.0 && information.is_none() {
             system.add(&Sighting {
                 lever: back * sample.p_mm,
                 normal: back * r.normal,
@@ -92,6 +93,9 @@ pub(super) fn registration(
                 normal_variance: r.curvature_per_mm * r.curvature_per_mm * r.variance_mm2,
             });
         }
+    }
+    if let Some(information) = information {
+        add_settled(&mut system, samples, settled, best, &information);
     }
     let in_object = system.observe(centre_mm);
     let observability = in_object.turned(&t_sensor_object, samples.centre_mm);
@@ -110,6 +114,39 @@ pub(super) fn registration(
         log_odds: Some(log_odds(samples, &scratch.here, &scratch.touches, params.outlier_share)),
         alternatives: alternatives(samples, candidates, &about_centre(&observability)),
     }
+}
+
+/// What the heights of the gel tell, with the noise of the normals that they are told by.
+fn add_settled(
+    system: &mut System,
+    samples: &Samples,
+    settled: &SettledScratch,
+    best: &Candidate,
+    information: &Symmetric<6>,
+) {
+    let back = best.placement.pose.rotation.conjugate();
+    for (node, sight) in samples.gel.nodes.iter().zip(&settled.here.sights) {
+        let Some(foot) = sight.foot.as_ref().filter(|_| sight.touches) else { continue };
+        let normal = best.placement.sensor_direction(foot.normal);
+        let variance_mm2 = node.sample.variance(normal);
+        system.add(&Sighting {
+            lever: back * node.sample.p_mm,
+            normal: foot.normal,
+            residual: 0.0,
+            weight: sight.weight * system.sigma_mm() * system.sigma_mm() / variance_mm2,
+            normal_variance: foot.curvature_per_mm * foot.curvature_per_mm * variance_mm2,
+        });
+    }
+    // (ρ ω, v) in the object's axes: both halves turned.
+    let turn = crate::math::DMat3::from_quat(back);
+    let turned = |x: [f64; 3]| (turn * crate::math::DVec3::from_array(x)).to_array();
+    let halves = |row: [f64; 6]| {
+        let [a, b] = [turned([row[0], row[1], row[2]]), turned([row[3], row[4], row[5]])];
+        [a[0], a[1], a[2], b[0], b[1], b[2]]
+    };
+    let rows = information.map(halves);
+    let columns: [[f64; 6]; 6] = core::array::from_fn(|k| halves(core::array::from_fn(|i| rows[i][k])));
+    system.replace_information(&columns);
 }
 
 fn pose(samples: &Samples, candidate: &Candidate) -> Pose {

@@ -3,18 +3,21 @@
 //!
 //! A salient point touches the part or hangs beside it, and no marker is within it ([`noise`]). The pose is the most
 //! likely one under that mixture, with the guess as a weak prior that keeps the directions which the contact leaves free
-//! where they were guessed. One start finds it from close by; from farther off many are needed, since threads, teeth
+//! where they were guessed. Where all markers are known, the full search ends on what the gel does between them
+//! ([`settled`]). One start finds it from close by; from farther off many are needed, since threads, teeth
 //! and edges each have a minimum of their own.
 
 mod contact;
 mod evidence;
 mod fit;
+mod gel;
 mod noise;
 mod odds;
 mod part;
 mod polish;
 mod relief;
 mod search;
+mod settled;
 mod starts;
 mod step;
 
@@ -27,10 +30,11 @@ use super::{RegisterError, Registration, Template};
 use crate::math::Pose;
 use crate::params::{RegisterMethod, RegisterParams};
 use alloc::vec::Vec;
-use contact::Samples;
+use contact::{Extent, Samples};
 use part::{Coarse, Exact};
 use polish::PolishScratch;
 use search::{Candidate, Search};
+use settled::SettledScratch;
 use step::{Placement, Prior};
 
 /// What the surface rungs keep from run to run.
@@ -39,6 +43,7 @@ pub(super) struct SurfaceScratch {
     samples: Samples,
     candidates: Vec<Candidate>,
     polish: PolishScratch,
+    settled: SettledScratch,
 }
 
 /// Registers by one of the surface rungs.
@@ -51,9 +56,14 @@ pub(super) fn run(
 ) -> Result<Registration, RegisterError> {
     let (solid, field, relief) = template.touchable().ok_or(RegisterError::NoSurface)?;
     contact.check()?;
-    let SurfaceScratch { samples, candidates, polish } = scratch;
-    let is_whole = params.method != RegisterMethod::SurfaceTrack;
-    samples.fill(contact, params.point_sigma_mm, is_whole);
+    let SurfaceScratch { samples, candidates, polish, settled } = scratch;
+    let extent = match params.method {
+        RegisterMethod::SurfaceTrack => Extent::Salient,
+        // What gel meets first of a surface with holes is not known.
+        RegisterMethod::SurfaceSearch if solid.is_closed() => Extent::Gel,
+        _ => Extent::Around,
+    };
+    samples.fill(contact, params.point_sigma_mm, extent);
     let centred = Pose { translation_mm: guess.translation_mm - samples.centre_mm, ..*guess };
     let mut search = Search {
         params,
@@ -67,14 +77,17 @@ pub(super) fn run(
             sigma_mm: params.start_sigma_mm,
         },
         work: 0,
+        is_settled: false,
     };
     check_reach(&search, solid, params)?;
     let end = match params.method {
         RegisterMethod::SurfaceTrack => search.track(candidates, polish),
         RegisterMethod::SurfaceClose => search.close(candidates, polish),
-        _ => search.many(candidates, polish),
+        _ => search.many(candidates, polish, settled),
     };
-    Ok(evidence::registration(params, samples, candidates, polish, (end.converged, end.iterations)))
+    let information = search.is_settled.then(|| search.information(&candidates[0], settled));
+    let ended = (end.converged, end.iterations);
+    Ok(evidence::registration(params, samples, candidates, (polish, settled, information), ended))
 }
 
 /// Refuses a patch of which nothing is near the part at the guess.

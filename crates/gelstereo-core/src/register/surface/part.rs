@@ -3,7 +3,7 @@
 use super::relief::Relief;
 use super::step::Placement;
 use crate::math::{DVec3, abs, sqrt};
-use crate::surface::{Facing, Field, Solid};
+use crate::surface::{Facing, Feature, Field, Solid};
 
 /// A face that looks away from the gel by more than this cosine cannot be touched. Noise and a guess's tilt get it.
 const LEAST_COSINE: f64 = -0.1;
@@ -25,6 +25,94 @@ pub(super) trait Distances {
     const WORK: u64;
     /// `press` is the way from the part into the gel, object frame; `hint` what the last call for the same point said.
     fn at(&self, x_mm: DVec3, press: DVec3, hint: &mut u32) -> Near;
+}
+
+/// Where the part lies under a marker, along the press.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Foot {
+    /// How far the marker is over it; negative within the part.
+    pub over_mm: f64,
+    /// Outward there, object frame.
+    pub normal: DVec3,
+    pub curvature_per_mm: f64,
+}
+
+/// How far over and under a marker the part is looked for.
+const OVER_MM: f64 = 2.0;
+pub(super) const UNDER_MM: f64 = 1.5;
+/// Gel hangs beside faces that are steeper than this, cosine to the press.
+const STEEP_COSINE: f64 = 0.2;
+/// Steps of sphere tracing (Hart 1996), and how near to the surface they end, in cells.
+const MOST_STEPS: usize = 12;
+const NEAR: f64 = 0.2;
+/// Steps of Newton on the triangles; a foot this far from them is none.
+const MOST_REFINED: usize = 4;
+const ON_MM: f64 = 2e-3;
+/// Within this a face is as flat as it is here, to a micrometre.
+const CLOSE_MM: f64 = 0.03;
+
+impl Coarse<'_> {
+    /// The first of the part that gel coming against the press meets on the line through a marker, from `start_mm` over
+    /// the marker on; without one, how near the line came to the part.
+    pub fn foot(&self, x_mm: DVec3, press: DVec3, start_mm: f64) -> Result<Foot, f64> {
+        let near_mm = NEAR * self.0.cell_mm();
+        let (mut at_mm, mut least_mm) = (start_mm, f64::INFINITY);
+        for _ in 0..MOST_STEPS {
+            let Some((distance_mm, gradient)) = self.0.distance(x_mm + press * at_mm) else {
+                at_mm -= self.0.reach_mm();
+                if at_mm < -OVER_MM {
+                    break;
+                }
+                continue;
+            };
+            least_mm = least_mm.min(distance_mm);
+            if distance_mm < near_mm {
+                let length = sqrt(gradient.length_squared());
+                let normal = if length > 1e-3 { gradient / length } else { press };
+                let cosine = normal.dot(press);
+                if cosine >= STEEP_COSINE {
+                    let over_mm = distance_mm / cosine - at_mm;
+                    return Ok(Foot { over_mm, normal, curvature_per_mm: 0.0 });
+                }
+                if distance_mm < 0.25 * near_mm {
+                    break;
+                }
+            }
+            at_mm -= distance_mm.max(0.5 * near_mm);
+            if at_mm < -OVER_MM {
+                break;
+            }
+        }
+        Err(least_mm)
+    }
+}
+
+impl Exact<'_> {
+    /// The same on the triangles.
+    pub fn foot(&self, field: &Coarse<'_>, x_mm: DVec3, press: DVec3, hint: &mut u32) -> Result<Foot, f64> {
+        let mut foot = field.foot(x_mm, press, UNDER_MM)?;
+        let facing = Facing { direction: press, least_cosine: LEAST_COSINE };
+        for _ in 0..MOST_REFINED {
+            let at_mm = x_mm - press * foot.over_mm;
+            let found = self.solid.closest_facing(at_mm, &facing, REACH_MM, Some(*hint)).ok_or(0.0)?;
+            *hint = found.triangle;
+            let slope = self.relief.slope(self.solid, &found, at_mm - found.point_mm);
+            let cosine = slope.normal.dot(press);
+            if cosine < STEEP_COSINE {
+                break;
+            }
+            let step_mm = found.distance_mm / cosine;
+            foot = Foot {
+                over_mm: foot.over_mm + step_mm,
+                normal: slope.normal,
+                curvature_per_mm: slope.curvature_per_mm,
+            };
+            if abs(step_mm) < ON_MM || (abs(step_mm) < CLOSE_MM && found.feature == Feature::Face) {
+                return Ok(foot);
+            }
+        }
+        Err(0.0)
+    }
 }
 
 /// The distance field, trilinear between its nodes.

@@ -4,8 +4,10 @@ use super::contact::{COARSE, MEDIUM, Samples};
 use super::fit::View;
 use super::part::{Coarse, Distances, Exact};
 use super::polish::{End, Polish, PolishScratch};
+use super::settled::{Rest, Settled, SettledScratch};
 use super::starts::start;
 use super::step::{Placement, Prior};
+use crate::math::linalg::Symmetric;
 use crate::math::{DVec3, sqrt};
 use crate::params::RegisterParams;
 use alloc::vec::Vec;
@@ -14,8 +16,16 @@ use alloc::vec::Vec;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Candidate {
     pub placement: Placement,
+    /// Of the gel, where it is asked.
+    pub rest: Rest,
     /// The lower the better; comparable within a round.
     pub cost: f64,
+}
+
+impl Candidate {
+    fn at(placement: Placement) -> Self {
+        Self { placement, rest: Rest::UNKNOWN, cost: f64::INFINITY }
+    }
 }
 
 /// One round of screening: how many salient points it looks at, the widths of its steps, the last for the cost alone,
@@ -41,6 +51,11 @@ const FIRST_STEPS: u32 = 3;
 const MOST_STEPS: u32 = 15;
 /// Finalists whose likelihood is less than that of the best by this, in logarithms, are not polished on.
 const HOPELESS: f64 = 12.0;
+/// With fewer of the markers around the contact explained the gel is another than it is said to be, and is not asked.
+const EXPLAINED: f64 = 0.75;
+/// Widths of the steps that ask the gel, on the field and on the exact surface.
+const BLURRED: &[(&[f64], usize)] = &[(&[0.3], 5), (&[0.2], 3), (&[0.1], 2)];
+const SHARP: &[f64] = &[0.05];
 /// The guess counts little while weights are those of wide laws.
 const COARSE_PRIOR: f64 = 0.1;
 /// Longest step of a coarse look.
@@ -55,6 +70,8 @@ pub(super) struct Search<'a> {
     pub faces: Exact<'a>,
     pub prior: Prior,
     pub work: u64,
+    /// Whether the answer is that of the gel.
+    pub is_settled: bool,
 }
 
 impl Search<'_> {
@@ -106,13 +123,30 @@ impl Search<'_> {
     }
 
     /// From many starts.
-    pub fn many(&mut self, candidates: &mut Vec<Candidate>, scratch: &mut PolishScratch) -> End {
+    pub fn many(
+        &mut self,
+        candidates: &mut Vec<Candidate>,
+        scratch: &mut PolishScratch,
+        settled: &mut SettledScratch,
+    ) -> End {
         candidates.clear();
         for k in 0..self.params.starts {
-            candidates.push(Candidate { placement: start(&self.prior, k), cost: f64::INFINITY });
+            candidates.push(Candidate::at(start(&self.prior, k)));
         }
         self.round(candidates, &FIRST, self.samples.coarse_unpressed);
         self.round(candidates, &SECOND, self.samples.medium_unpressed);
+        self.is_settled = false;
+        if self.samples.gel.is_known() {
+            let before: [Option<Candidate>; SECOND.keeps] =
+                core::array::from_fn(|k| candidates.get(k).copied());
+            let end = self.settle(candidates, scratch, settled);
+            self.is_settled = self.settled(true).explained(&settled.here) >= EXPLAINED;
+            if self.is_settled {
+                return end;
+            }
+            candidates.clear();
+            candidates.extend(before.into_iter().flatten());
+        }
         for k in 0..candidates.len() {
             if self.work >= self.budget() {
                 candidates.truncate(k.max(1));
@@ -129,9 +163,72 @@ impl Search<'_> {
         self.finish(candidates, scratch)
     }
 
+    fn settled(&self, is_exact: bool) -> Settled<'_> {
+        Settled {
+            params: self.params,
+            samples: self.samples,
+            press_direction: self.press_direction,
+            field: self.field,
+            faces: is_exact.then_some(self.faces),
+            prior: self.prior,
+        }
+    }
+
+    /// Information about (ρ ω, v) about the centroid, of the candidate whose prediction is in `settled`.
+    pub fn information(&self, best: &Candidate, settled: &SettledScratch) -> Symmetric<6> {
+        self.settled(true).information(best, &settled.here)
+    }
+
+    /// The candidates by what the gel would do, best first. The best one's prediction is left in `settled`.
+    fn settle(
+        &mut self,
+        candidates: &mut Vec<Candidate>,
+        scratch: &mut PolishScratch,
+        settled: &mut SettledScratch,
+    ) -> End {
+        let rest = Rest { plane_mm: self.samples.gel.rest_plane(self.samples.radius_mm), log_decay: 0.0 };
+        candidates.iter_mut().for_each(|candidate| candidate.rest = rest);
+        for (widths_mm, keeps) in BLURRED {
+            self.settle_all(candidates, (false, widths_mm, 0), settled);
+            keep(candidates, *keeps, self.samples.radius_mm, SECOND.same_mm);
+        }
+        self.settle_all(candidates, (true, SHARP, 0), settled);
+        keep(candidates, FINALISTS, 0.0, 0.0);
+        let hopeless = candidates[0].cost + HOPELESS;
+        let near = candidates.iter().take_while(|c| c.cost < hopeless).count();
+        candidates.truncate(near.max(1));
+        let mut end =
+            self.settle_all(candidates, (true, &[], self.params.max_iterations.min(MOST_STEPS)), settled);
+        keep(candidates, FINALISTS, 0.0, 0.0);
+        end.work += self.settle_all(&mut candidates[..1], (true, &[], 0), settled).work;
+        self.work += self.polish(self.faces).compare(&candidates[0].placement, scratch).1;
+        end
+    }
+
+    /// How the best one ended.
+    fn settle_all(
+        &mut self,
+        candidates: &mut [Candidate],
+        (is_exact, widths_mm, most): (bool, &[f64], u32),
+        settled: &mut SettledScratch,
+    ) -> End {
+        let mut best = (f64::INFINITY, End { converged: false, iterations: 0, work: 0 });
+        for k in 0..candidates.len() {
+            if k > 0 && self.work >= self.budget() {
+                break;
+            }
+            let end = self.settled(is_exact).run(&mut candidates[k], widths_mm, most, settled);
+            self.work += end.work;
+            if candidates[k].cost < best.0 {
+                best = (candidates[k].cost, end);
+            }
+        }
+        best.1
+    }
+
     fn begin_at_guess(&self, candidates: &mut Vec<Candidate>) {
         candidates.clear();
-        candidates.push(Candidate { placement: self.prior.guess, cost: f64::INFINITY });
+        candidates.push(Candidate::at(self.prior.guess));
     }
 
     /// The finalists on the exact surface, best first. How the best one ended; its readings are in the scratch.

@@ -93,6 +93,11 @@ impl Normal {
         }
     }
 
+    /// Upper triangle of H, and g.
+    pub fn parts(&self) -> (&[[f64; 6]; 6], &[f64; 6]) {
+        (&self.h, &self.g)
+    }
+
     /// The step (ω, v), no longer than `limit_mm` over the patch. The prior keeps H positive definite.
     pub fn solve(&self, radius_mm: f64, limit_mm: f64) -> Option<(DVec3, DVec3)> {
         let z = cholesky(&self.h, &self.g)?;
@@ -115,29 +120,29 @@ pub(super) struct Prior {
 }
 
 /// Solves H z = g by Cholesky's factors; only the upper triangle of H is read. `None` unless H is positive definite.
-fn cholesky(h: &[[f64; 6]; 6], g: &[f64; 6]) -> Option<[f64; 6]> {
+pub(super) fn cholesky<const N: usize>(h: &[[f64; N]; N], g: &[f64; N]) -> Option<[f64; N]> {
     // Rows of the upper factor U, H = Uᵀ U.
     let mut u = *h;
     let mut z = *g;
-    for i in 0..6 {
+    for i in 0..N {
         if !(u[i][i] > 0.0) {
             return None;
         }
         let inverse = 1.0 / sqrt(u[i][i]);
-        for k in i..6 {
+        for k in i..N {
             u[i][k] *= inverse;
         }
         z[i] *= inverse;
-        for j in i + 1..6 {
+        for j in i + 1..N {
             let factor = u[i][j];
-            for k in j..6 {
+            for k in j..N {
                 u[j][k] -= factor * u[i][k];
             }
             z[j] -= factor * z[i];
         }
     }
-    for i in (0..6).rev() {
-        for k in i + 1..6 {
+    for i in (0..N).rev() {
+        for k in i + 1..N {
             z[i] -= u[i][k] * z[k];
         }
         z[i] /= u[i][i];

@@ -1,0 +1,482 @@
+//! The last steps where all markers are known: the heights of the gel that a pose of the part predicts, against those
+//! that were measured.
+//!
+//! What touches and what hangs at a pose is what the gel does there ([`Gel`]). Unknown beside the pose are the gel's plane of
+//! rest and the decay length.
+
+use super::contact::Samples;
+use super::gel::{Gel, Node};
+use super::part::{Coarse, Exact, Foot, UNDER_MM};
+use super::polish::End;
+use super::search::Candidate;
+use super::step::{Normal, Prior, cholesky};
+use crate::math::linalg::{Symmetric, eigen};
+use crate::math::{DVec2, DVec3, abs, exp, ln, sqrt};
+use crate::params::RegisterParams;
+use alloc::vec::Vec;
+
+/// Turn and shift of the part, the plane of rest, and the logarithm of l².
+const UNKNOWN: usize = 10;
+const PLANE: usize = 6;
+const DECAY: usize = 9;
+type Row = [f64; UNKNOWN];
+
+/// Standard deviation of the logarithm of l²: a third of l.
+const DECAY_SIGMA: f64 = 0.6;
+/// And of the plane of rest as it is first guessed.
+const PLANE_SIGMA_MM: f64 = 1.0;
+/// No free height is wrong by more than this share of its gap to the part.
+const GAP_SHARE: f64 = 0.5;
+/// Standard deviations from which gel is lifted.
+const LIFTED: f64 = 3.0;
+/// Standard deviation of what lies anywhere between two markers, in pitches: 1 / √12.
+const BETWEEN: f64 = 0.288_675;
+/// Outliers are spread over this much, and there may be some even where none are expected.
+const STRAY_MM: f64 = 3.0;
+const LEAST_OUTLIERS: f64 = 1e-3;
+/// Directions that smooth changes know better than this need no differences.
+const SMOOTH_MM: f64 = 0.02;
+/// Steps as blurred as this are for what is smooth alone.
+const WIDEST_MM: f64 = 0.25;
+/// No node moves by more than this many times the difference between two poses.
+const BESIDE: f64 = 2.5;
+/// Over which differences are taken at the end.
+const LAST_SCALE_MM: f64 = 0.04;
+/// Longest step, over the patch, and the halvings after which there is none.
+const LONGEST_MM: f64 = 0.5;
+const HALVINGS: u32 = 3;
+/// Sweeps over the gel of a prediction, and of what only directs a step.
+const MOST_SWEEPS: u32 = 80;
+const FEW_SWEEPS: u32 = 8;
+/// Work of a sweep over a node, in lookups of the field.
+const SWEEPS_A_LOOKUP: u64 = 8;
+
+/// What is unknown of the gel.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Rest {
+    /// Height of the plane of rest at the patch's centroid, and its rise over a radius of the patch.
+    pub plane_mm: [f64; 3],
+    /// Logarithm of l² over the nominal one.
+    pub log_decay: f64,
+}
+
+impl Rest {
+    pub const UNKNOWN: Self = Self { plane_mm: [0.0; 3], log_decay: 0.0 };
+
+    fn at(&self, across: DVec2) -> f64 {
+        self.plane_mm[0] + self.plane_mm[1] * across.x + self.plane_mm[2] * across.y
+    }
+}
+
+/// What a pose predicts of one node.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sight {
+    /// Where the part is under it; `None` where there is none.
+    pub foot: Option<Foot>,
+    /// How near the part is to the line through the node that does not meet it.
+    clear_mm: f64,
+    pub touches: bool,
+    /// Measured over predicted height.
+    pub residual_mm: f64,
+    pub variance_mm2: f64,
+    /// Probability that it is no outlier.
+    pub weight: f64,
+}
+
+/// All of that at one state.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Prediction {
+    pub sights: Vec<Sight>,
+    heights_mm: Vec<f64>,
+    cost: f64,
+}
+
+/// Vectors that are kept from run to run.
+#[derive(Clone, Debug, Default)]
+pub(super) struct SettledScratch {
+    pub here: Prediction,
+    there: Prediction,
+    obstacle_mm: Vec<f64>,
+    changes: Vec<Row>,
+    rows: Vec<Row>,
+    hints: Vec<u32>,
+}
+
+/// The way of one candidate to the greatest likelihood.
+pub(super) struct Settled<'a> {
+    pub params: &'a RegisterParams,
+    pub samples: &'a Samples,
+    pub press_direction: DVec3,
+    pub field: Coarse<'a>,
+    /// Without it the field alone.
+    pub faces: Option<Exact<'a>>,
+    pub prior: Prior,
+}
+
+impl Settled<'_> {
+    fn gel(&self) -> &Gel {
+        &self.samples.gel
+    }
+
+    /// One step for every width by which all is blurred, and then at most `most` to the end. What it predicts there is
+    /// left in the scratch.
+    pub fn run(
+        &self,
+        state: &mut Candidate,
+        widths_mm: &[f64],
+        most: u32,
+        scratch: &mut SettledScratch,
+    ) -> End {
+        let count = self.gel().nodes.len();
+        scratch.hints.clear();
+        scratch.hints.resize(count, 0);
+        for prediction in [&mut scratch.here, &mut scratch.there] {
+            prediction.heights_mm.clear();
+            prediction.heights_mm.extend(
+                self.gel().nodes.iter().map(|node| (node.along_mm - state.rest.plane_mm[0]).max(0.0)),
+            );
+        }
+        scratch.changes.clear();
+        scratch.changes.resize(count, [0.0; UNKNOWN]);
+        let mut end = End { converged: false, iterations: 0, work: 0 };
+        for &width_mm in widths_mm {
+            end.work += self.predict(state, width_mm, scratch);
+            core::mem::swap(&mut scratch.here, &mut scratch.there);
+            let (step, work) = self.step(state, width_mm, scratch);
+            end.work += work;
+            if let Some(step) = step {
+                *state = self.moved(state, &step, 1.0);
+            }
+        }
+        end.work += self.predict(state, 0.0, scratch);
+        core::mem::swap(&mut scratch.here, &mut scratch.there);
+        let sigma_mm = self.params.point_sigma_mm;
+        let tolerance_mm = 10.0 * self.params.step_tolerance * sigma_mm;
+        while end.iterations < most && !end.converged {
+            end.iterations += 1;
+            let (step, work) = self.step(state, LAST_SCALE_MM, scratch);
+            end.work += work;
+            let Some(step) = step else { break };
+            let full_mm = sqrt(step[..6].iter().map(|x| x * x).sum());
+            let (mut share, mut accepted) = (1.0, false);
+            for _ in 0..=HALVINGS {
+                let next = self.moved(state, &step, share);
+                end.work += self.predict(&next, 0.0, scratch);
+                if scratch.there.cost < scratch.here.cost {
+                    *state = next;
+                    core::mem::swap(&mut scratch.here, &mut scratch.there);
+                    accepted = true;
+                    break;
+                }
+                share *= 0.5;
+                if share * full_mm < tolerance_mm {
+                    break;
+                }
+            }
+            end.converged = !accepted || share * full_mm < tolerance_mm;
+        }
+        state.cost = scratch.here.cost;
+        end
+    }
+
+    fn moved(&self, state: &Candidate, step: &Row, share: f64) -> Candidate {
+        let z = step.map(|x| share * x);
+        let omega = DVec3::new(z[0], z[1], z[2]) / self.samples.radius_mm;
+        Candidate {
+            placement: state.placement.moved(omega, DVec3::new(z[3], z[4], z[5])),
+            rest: Rest {
+                plane_mm: core::array::from_fn(|i| state.rest.plane_mm[i] + z[PLANE + i]),
+                log_decay: (state.rest.log_decay + z[DECAY]).clamp(-3.0, 1.5),
+            },
+            cost: f64::INFINITY,
+        }
+    }
+
+    /// What a state predicts, into `there`: where the part is, and the heights of the gel.
+    fn predict_heights(&self, state: &Candidate, scratch: &mut SettledScratch) -> u64 {
+        let SettledScratch { there, obstacle_mm, hints, .. } = scratch;
+        let (placement, gel) = (&state.placement, self.gel());
+        let press = placement.object_direction(self.press_direction);
+        let per_radius = 1.0 / self.samples.radius_mm;
+        let mut work = 0;
+        obstacle_mm.clear();
+        there.sights.clear();
+        for (node, hint) in gel.nodes.iter().zip(hints) {
+            let x = placement.object_point(node.sample.p_mm);
+            let foot = match &self.faces {
+                Some(faces) => faces.foot(&self.field, x, press, hint),
+                None => self.field.foot(x, press, UNDER_MM),
+            };
+            work += if self.faces.is_some() && foot.is_ok() { 16 } else { 3 };
+            let (foot, clear_mm) = foot.map_or_else(|clear_mm| (None, clear_mm), |foot| (Some(foot), 0.0));
+            let over_plane_mm = node.along_mm - state.rest.at(node.across_mm * per_radius);
+            obstacle_mm.push(foot.map_or(f64::NEG_INFINITY, |foot| over_plane_mm - foot.over_mm));
+            let residual_mm = over_plane_mm;
+            there.sights.push(Sight {
+                foot,
+                clear_mm,
+                touches: false,
+                residual_mm,
+                variance_mm2: 1.0,
+                weight: 0.0,
+            });
+        }
+        let sweeps =
+            gel.settle(gel.stiffness(state.rest.log_decay), MOST_SWEEPS, obstacle_mm, &mut there.heights_mm);
+        for (sight, height_mm) in there.sights.iter_mut().zip(&there.heights_mm) {
+            sight.residual_mm -= height_mm;
+        }
+        work + u64::from(sweeps) * gel.nodes.len() as u64 / SWEEPS_A_LOOKUP
+    }
+
+    /// What a state predicts, into `there`, and how likely that is.
+    fn predict(&self, state: &Candidate, width_mm: f64, scratch: &mut SettledScratch) -> u64 {
+        let work = self.predict_heights(state, scratch);
+        let SettledScratch { there, obstacle_mm, .. } = scratch;
+        let (placement, gel) = (&state.placement, self.gel());
+        there.cost = self.prior_cost(state);
+        let model = self.params.surface_sigma_mm * self.params.surface_sigma_mm + width_mm * width_mm;
+        let outliers = self.params.outlier_share.max(LEAST_OUTLIERS);
+        // The gel leaves the part at an edge, which the nodes know to a pitch; over that it sinks by 1 - e^(-pitch / l).
+        let share = BETWEEN * (1.0 - exp(-1.0 / sqrt(gel.stiffness(state.rest.log_decay))));
+        for (((node, sight), &height_mm), &obstacle_mm) in
+            gel.nodes.iter().zip(&mut there.sights).zip(&there.heights_mm).zip(&*obstacle_mm)
+        {
+            sight.touches = height_mm <= obstacle_mm;
+            let (variance, wrong_mm) = match (sight.touches, &sight.foot) {
+                (true, Some(foot)) => {
+                    let normal = placement.sensor_direction(foot.normal);
+                    let cosine = normal.dot(self.press_direction);
+                    (node.sample.variance(normal) / (cosine * cosine), 0.0)
+                }
+                _ => {
+                    let gap_mm = GAP_SHARE * (height_mm - obstacle_mm);
+                    let wrong_mm = (share * abs(height_mm)).min(gap_mm);
+                    (node.sample.variance(self.press_direction), wrong_mm)
+                }
+            };
+            sight.variance_mm2 = variance + wrong_mm * wrong_mm + model;
+            let squared = sight.residual_mm * sight.residual_mm / sight.variance_mm2;
+            let good = (1.0 - outliers) * exp(-0.5 * squared.min(1000.0))
+                / sqrt(core::f64::consts::TAU * sight.variance_mm2);
+            let all = good + outliers / STRAY_MM;
+            sight.weight = good / all;
+            there.cost -= ln(all);
+        }
+        work
+    }
+
+    fn prior_cost(&self, state: &Candidate) -> f64 {
+        let mut sum = Normal::ZERO;
+        sum.add_prior(&self.prior, &state.placement, self.samples.radius_mm, 1.0);
+        sum.cost + 0.5 * state.rest.log_decay * state.rest.log_decay / (DECAY_SIGMA * DECAY_SIGMA)
+    }
+
+    /// How predictions change with what is sought; returns the work.
+    fn follow(&self, state: &Candidate, sweeps: u32, scratch: &mut SettledScratch) -> u64 {
+        let SettledScratch { here, changes, .. } = scratch;
+        let gel = self.gel();
+        for ((node, sight), change) in gel.nodes.iter().zip(&here.sights).zip(&mut *changes) {
+            let Some(foot) = sight.foot.as_ref().filter(|_| sight.touches) else { continue };
+            *change = self.touching_row(state, node, foot);
+        }
+        let touches = |k: usize| here.sights[k].touches;
+        let sweeps =
+            gel.follow((gel.stiffness(state.rest.log_decay), sweeps), (touches, &here.heights_mm), changes);
+        u64::from(sweeps) * (gel.nodes.len() * UNKNOWN) as u64 / SWEEPS_A_LOOKUP / 4
+    }
+
+    /// H and g of all that is sought, from `here`; without the priors.
+    fn system(&self, rows: &[Row], here: &Prediction) -> (Symmetric<UNKNOWN>, Row) {
+        let (mut h, mut g) = ([[0.0; UNKNOWN]; UNKNOWN], [0.0; UNKNOWN]);
+        for (sight, row) in here.sights.iter().zip(rows) {
+            let weight = sight.weight / sight.variance_mm2;
+            for i in 0..UNKNOWN {
+                let wj = weight * row[i];
+                g[i] += wj * sight.residual_mm;
+                (i..UNKNOWN).for_each(|k| h[i][k] += wj * row[k]);
+            }
+        }
+        for i in PLANE..DECAY {
+            h[i][i] += 1.0 / (PLANE_SIGMA_MM * PLANE_SIGMA_MM);
+        }
+        h[DECAY][DECAY] += 1.0 / (DECAY_SIGMA * DECAY_SIGMA);
+        (h, g)
+    }
+
+    /// Heights of a state beside that of `here`, on the field, into `there`.
+    fn beside(&self, state: &Candidate, scale_mm: f64, scratch: &mut SettledScratch) -> u64 {
+        let SettledScratch { here, there, obstacle_mm, .. } = scratch;
+        let (placement, gel) = (&state.placement, self.gel());
+        let press = placement.object_direction(self.press_direction);
+        let per_radius = 1.0 / self.samples.radius_mm;
+        let (near_mm, mut lookups) = (BESIDE * scale_mm, 0);
+        obstacle_mm.clear();
+        for (node, sight) in gel.nodes.iter().zip(&here.sights) {
+            let start_mm = match sight.foot {
+                Some(foot) => near_mm - foot.over_mm,
+                None if sight.clear_mm > near_mm => {
+                    obstacle_mm.push(f64::NEG_INFINITY);
+                    continue;
+                }
+                None => UNDER_MM,
+            };
+            let foot = self.field.foot(placement.object_point(node.sample.p_mm), press, start_mm);
+            lookups += 2;
+            let over_plane_mm = node.along_mm - state.rest.at(node.across_mm * per_radius);
+            obstacle_mm.push(foot.map_or(f64::NEG_INFINITY, |foot| over_plane_mm - foot.over_mm));
+        }
+        there.heights_mm.clear();
+        there.heights_mm.extend_from_slice(&here.heights_mm);
+        let stiffness = gel.stiffness(state.rest.log_decay);
+        let sweeps = gel.settle(stiffness, FEW_SWEEPS, obstacle_mm, &mut there.heights_mm);
+        lookups + u64::from(sweeps) * gel.nodes.len() as u64 / SWEEPS_A_LOOKUP
+    }
+
+    /// The linear system from `here` in a basis of the pose's directions, one a row, with what it cost: along those that
+    /// smooth changes tell little about, differences over `scale_mm` see the markers that an edge passes.
+    fn linear(
+        &self,
+        state: &Candidate,
+        scale_mm: f64,
+        scratch: &mut SettledScratch,
+    ) -> (Symmetric<UNKNOWN>, Row, [[f64; 6]; 6], u64) {
+        let mut work = self.follow(state, FEW_SWEEPS, scratch);
+        self.fill_rows(scratch);
+        let (h, _) = self.system(&scratch.rows, &scratch.here);
+        let spectrum = eigen(&without_rest(h));
+        for row in &mut scratch.rows {
+            let turned: [f64; 6] =
+                core::array::from_fn(|k| spectrum.vectors[k].iter().zip(&*row).map(|(u, x)| u * x).sum());
+            row[..6].copy_from_slice(&turned);
+        }
+        for (k, (value, u)) in spectrum.values.iter().zip(&spectrum.vectors).enumerate() {
+            if *value * SMOOTH_MM * SMOOTH_MM > 1.0 || scale_mm > WIDEST_MM {
+                continue;
+            }
+            scratch.rows.iter_mut().for_each(|row| row[k] = 0.0);
+            for sign in [-1.0, 1.0] {
+                let mut step = [0.0; UNKNOWN];
+                (0..6).for_each(|i| step[i] = sign * scale_mm * u[i]);
+                let there = self.moved(state, &step, 1.0);
+                work += self.beside(&there, scale_mm, scratch);
+                for (row, height_mm) in scratch.rows.iter_mut().zip(&scratch.there.heights_mm) {
+                    row[k] += sign * height_mm * (0.5 / scale_mm);
+                }
+            }
+        }
+        let (h, g) = self.system(&scratch.rows, &scratch.here);
+        (h, g, spectrum.vectors, work)
+    }
+
+    /// The step from `here`, no longer than [`LONGEST_MM`] over the patch.
+    fn step(&self, state: &Candidate, scale_mm: f64, scratch: &mut SettledScratch) -> (Option<Row>, u64) {
+        let (mut h, mut g, basis, work) = self.linear(state, scale_mm, scratch);
+        let mut prior = Normal::ZERO;
+        prior.add_prior(&self.prior, &state.placement, self.samples.radius_mm, 1.0);
+        let (prior_h, prior_g) = prior.parts();
+        for i in 0..6 {
+            g[i] += dot(&basis[i], prior_g);
+            // The prior's H is diagonal.
+            (i..6).for_each(|k| {
+                h[i][k] += (0..6).map(|j| basis[i][j] * prior_h[j][j] * basis[k][j]).sum::<f64>()
+            });
+        }
+        g[DECAY] -= state.rest.log_decay / (DECAY_SIGMA * DECAY_SIGMA);
+        let step = cholesky(&h, &g).filter(|z| z.iter().all(|x| x.is_finite())).map(|z| {
+            let length = sqrt(z[..6].iter().map(|x| x * x).sum());
+            let share = if length > LONGEST_MM { LONGEST_MM / length } else { 1.0 };
+            let mut out = z.map(|x| share * x);
+            let along = [out[0], out[1], out[2], out[3], out[4], out[5]];
+            (0..6).for_each(|i| out[i] = (0..6).map(|k| along[k] * basis[k][i]).sum());
+            out
+        });
+        (step, work)
+    }
+
+    /// Share of the markers that touch or are lifted which are no outliers.
+    pub fn explained(&self, here: &Prediction) -> f64 {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for (sight, &height_mm) in here.sights.iter().zip(&here.heights_mm) {
+            if sight.touches || height_mm * height_mm > LIFTED * LIFTED * sight.variance_mm2 {
+                sum += sight.weight;
+                count += 1.0;
+            }
+        }
+        if count > 0.0 { sum / count } else { 0.0 }
+    }
+
+    /// Information about (ρ ω, v) about the centroid, of the state whose prediction is `here`: of the markers that touch,
+    /// along their normals. What touches tells of the pose, too, and so does the gel beside it, which serves to find
+    /// the pose; but an edge is known no better than the markers stand apart, whatever a derivative says.
+    pub fn information(&self, state: &Candidate, here: &Prediction) -> Symmetric<6> {
+        let rows = || {
+            let touching = self.gel().nodes.iter().zip(&here.sights).filter(|(_, sight)| sight.touches);
+            touching.filter_map(|(node, sight)| {
+                let row = self.touching_row(state, node, sight.foot.as_ref()?);
+                Some((row, sight.weight / sight.variance_mm2))
+            })
+        };
+        let mut known = [[0.0; 6]; 6];
+        for (row, weight) in rows() {
+            for i in 0..6 {
+                (0..6).for_each(|k| known[i][k] += weight * row[i] * row[k]);
+            }
+        }
+        // Whether a marker at an edge touches is not as sure as where it touches: what one alone says does not count.
+        let spectrum = eigen(&known);
+        let mut out = [[0.0; 6]; 6];
+        for (value, u) in spectrum.values.iter().zip(&spectrum.vectors) {
+            let told = |(row, weight): (Row, f64)| {
+                let along: f64 = u.iter().zip(&row).map(|(u, x)| u * x).sum();
+                weight * along * along
+            };
+            let value = (value - rows().map(told).fold(0.0, f64::max)).max(0.0);
+            for i in 0..6 {
+                (0..6).for_each(|k| out[i][k] += value * u[i] * u[k]);
+            }
+        }
+        out
+    }
+
+    /// How the height of a marker that touches changes with what is sought.
+    fn touching_row(&self, state: &Candidate, node: &Node, foot: &Foot) -> Row {
+        let radius_mm = self.samples.radius_mm;
+        let normal = state.placement.sensor_direction(foot.normal);
+        let per_cosine = 1.0 / normal.dot(self.press_direction);
+        let under = node.sample.p_mm - self.press_direction * foot.over_mm;
+        let (m, n) = (under.cross(normal) * (per_cosine / radius_mm), normal * per_cosine);
+        let [u, v] = (node.across_mm / radius_mm).to_array();
+        [m.x, m.y, m.z, n.x, n.y, n.z, -1.0, -u, -v, 0.0]
+    }
+
+    fn fill_rows(&self, scratch: &mut SettledScratch) {
+        let radius_mm = self.samples.radius_mm;
+        scratch.rows.clear();
+        for (node, change) in self.gel().nodes.iter().zip(&scratch.changes) {
+            let [u, v] = (node.across_mm / radius_mm).to_array();
+            let mut row = *change;
+            row[PLANE] += 1.0;
+            row[PLANE + 1] += u;
+            row[PLANE + 2] += v;
+            scratch.rows.push(row);
+        }
+    }
+}
+
+fn dot(a: &[f64; 6], b: &[f64; 6]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// Schur's complement of what is no pose: eliminated from the last one on. Only the upper triangle of `h` is read.
+fn without_rest(mut h: Symmetric<UNKNOWN>) -> Symmetric<6> {
+    for last in (6..UNKNOWN).rev() {
+        for i in 0..last {
+            let factor = h[i][last] / h[last][last];
+            for k in i..last {
+                h[i][k] -= factor * h[k][last];
+            }
+        }
+    }
+    core::array::from_fn(|i| core::array::from_fn(|k| if i <= k { h[i][k] } else { h[k][i] }))
+}
