@@ -65,7 +65,8 @@ fn least_field_us(scene: &Scene, frames: u64) -> f64 {
 fn model_us(name: &str) -> f64 {
     let plan = Plan::of(&scene(name, "on"), None).unwrap();
     let entries = plan.entries.iter().filter(|entry| entry.effect == name);
-    entries.map(|entry| 1e-3 * entry.cost_ns).sum()
+    // (A sum of nothing is -0.)
+    entries.fold(0.0, |sum, entry| sum + 1e-3 * entry.cost_ns)
 }
 
 /// Instructions of a run, by callgrind.
