@@ -1,7 +1,7 @@
 //! What every effect costs: `cargo run --release -p gelstereo-sim --example effect_costs`.
 //!
 //! For each effect, alone on a default sensor under a ball that drags and twists the gel: the least time of a field (all
-//! positions in both images) and of a stereo frame (the same, rendered) while it is on, while it is off, and in a scene that
+//! markers in space), of the same with both views of it, and of a stereo frame (the same, rendered) while it is on, while it is off, and in a scene that
 //! never had it; and what its cost model says.
 //!
 //! `effect_costs count` counts instructions instead, by callgrind: of a scene's third and fourth frame, so that what a scene
@@ -32,7 +32,7 @@ fn scene(name: &str, switch: &str) -> Scene {
     }
 }
 
-/// Runs some frames; least times of a field and of a rendered frame, microseconds.
+/// Runs some frames; least times of the markers in both views and of a rendered frame, microseconds.
 fn least_us(scene: &Scene, frames: u64) -> [f64; 2] {
     let mut simulator = Simulator::new(scene, None).unwrap();
     let (mut truth, mut left, mut right) = (Truth::default(), Vec::new(), Vec::new());
@@ -48,11 +48,25 @@ fn least_us(scene: &Scene, frames: u64) -> [f64; 2] {
     least
 }
 
+/// Least time of the markers in space alone, microseconds.
+fn least_field_us(scene: &Scene, frames: u64) -> f64 {
+    let (mut simulator, mut truth) = (Simulator::new(scene, None).unwrap(), Truth::default());
+    let contact = simulator.contact(0);
+    let mut least = f64::INFINITY;
+    for frame in 0..frames {
+        let start = Instant::now();
+        simulator.field(contact.as_ref(), frame, &mut truth);
+        least = least.min(1e6 * start.elapsed().as_secs_f64());
+    }
+    least
+}
+
 /// What the plan says of an effect's time, microseconds.
 fn model_us(name: &str) -> f64 {
     let plan = Plan::of(&scene(name, "on"), None).unwrap();
     let entries = plan.entries.iter().filter(|entry| entry.effect == name);
-    entries.map(|entry| 1e-3 * entry.cost_ns).sum()
+    // (A sum of nothing is -0.)
+    entries.fold(0.0, |sum, entry| sum + 1e-3 * entry.cost_ns)
 }
 
 /// Instructions of a run, by callgrind.
@@ -112,12 +126,17 @@ fn write_between(page: &str, text: &str) {
 
 fn print_times() {
     print!("{:16}", "effect");
-    SWITCHES.iter().for_each(|switch| print!(" {:>8} {switch:>5}", "field"));
-    SWITCHES.iter().for_each(|switch| print!(" {:>8} {switch:>5}", "frame"));
+    for what in ["field", "views", "images"] {
+        SWITCHES.iter().for_each(|switch| print!(" {what:>8} {switch:>5}"));
+    }
     println!("  model  (least of 100, us)");
     for name in SCENES.into_iter().chain(names()) {
-        let times = SWITCHES.map(|switch| least_us(&scene(name, switch), 100));
-        let columns = [0, 1].map(|k| times.map(|us| format!("{:14.0}", us[k])).join(" "));
+        let times = SWITCHES.map(|switch| {
+            let scene = scene(name, switch);
+            let [views, images] = least_us(&scene, 100);
+            [least_field_us(&scene, 100), views, images]
+        });
+        let columns = [0, 1, 2].map(|k| times.map(|us| format!("{:14.0}", us[k])).join(" "));
         println!("{name:16} {}  {:.0}", columns.join(" "), model_us(name));
     }
 }
@@ -131,7 +150,7 @@ fn main() {
         ["count", page] => write_between(page, &counted()),
         [name, switch, frames] => {
             let [field, frame] = least_us(&scene(name, switch), frames.parse().unwrap());
-            println!("{name}: {field:.0} us a field, {frame:.0} us a frame");
+            println!("{name}: {field:.0} us in both views, {frame:.0} us a frame");
         }
         _ => panic!("valid is nothing, count, count PAGE, or NAME on|off|never FRAMES"),
     }

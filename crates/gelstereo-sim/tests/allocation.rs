@@ -34,7 +34,9 @@ fn row_35_frames_after_the_first_allocate_nothing() {
     let mut rough: Scene = toml::from_str(include_str!("../../../scenes/rough_ride.toml")).unwrap();
     rough.rig.layers = Scene::preset("640x480-25-refraction").unwrap().rig.layers;
     let rough = Simulator::new(&rough, None).unwrap();
+    let quick: Scene = toml::from_str(include_str!("../../../scenes/quick_slip.toml")).unwrap();
+    let quick = Simulator::new(&quick, None).unwrap();
     assert!(ALLOCATIONS.load(Ordering::Relaxed) > 0, "the counter counts");
-    let counts = [solid, meshed, rough].map(later_allocations);
-    assert_eq!(counts, [0, 0, 0]);
+    let counts = [solid, meshed, rough, quick].map(later_allocations);
+    assert_eq!(counts, [0, 0, 0, 0]);
 }

@@ -56,7 +56,7 @@ fn coulomb(contact: &mut LayerContact, carried: [&[f64]; 2], friction: f64, slac
 
 #[test]
 fn row_27_a_pulled_ball_is_cattaneo_and_mindlin() {
-    let (cell, depth, friction) = (0.04, 0.25, 0.5);
+    let (cell, depth, friction) = (0.033, 0.25, 0.5);
     // At ν = 0.5 pressing moves nothing sideways and pulling moves nothing up: what the theory takes for granted.
     let thick = (400.0, 0.5);
     let hertz = Hertz { half_space: HalfSpace { poisson_ratio: 0.5 }, radius_mm: 4.0, depth_mm: depth };
@@ -73,7 +73,7 @@ fn row_27_a_pulled_ball_is_cattaneo_and_mindlin() {
         let [stuck, slips] = coulomb(&mut layer, [&pulled, &none], friction, 1e-6);
         let force = layer.traction()[0].iter().sum::<f64>() * cell * cell;
         let whole = friction * hertz.force_mm2();
-        // 25 cells on the contact's radius, and a / h is 0.25 %.
+        // 30 cells on the contact's radius, and a / h is 0.25 %.
         assert!((force - exact.force_mm2()).abs() < 0.01 * whole, "{share}: {force} {}", exact.force_mm2());
         assert!((exact.shift_of_force_mm(exact.force_mm2()) - (share * slip).min(slip)).abs() < 1e-12);
         let c = exact.stuck_mm();
@@ -83,7 +83,7 @@ fn row_27_a_pulled_ball_is_cattaneo_and_mindlin() {
             let rim = (r - c).abs().min((r - hertz.contact_mm()).abs()) < 0.1;
             let q = layer.traction()[0][i];
             assert!(
-                rim || (q - exact.traction(r)).abs() < 0.015 * friction * hertz.pressure(0.0),
+                rim || (q - exact.traction(r)).abs() < 0.01 * friction * hertz.pressure(0.0),
                 "{share}: {r} {q}"
             );
         }
@@ -121,6 +121,40 @@ fn row_27_no_friction_and_very_much() {
     assert!(stuck > 50 && slips == 0, "everything sticks: {stuck} {slips}");
 }
 
+/// A disc of cells is none, and tractions are infinite at its rim: torque is off in proportion to the cells. What is left of that
+/// is two cell sizes' difference away, and a disc of the cells' own area is the nearest one.
+#[test]
+fn a_twisted_punchs_torque_is_reissner_and_sagocis() {
+    let ratio = |cell: f64| {
+        let heights = field(cell, |[x, y]| if hypot(x, y) < 0.8 { 0.1 } else { NOTHING });
+        let cells = heights.iter().filter(|&&height| height > 0.0).count();
+        let radius_mm = cell * sqrt(cells as f64 / core::f64::consts::PI);
+        let punch = FlatPunch { half_space: HalfSpace { poisson_ratio: 0.4 }, radius_mm };
+        torque_mm3(cell, 0.01, &heights) / (0.01 * punch.torque_mm3())
+    };
+    let [fine, coarse] = [0.03125, 0.0625].map(ratio);
+    let exact = 2.0 * fine - coarse;
+    assert!((exact - 1.0).abs() < 0.01, "{exact} from {fine} and {coarse}");
+}
+
+/// Torque of a punch that twists the surface, its press alone taken off.
+fn torque_mm3(cell: f64, turn: f64, heights: &[f64]) -> f64 {
+    let mut layer = contact((400.0, 0.4), cell, 1e4);
+    let [x, y] = [field(cell, |[_, y]| -turn * y), field(cell, |[x, _]| turn * x)];
+    let none = vec![0.0; CELLS * CELLS];
+    let mut torque = |carried_mm| {
+        let part = Part { heights_mm: heights, carried_mm: Some(carried_mm) };
+        assert!(layer.press(part, 1e-8, Start::Afresh).unwrap().converged);
+        let moment = |i| {
+            let ([x, y], [qx, qy]) = (at(i, cell), layer.traction());
+            (x * qy[i] - y * qx[i]) * cell * cell
+        };
+        (0..CELLS * CELLS).map(moment).sum::<f64>()
+    };
+    let before = torque([&none, &none]);
+    torque([&x, &y]) - before
+}
+
 #[test]
 fn a_twisted_punch_is_reissner_and_sagoci() {
     let (cell, turn) = (0.03125, 0.01);
@@ -128,23 +162,9 @@ fn a_twisted_punch_is_reissner_and_sagoci() {
     let heights = field(cell, |[x, y]| if hypot(x, y) < 0.8 { 0.1 } else { NOTHING });
     let mut layer = contact((400.0, 0.4), cell, 1e4);
     let [x, y] = [field(cell, |[_, y]| -turn * y), field(cell, |[x, _]| turn * x)];
-    let (none, pressed) = (vec![0.0; CELLS * CELLS], Part { heights_mm: &heights, carried_mm: None });
-    // The twist alone: a sticking press has radial tractions of its own, which are taken off.
-    assert!(layer.press(pressed, 1e-8, Start::Afresh).unwrap().converged);
-    let before = layer.traction().map(<[f64]>::to_vec);
-    coulomb(&mut layer, [&none, &none], 1e4, 1e-6);
     let part = Part { heights_mm: &heights, carried_mm: Some([&x, &y]) };
     let found = layer.press(part, 1e-8, Start::Afresh).unwrap();
     assert!(found.converged, "{found:?}");
-    let torque: f64 = (0..CELLS * CELLS)
-        .map(|i| {
-            let ([x, y], q) = (at(i, cell), layer.traction());
-            (x * (q[1][i] - before[1][i]) - y * (q[0][i] - before[0][i])) * cell * cell
-        })
-        .sum();
-    // The traction is infinite at the rim, where the arm is longest: half a cell in 26, three times.
-    let ratio = torque / (turn * punch.torque_mm3());
-    assert!((ratio - 1.0).abs() < 0.03, "{ratio}");
     let (mut into, mut aside) = (Vec::new(), [Vec::new(), Vec::new()]);
     layer.surface_mm(&mut into, &mut aside);
     for i in 0..CELLS * CELLS {

@@ -5,6 +5,7 @@ mod common;
 
 use common::{press, rest, rigid, simulator, truth, with_effects};
 use gelstereo_core::math::{DVec2, DVec3, sqrt};
+use gelstereo_sim::effects::ElasticLayer;
 use gelstereo_sim::{ContactState, Effects, Scene, Shape, Truth};
 use proptest::prelude::*;
 
@@ -153,4 +154,25 @@ fn placed_markers_that_are_none_are_refused() {
     let error = simulator.placed(&points, 0, &mut out).unwrap_err();
     assert_eq!(error.to_string(), "number of points_mm is 3; valid is gel.rows * gel.cols");
     assert_eq!(out, rest(&scene));
+}
+
+/// The point cloud alone is that of the whole truth.
+#[test]
+fn a_field_is_the_moment_without_its_views() {
+    let effects = Effects { elastic_layer: Some(ElasticLayer::default()), ..Effects::default() };
+    for scene in [with_effects(SPHERE, Effects::of_gel()), with_effects(SPHERE, effects)] {
+        let mut simulator = simulator(&scene);
+        let contact = press(&scene, DVec3::ZERO, DVec2::ZERO, 1.2);
+        let (mut whole, mut field) = (Truth::default(), Truth::default());
+        simulator.moment(Some(&contact), 3, &mut whole);
+        simulator.moment(None, 3, &mut field);
+        simulator.field(Some(&contact), 3, &mut field);
+        let expected = Truth {
+            points_mm: whole.points_mm,
+            indentation_mm: whole.indentation_mm,
+            in_contact: whole.in_contact,
+            ..Truth::default()
+        };
+        assert!(field == expected && expected.in_contact.contains(&true));
+    }
 }

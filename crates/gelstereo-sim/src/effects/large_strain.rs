@@ -41,7 +41,8 @@ impl Effect for LargeStrain {
     }
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
-        4.0 * super::cells_of_layer(facts) * 900.0
+        // Of a part that sticks; others take a fifth.
+        self.rounds as f64 * super::cells_of_layer(facts) * 1200.0
     }
 
     fn sideways_mm(&self, facts: &Facts<'_>) -> f64 {

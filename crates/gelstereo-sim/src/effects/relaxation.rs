@@ -49,7 +49,8 @@ impl Effect for Relaxation {
     }
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
-        super::cells_of_layer(facts) * (700.0 + 6.0 * self.terms.len() as f64)
+        // The frame before is solved once more.
+        super::cells_of_layer(facts) * (1800.0 + 6.0 * self.terms.len() as f64)
     }
 
     fn sideways_mm(&self, facts: &Facts<'_>) -> f64 {

@@ -138,7 +138,7 @@ impl Renderer {
             shots: effects.shot_noise.as_ref().map(|noise| Shots::new(noise, scene.seed)),
             codec: effects.jpeg.as_ref().map(Codec::new),
             noise: effects.sensor_noise.as_ref().map(|noise| Noise::new(noise, scene.seed)),
-            ink: Ink::with_room(regions),
+            ink: Ink::with_room(regions, effects.motion_blur.is_some()),
             canvas: Vec::new(),
             levels: Vec::new(),
         }
@@ -255,12 +255,12 @@ fn displacement(light: &UnevenLight, lens: Lens, at: DVec2, size: [usize; 2]) ->
 }
 
 impl Ink {
-    fn with_room(regions: usize) -> Self {
+    fn with_room(regions: usize, moving: bool) -> Self {
         let mut overlaps = Overlaps::default();
         overlaps.reserve(regions);
         Self {
             ellipses: Vec::with_capacity(regions),
-            ways_px: Vec::new(),
+            ways_px: Vec::with_capacity(if moving { regions } else { 0 }),
             shapes: Vec::with_capacity(regions),
             overlaps,
             group: Vec::with_capacity(regions),

@@ -38,6 +38,24 @@ pub struct Truth {
     pub right_motion_px: Vec<DVec2>,
 }
 
+impl Truth {
+    /// Empties all lists but those of the markers in space.
+    pub(super) fn forget_views(&mut self) {
+        self.normals.clear();
+        for list in
+            [&mut self.left_px, &mut self.right_px, &mut self.left_motion_px, &mut self.right_motion_px]
+        {
+            list.clear();
+        }
+        for dots in [&mut self.left_dots, &mut self.right_dots] {
+            dots.clear();
+        }
+        for specks in [&mut self.left_specks, &mut self.right_specks] {
+            specks.clear();
+        }
+    }
+}
+
 /// How a marker's dot looks in one image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DotImage {
@@ -88,13 +106,18 @@ const NO_OUTLINE: Ellipse = Ellipse { centre_px: OUT_OF_SIGHT_PX, half_px: [DVec
 impl Simulator {
     /// Hands the scratch over as truth.
     pub(super) fn write(&mut self, time_s: f64, out: &mut Truth) {
-        let Self { scratch, .. } = &*self;
+        self.write_field(out);
+        self.write_views(time_s, out);
+    }
+
+    /// What there is to know without a camera, but for the normals.
+    pub(super) fn write_field(&self, out: &mut Truth) {
+        let Self { scratch, .. } = self;
         out.indentation_mm.clear();
         out.indentation_mm.extend_from_slice(&scratch.heights);
         out.in_contact.clear();
         out.in_contact.extend_from_slice(&scratch.stuck);
         self.points(&mut out.points_mm);
-        self.write_views(time_s, out);
     }
 
     /// Where the scratch has the markers.
