@@ -263,3 +263,77 @@ def test_a_step_file_says_its_unit(unit: str, mm: float, tmp_path: Path) -> None
     (tmp_path / "no.step").write_text("nothing")
     with pytest.raises(MeshError, match="cannot be read as a triangle mesh"):
         Template.from_mesh(tmp_path / "no.step", units=None)
+
+
+def write_scan(path: Path, points: np.ndarray, normals: np.ndarray | None) -> None:
+    """Points without triangles as an ASCII PLY file."""
+    names = ["x", "y", "z"] + ([] if normals is None else ["nx", "ny", "nz"])
+    rows = points if normals is None else np.hstack([points, normals])
+    head = ["ply", "format ascii 1.0", f"element vertex {len(points)}"]
+    head += [f"property double {name}" for name in names] + ["end_header"]
+    path.write_text("\n".join([*head, *(" ".join(f"{x:.9g}" for x in row) for row in rows)]) + "\n")
+
+
+def ball_points(count: int, radius: float) -> np.ndarray:
+    """Evenly over a ball (Fibonacci)."""
+    k = np.arange(count) + 0.5
+    z, angle = 1.0 - 2.0 * k / count, np.pi * (1.0 + np.sqrt(5.0)) * k
+    ring = np.sqrt(1.0 - z * z)
+    return radius * np.column_stack([ring * np.cos(angle), ring * np.sin(angle), z])
+
+
+def test_a_scan_of_points_is_thinned_and_localized(tmp_path: Path) -> None:
+    path, radius_mm, noise_mm = tmp_path / "scan.ply", 6.0, 0.02
+    points = ball_points(20000, radius_mm)
+    noise = noise_mm * np.random.default_rng(4).normal(size=points.shape)
+    write_scan(path, (points + noise) * 1e-3, points / radius_mm)
+    template = Template.from_mesh(path, units="m", spacing_mm=0.4)
+    assert template.surface is None and template.spacing_mm == 0.4
+    # One point for every spacing² of area, give or take how many cells a ball crosses.
+    assert len(template) == pytest.approx(4.0 * np.pi * radius_mm**2 / 0.4**2, rel=0.1)
+    assert Template.from_mesh(path, units="m", spacing_mm=0.4).digest == template.digest
+    cap = points[points[:, 2] < -0.8 * radius_mm][::5]
+    guess = np.eye(4)
+    guess[:3, 3] = [0.1, -0.2, 0.15]
+    for method in ("filterreg_plane", "surface_close"):
+        params = Params().replace({"register.method": method})
+        found = localize(cap, template, t_sensor_object=guess, params=params)
+        centre_mm = (
+            np.linalg.inv(found.t_sensor_object)[:3, :3].T @ np.zeros(3) + found.t_sensor_object[:3, 3]
+        )
+        # A ball's centre along the press; the cap of 37 degrees half angle knows it across three times less.
+        assert abs(centre_mm[2]) < 3.0 * noise_mm, method
+        assert np.abs(centre_mm[:2]).max() < 9.0 * noise_mm, method
+
+
+def test_a_sparse_scan_says_how_far_its_points_are_apart(tmp_path: Path) -> None:
+    points = ball_points(1500, 10.0)
+    write_scan(tmp_path / "sparse.ply", points, points)
+    template = Template.from_mesh(tmp_path / "sparse.ply", units="mm", spacing_mm=0.25)
+    assert len(template) == 1500
+    assert template.spacing_mm == pytest.approx(np.sqrt(4.0 * np.pi * 100.0 / 1500), rel=0.15)
+
+
+def test_scans_that_are_no_template(tmp_path: Path) -> None:
+    points, path = ball_points(400, 10.0), tmp_path / "scan.ply"
+    write_scan(path, points, None)
+    with pytest.raises(
+        MeshError, match=r"scan\.ply has no triangles, and its 400 points have no normals; valid is"
+    ):
+        Template.from_mesh(path, units="mm")
+    write_scan(path, points, points)
+    with pytest.raises(MeshError, match="try units='mm'"):
+        Template.from_mesh(path, units="m")
+    with pytest.raises(MeshError, match="valid is one of 'mm'"):
+        Template.from_mesh(path, units=None)
+    with pytest.warns(MeshWarning, match=r"scan\.ply: its normals look inward"):
+        write_scan(path, points, -points)
+        Template.from_mesh(path, units="mm")
+    write_scan(path, points[:5], points[:5])
+    with pytest.raises(MeshError, match="5 points; valid are 6 points or more"):
+        Template.from_mesh(path, units="mm")
+    write_scan(path, points, np.zeros_like(points))
+    with pytest.raises(TemplateError, match="normal"):
+        Template.from_mesh(path, units="mm")
+    with pytest.raises(TemplateError, match="spacing"):
+        Template.from_mesh(path, units="mm", spacing_mm=0.0)

@@ -419,7 +419,7 @@ class Template:
     @classmethod
     def from_mesh(
         cls,
-        mesh: str | Path | trimesh.Trimesh,
+        mesh: str | Path | trimesh.Trimesh | trimesh.PointCloud,
         *,
         units: Literal["mm", "cm", "m", "inch"] | None,
         spacing_mm: float = 0.25,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -19,12 +19,17 @@ if TYPE_CHECKING:
     import trimesh
 
 Units = Literal["mm", "cm", "m", "inch"]
+#: What is read of a file.
+_Loaded: TypeAlias = "trimesh.Trimesh | trimesh.PointCloud"
 
 MM_PER_UNIT: dict[str, float] = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
 
 #: Largest extent of a part that a gripper can hold and a fingertip sensor can make sense of.
 MIN_PART_MM, MAX_PART_MM = 1.0, 1000.0
 
+
+#: With fewer points there is no surface to speak of; and so many in a cell show how dense they are.
+_LEAST_POINTS = 6
 
 #: Files that say what their unit is.
 _STEP = {".step", ".stp"}
@@ -67,15 +72,32 @@ def load_mesh(
     MeshWarning
         If faces had to be turned, or the surface has holes; distances to it are exact all the same.
     """
-    name = Path(mesh).name if isinstance(mesh, (str, Path)) else "the mesh"
-    if Path(name).suffix.lower() in _STEP:
+    valid_units = _checked_units(mesh, units)
+    return _surface(_opened(mesh), valid_units, _name(mesh, "the mesh"))
+
+
+def _name(part: object, otherwise: str) -> str:
+    return Path(part).name if isinstance(part, (str, Path)) else otherwise
+
+
+def _checked_units(part: object, units: Units | None) -> Units:
+    if Path(_name(part, "")).suffix.lower() in _STEP:
         if units is not None:
             raise MeshError(f"units is {units!r}; valid for a STEP file, which says its unit itself, is None")
-        units = "m"
-    elif not isinstance(units, str) or units not in MM_PER_UNIT:
+        return "m"
+    if not isinstance(units, str) or units not in MM_PER_UNIT:
         valid = ", ".join(f"'{name}'" for name in MM_PER_UNIT)
         raise MeshError(f"units is {units!r}; valid is one of {valid}")
-    loaded = _read(Path(mesh)) if isinstance(mesh, (str, Path)) else mesh
+    return units
+
+
+def _opened(part: str | Path | _Loaded) -> _Loaded:
+    return _read(Path(part)) if isinstance(part, (str, Path)) else part
+
+
+def _surface(
+    loaded: _Loaded, units: Units, name: str
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
     if not (hasattr(loaded, "vertices") and hasattr(loaded, "faces")):
         raise MeshError(
             f"the mesh is of type {type(loaded).__name__}; valid is a file's path or a trimesh.Trimesh"
@@ -84,10 +106,102 @@ def load_mesh(
     triangles = np.asarray(loaded.faces, dtype=np.int64)
     if vertices.size == 0 or triangles.size == 0:
         raise MeshError("the mesh has no triangles; a surface needs at least one")
-    extents = vertices.max(axis=0) - vertices.min(axis=0)
-    check_size(extents, units)
+    check_size(vertices.max(axis=0) - vertices.min(axis=0), units)
     vertices_mm = vertices * MM_PER_UNIT[units]
     return vertices_mm, _facing_outward(vertices_mm, triangles, name)
+
+
+def load_part(
+    part: str | Path | trimesh.Trimesh | trimesh.PointCloud, units: Units | None, spacing_mm: float
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64] | npt.NDArray[np.float64], float | None]:
+    """What a template is made of: a mesh, or a scan's points if there are no triangles.
+
+    Parameters
+    ----------
+    part, units
+        As in `load_mesh`; or a PLY file, or ``trimesh.PointCloud`` read from one, of points with outward normals
+        (``nx``, ``ny``, ``nz``).
+    spacing_mm
+        Points of a scan are thinned to this distance of neighbours.
+
+    Returns
+    -------
+    vertices_mm, triangles, None
+        Of a mesh, as `load_mesh` gives them.
+    points_mm, normals, spacing_mm
+        Of a scan: (N, 3) points and normals, and the typical distance of neighbours, more than was asked for if
+        the scan is sparse.
+
+    Raises
+    ------
+    MeshError
+        As `load_mesh`; and for points without normals, or fewer than six.
+    """
+    valid_units, loaded = _checked_units(part, units), _opened(part)
+    scan = _scan(part, loaded)
+    if scan is None:
+        return *_surface(loaded, valid_units, _name(part, "the mesh")), None
+    name = _name(part, "the scan")
+    points, normals = _points_and_normals(scan, name)
+    check_size(np.ptp(points, axis=0), valid_units)
+    points_mm = points * MM_PER_UNIT[valid_units]
+    if np.einsum("ni,ni->", points_mm - points_mm.mean(axis=0), normals) < 0.0:
+        warnings.warn(f"{name}: its normals look inward; valid are outward ones", MeshWarning, stacklevel=2)
+    return _thinned(points_mm, normals, spacing_mm)
+
+
+def _scan(part: str | Path | _Loaded, loaded: _Loaded) -> trimesh.PointCloud | None:
+    """The points of a part without triangles; read as a mesh, a file of points is empty."""
+    import trimesh
+
+    if len(getattr(loaded, "faces", ())):
+        return None
+    again = trimesh.load(part, process=False) if isinstance(part, (str, Path)) else loaded
+    return again if len(getattr(again, "vertices", ())) else None
+
+
+def _points_and_normals(
+    cloud: trimesh.PointCloud, name: str
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    points = np.asarray(cloud.vertices, np.float64)
+    vertex = cloud.metadata.get("_ply_raw", {}).get("vertex", {})
+    if len(points) < _LEAST_POINTS:
+        raise MeshError(
+            f"{name} has no triangles and {len(points)} points; valid are {_LEAST_POINTS} points or more"
+        )
+    if not {"nx", "ny", "nz"} <= set(vertex.get("properties", ())):
+        raise MeshError(
+            f"{name} has no triangles, and its {len(points)} points have no normals; valid is a mesh, or points "
+            "with outward normals (nx, ny, nz) in a PLY file"
+        )
+    data = vertex["data"]
+    normals = np.column_stack([np.asarray(data[axis], np.float64).ravel() for axis in ("nx", "ny", "nz")])
+    return points, normals
+
+
+def _thinned(
+    points_mm: npt.NDArray[np.float64], normals: npt.NDArray[np.float64], spacing_mm: float
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], float]:
+    """Points about as far apart as asked for, and how far they are.
+
+    A surface crosses 3/2 cells of a grid per cell's face area, on average over its directions (Crofton).
+    """
+    if not (np.isfinite(spacing_mm) and spacing_mm > 0.0):
+        return points_mm, normals, spacing_mm
+    cell_mm = spacing_mm
+    while (share := len(points_mm) / len(_first_of_cells(points_mm, cell_mm))) < _LEAST_POINTS:
+        cell_mm *= 1.5
+    found_mm = cell_mm / np.sqrt(1.5 * share)
+    if found_mm >= spacing_mm:
+        return points_mm, normals, float(found_mm)
+    keep = _first_of_cells(points_mm, np.sqrt(1.5) * spacing_mm)
+    return points_mm[keep], normals[keep], spacing_mm
+
+
+def _first_of_cells(points_mm: npt.NDArray[np.float64], cell_mm: float) -> npt.NDArray[np.int64]:
+    """Of every cell with points the first one, in the order of the points."""
+    cells = np.floor((points_mm - points_mm.min(axis=0)) / cell_mm).astype(np.int64)
+    return np.sort(np.unique(cells, axis=0, return_index=True)[1])
 
 
 def _facing_outward(
@@ -106,7 +220,7 @@ def _facing_outward(
             "but inside and outside are told apart near its faces only"
         )
     if told:
-        warnings.warn(f"{name}: {'; '.join(told)}", MeshWarning, stacklevel=3)
+        warnings.warn(f"{name}: {'; '.join(told)}", MeshWarning, stacklevel=4)
     return turned
 
 
@@ -132,7 +246,7 @@ def check_size(extents: npt.NDArray[np.float64], units: Units) -> None:
     )
 
 
-def _read(path: Path) -> trimesh.Trimesh:
+def _read(path: Path) -> _Loaded:
     import trimesh
 
     if not path.is_file():

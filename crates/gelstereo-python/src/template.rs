@@ -27,11 +27,12 @@ impl Template {
 
 #[pymethods]
 impl Template {
-    /// Sample a mesh file or a ``trimesh.Trimesh``.
+    /// Sample a mesh file or a ``trimesh.Trimesh``; or take the points of a scan, a PLY file without triangles whose
+    /// points have outward normals.
     ///
     /// Parameters
     /// ----------
-    /// mesh : path or trimesh.Trimesh
+    /// mesh : path, trimesh.Trimesh or trimesh.PointCloud
     /// units : {"mm", "cm", "m", "inch"} or None
     ///     Unit of the mesh; mesh files do not say. None for a STEP file, which does.
     /// spacing_mm : float
@@ -54,8 +55,11 @@ impl Template {
         spacing_mm: f64,
         seed: Count,
     ) -> PyResult<Self> {
-        let (vertices_mm, triangles) = load_mesh(mesh, units)?;
-        Self::from_triangles(cls, &vertices_mm, &triangles, spacing_mm, seed)
+        let (places_mm, rest, scanned_mm) = load_part(mesh, units, spacing_mm)?;
+        match scanned_mm {
+            None => Self::from_triangles(cls, &places_mm, &rest, spacing_mm, seed),
+            Some(spacing_mm) => Self::from_points(cls, &places_mm, &rest, spacing_mm),
+        }
     }
 
     /// Sample triangles.
@@ -382,6 +386,18 @@ fn directions(facing: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<DVec3>> {
             )))
         }
     }
+}
+
+/// What `templates.load_part` gives: vertices and triangles, or points, normals and their distance.
+type Loaded<'py> = (Bound<'py, PyAny>, Bound<'py, PyAny>, Option<f64>);
+
+fn load_part<'py>(
+    part: &Bound<'py, PyAny>,
+    units: &Bound<'py, PyAny>,
+    spacing_mm: f64,
+) -> PyResult<Loaded<'py>> {
+    let module = part.py().import("gelstereo.templates")?;
+    module.call_method1("load_part", (part, units, spacing_mm))?.extract()
 }
 
 /// Vertices in millimetres and triangles of a mesh file or a trimesh.
