@@ -121,8 +121,8 @@ fn row_27_no_friction_and_very_much() {
     assert!(stuck > 50 && slips == 0, "everything sticks: {stuck} {slips}");
 }
 
-/// A disc of cells is none, and tractions are infinite at its rim: torque is off in proportion to the cells. What is left of that
-/// is two cell sizes' difference away, and a disc of the cells' own area is the nearest one.
+/// A disc of cells is none, and tractions are infinite at its rim: torque is off in proportion to the cells. What is
+/// left of that is two cell sizes' difference away, and a disc of the cells' own area is the nearest one.
 #[test]
 fn a_twisted_punchs_torque_is_reissner_and_sagocis() {
     let ratio = |cell: f64| {

@@ -1,4 +1,5 @@
-//! Motion blur against the mean of many short exposures, which a scene without it and with more frames per second gives.
+//! Motion blur against the mean of many short exposures, which a scene without it and with more frames per second
+//! gives.
 #![allow(clippy::unwrap_used)]
 
 mod common;
@@ -118,8 +119,9 @@ fn farthest(image: &[u8], mean: &[f64]) -> f64 {
     image.iter().zip(mean).map(|(&level, mean)| (f64::from(level) - mean).abs()).fold(0.0, f64::max)
 }
 
-/// Both are rounded to levels, by half a level each at most. Ways of a gel that turns are bent by (way / radius)² / 8 of the
-/// radius, 0.01 px, and a part of this pace bends no more; sharp edges take 2e-3 of the contrast of 120: half a level in all.
+/// Both are rounded to levels, by half a level each at most. Ways of a gel that turns are bent by (way / radius)² / 8
+/// of the radius, 0.01 px, and a part of this pace bends no more; sharp edges take 2e-3 of the contrast of 120: half
+/// a level in all.
 const TOLERANCE: f64 = 1.5;
 
 fn check(scene: &Scene) -> Result<(), TestCaseError> {
@@ -145,7 +147,8 @@ proptest! {
         check(&scene)?;
     }
 
-    /// Under a part that comes down and moves aside. (What it drags sticks from one moment to the next: no straight way.)
+    /// Under a part that comes down and moves aside. (What it drags sticks from one moment to the next: no straight
+    /// way.)
     #[test]
     fn so_it_is_under_a_part(exposure_s in 0.005..0.03_f64, shift_mm in -2.0..2.0_f64, dive_mm in 0.0..0.6_f64) {
         check(&scene(exposure_s, shift_mm, 0.0, dive_mm, Effects { drag: None, ..effects() }))?;

@@ -284,10 +284,16 @@ proptest! {
 
     /// What moves is smeared by no more than its pace allows: seldom among all effects, so once more by itself.
     #[test]
-    fn motion_blur_changes_no_more_than_its_bound(scene in scenes(), exposure_s in size(0.2), gel_mm in size(2.0), off in 0..1_u32 << MOST) {
+    fn motion_blur_changes_no_more_than_its_bound(
+        scene in scenes(), exposure_s in size(0.2), gel_mm in size(2.0), off in 0..1_u32 << MOST,
+    ) {
         let mut scene = scene;
         scene.effects.motion_blur = Some(MotionBlur { exposure_s });
-        scene.gel_motion = [0.0, 1.0].map(|time_s| GelKeyframe { time_s, shift_mm: [gel_mm * time_s, 0.0], rotation_rad: 0.1 * gel_mm * time_s }).into();
+        let moved = |time_s| {
+            let shift_mm = [gel_mm * time_s, 0.0];
+            GelKeyframe { time_s, shift_mm, rotation_rad: 0.1 * gel_mm * time_s }
+        };
+        scene.gel_motion = [0.0, 1.0].map(moved).into();
         let plan = Plan::of(&switched(&scene, off & !bit("motion_blur")), None).unwrap();
         let bound = plan.entries.iter().find(|entry| entry.effect == "motion_blur").unwrap().bound;
         let found = change(&scene, "motion_blur", off);

@@ -4,13 +4,14 @@ use crate::plan::{Bound, Effect, Facts};
 use crate::render::Shutter;
 use crate::scene::{Gel, SceneError};
 
-/// An image is the mean over the time that the shutter is open, half of it before the frame's time and half after it: dots
-/// that move are smeared along their way.
+/// An image is the mean over the time that the shutter is open, half of it before the frame's time and half after it:
+/// dots that move are smeared along their way.
 ///
 /// Model: each dot keeps its shape and goes straight from where it is when the shutter opens to where it is when that
-/// closes, its place at the frame's time in the middle. So its image's centroid stays the one of the frame's time. A contact beside
-/// the trajectory moves as the trajectory's part does at that time. Limits: a way that bends within the exposure, of which the
-/// image would have another centroid by an eighth of acceleration times exposure squared; grain stands still, as it does in time.
+/// closes, its place at the frame's time in the middle. So its image's centroid stays the one of the frame's time. A
+/// contact beside the trajectory moves as the trajectory's part does at that time. Limits: a way that bends within
+/// the exposure, of which the image would have another centroid by a 24th of acceleration times exposure squared;
+/// grain stands still, as it does in time.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",

@@ -314,8 +314,8 @@ impl Ink {
     }
 }
 
-/// Moments of an exposure on the fine canvas, per pixel of the longest way: a mean over steps of h is off by h² / 24 of a second
-/// derivative, 1e-4 for a lens of 0.8 px.
+/// Moments of an exposure on the fine canvas, per pixel of the longest way: a mean over steps of h is off by h² / 24
+/// of a second derivative, 1e-4 for a lens of 0.8 px.
 const FINE_MOMENTS_PER_PX: f64 = 12.0;
 
 /// The places of regions that move together, as shares of their ways from the middle, with their weights.

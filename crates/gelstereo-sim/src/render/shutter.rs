@@ -3,8 +3,9 @@
 use alloc::vec::Vec;
 use gelstereo_core::math::{DVec2, ceil, cos};
 
-/// The mean over a way is a sum over pieces of it and over Gauss's places within each piece. What a lens of sigma shows of
-/// a dot changes along a way as a Gaussian's integral does, and Gauss's rule converges on that faster than any power.
+/// The mean over a way is a sum over pieces of it and over Gauss's places within each piece. What a lens of sigma
+/// shows of a dot changes along a way as a Gaussian's integral does, and Gauss's rule converges on that faster than
+/// any power.
 #[derive(Clone, Debug)]
 pub(crate) struct Shutter {
     sigma_px: Option<f64>,
@@ -18,9 +19,9 @@ const PIECE: f64 = 6.0;
 /// Of the longest piece: see [`pieces`].
 const MOST_PLACES: usize = 9;
 
-/// Pieces per pixel of ink without a lens, each with one place: its edges are sharp, which no rule is better at. A pixel's
-/// share of the ink bends where an edge enters or leaves it, once in a piece: off by an eighth of a piece's length, times the piece's
-/// share of the way, 2e-3 at most.
+/// Pieces per pixel of ink without a lens, each with one place: its edges are sharp, which no rule is better at. A
+/// pixel's share of the ink bends where an edge enters or leaves it, once in a piece: off by an eighth of a piece's
+/// length, times the piece's share of the way, 2e-3 at most.
 const SHARP_PER_PX: f64 = 16.0;
 const LEAST_SHARP: f64 = 4.0;
 

@@ -237,8 +237,8 @@ impl Simulator {
         self.write(time_s, out);
     }
 
-    /// [`Self::moment`] of the markers in space alone, for who asks for a point cloud: neither where the cameras see them nor how
-    /// dots look is worked out, and those lists are left empty.
+    /// [`Self::moment`] of the markers in space alone, for who asks for a point cloud: neither where the cameras see
+    /// them nor how dots look is worked out, and those lists are left empty.
     pub fn field(&mut self, contact: Option<&ContactState>, frame: u64, out: &mut Truth) {
         let contact = contact.filter(|contact| self.part.is_some() && contact.validate().is_ok());
         self.stand(contact, frame, self.time_s(frame));

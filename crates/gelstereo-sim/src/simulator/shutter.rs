@@ -6,7 +6,8 @@ use gelstereo_core::math::{DVec2, DVec3};
 use gelstereo_core::rig::View;
 
 impl Simulator {
-    /// Leaves in the scratch where the markers are when the shutter opens and when it closes; nothing without an exposure.
+    /// Leaves in the scratch where the markers are when the shutter opens and when it closes; nothing without an
+    /// exposure.
     pub(super) fn expose(&mut self, contact: Option<&ContactState>, frame: u64) {
         let Some(exposure_s) = self.exposure_s else { return };
         let time_s = self.time_s(frame);

@@ -18,8 +18,8 @@ pub struct Truth {
     pub indentation_mm: Vec<f64>,
     /// Whether the indenter touches the gel at this marker.
     pub in_contact: Vec<bool>,
-    /// Projections of the centres in the left image, within it or not. Where `ellipse_bias` is on, a dot's image has its own centre
-    /// elsewhere by up to f r² sin a cos a / Z² (tilt a): 0.016 px on the default rig.
+    /// Projections of the centres in the left image, within it or not. Where `ellipse_bias` is on, a dot's image has
+    /// its own centre elsewhere by up to f r² sin a cos a / Z² (tilt a): 0.016 px on the default rig.
     pub left_px: Vec<DVec2>,
     /// The same in the right image.
     pub right_px: Vec<DVec2>,
@@ -31,8 +31,8 @@ pub struct Truth {
     pub left_specks: Vec<Ellipse>,
     /// The same in the right image.
     pub right_specks: Vec<Ellipse>,
-    /// How far the dots' left images move while the shutter is open, those of the markers first, then those of the specks.
-    /// Empty without motion blur, and when markers are placed by someone else: nothing moves then.
+    /// How far the dots' left images move while the shutter is open, those of the markers first, then those of the
+    /// specks. Empty without motion blur, and when markers are placed by someone else: nothing moves then.
     pub left_motion_px: Vec<DVec2>,
     /// The same in the right image.
     pub right_motion_px: Vec<DVec2>,
