@@ -19,6 +19,11 @@ pub(super) struct Series<const N: usize> {
 }
 
 impl<const N: usize> Series<N> {
+    /// Polynomials that are 0 everywhere.
+    pub const fn zero() -> Self {
+        Self { degree: 0, coefficients: [[0.0; N]; MOST_TERMS] }
+    }
+
     /// Of the values at [`nodes`], M along each variable: there the products are orthogonal, so that each coefficient is one
     /// sum, and a lower degree a truncation. The degree must be below M.
     ///

@@ -25,21 +25,26 @@ const MAX_STEPS: usize = 20;
 #[derive(Clone, Debug)]
 pub(super) struct Fitting {
     next: Step,
+    space: Space,
     start_mm: DVec3,
     at_nodes: Vec<Sample>,
     checked: Vec<Sample>,
+    values: Series<4>,
+    slopes: Series<12>,
+    /// Of the polynomials at the checked points.
+    error_mm: f64,
     tiles: Tiles,
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 enum Step {
     /// Rays to the nodes of the space that was seen.
-    Nodes(Space),
+    Nodes,
     /// Rays to where the map is checked.
-    Checks(Space),
-    Polynomials(Space),
-    /// The tiles of `SIDES` in turn, at most so far from the polynomials.
-    Tiles(Space, Series<4>, Series<12>, f64, usize),
+    Checks,
+    Polynomials,
+    /// The tiles of `SIDES` in turn.
+    Tiles(usize),
 }
 
 /// What a step leads to.
@@ -60,53 +65,64 @@ impl Fitting {
             return None;
         }
         Some(Self {
-            next: Step::Nodes(Space { inputs, centre, scale: half.recip() }),
+            next: Step::Nodes,
+            space: Space { inputs, centre, scale: half.recip() },
             start_mm: crate::math::centroid(rest_mm),
             at_nodes: Vec::with_capacity(NODES * NODES * NODES),
             checked: Vec::with_capacity(CHECKS * CHECKS * CHECKS),
+            values: Series::zero(),
+            slopes: Series::zero(),
+            error_mm: 0.0,
             tiles: Tiles::with_room(SIDES[SIDES.len() - 1]),
         })
     }
 
     /// One step more; no allocation.
     pub fn step(&mut self, views: &[RigView<'_>; 2]) -> Progress {
-        let Self { next, start_mm, at_nodes, checked, tiles } = self;
-        let more = match next {
-            Step::Nodes(space) => {
+        let Self { next, space, start_mm, at_nodes, checked, tiles, .. } = self;
+        match *next {
+            Step::Nodes => {
+                *next = Step::Checks;
                 let grid = nodes::<NODES>().map(|at| space.undo(at));
-                sample(views, *start_mm, &space.inputs, grid, at_nodes).then_some(Step::Checks(*space))
+                if sample(views, *start_mm, &space.inputs, grid, at_nodes) {
+                    return Progress::More;
+                }
             }
-            Step::Checks(space) => {
+            Step::Checks => {
+                *next = Step::Polynomials;
                 let grid = checks::<CHECKS>().map(|at| space.undo(at));
-                sample(views, *start_mm, &space.inputs, grid, checked).then_some(Step::Polynomials(*space))
+                if sample(views, *start_mm, &space.inputs, grid, checked) {
+                    return Progress::More;
+                }
             }
-            Step::Polynomials(space) => {
-                let values = Series::fit::<NODES, _>(DEGREE, at_nodes.iter().map(|sample| &sample.value));
-                let slopes =
-                    Series::fit::<NODES, _>(SLOPE_DEGREE, at_nodes.iter().map(|sample| &sample.slope));
-                let (mut exact, mut error_mm) = (checked.iter(), 0.0_f64);
-                values.on_grid(&[extremes::<CHECKS>(); 3], |value: Four| {
-                    if let Some(sample) = exact.next() {
-                        error_mm = error_mm.max(distance(&value, &sample.value));
-                    }
-                });
-                Some(Step::Tiles(*space, values, slopes, error_mm, 0))
+            Step::Polynomials => {
+                *next = Step::Tiles(0);
+                self.fit_polynomials();
+                return Progress::More;
             }
-            Step::Tiles(space, values, slopes, error_mm, tried) => {
-                let Some(&side) = SIDES.get(*tried) else { return Progress::Done(None) };
-                *tried += 1;
-                let fitted_mm = tiles.fit(side, values, slopes, TOLERANCE_MM - *error_mm);
-                let map = fitted_mm.and_then(|tiles_mm| Map::of(space, tiles, *error_mm + tiles_mm, checked));
+            Step::Tiles(tried) => {
+                *next = Step::Tiles(tried + 1);
+                let tolerance_mm = TOLERANCE_MM - self.error_mm;
+                let Some(&side) = SIDES.get(tried) else { return Progress::Done(None) };
+                let fitted_mm = tiles.fit(side, &self.values, &self.slopes, tolerance_mm);
+                let map = fitted_mm.and_then(|mm| Map::of(space, tiles, self.error_mm + mm, checked));
                 return map.map_or(Progress::More, |map| Progress::Done(Some(map)));
             }
-        };
-        match more {
-            Some(step) => {
-                self.next = step;
-                Progress::More
-            }
-            None => Progress::Done(None),
         }
+        Progress::Done(None)
+    }
+
+    fn fit_polynomials(&mut self) {
+        let nodes = self.at_nodes.iter();
+        self.values = Series::fit::<NODES, _>(DEGREE, nodes.clone().map(|sample| &sample.value));
+        self.slopes = Series::fit::<NODES, _>(SLOPE_DEGREE, nodes.map(|sample| &sample.slope));
+        let (mut exact, mut error_mm) = (self.checked.iter(), 0.0_f64);
+        self.values.on_grid(&[extremes::<CHECKS>(); 3], |value: Four| {
+            if let Some(sample) = exact.next() {
+                error_mm = error_mm.max(distance(&value, &sample.value));
+            }
+        });
+        self.error_mm = error_mm;
     }
 }
 
