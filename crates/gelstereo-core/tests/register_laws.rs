@@ -35,6 +35,7 @@ struct Given {
     covariance_mm2: Vec<Symmetric<3>>,
     unpressed_mm: Vec<DVec3>,
     press_direction: DVec3,
+    decay_mm: f64,
     guess: Pose,
 }
 
@@ -43,8 +44,9 @@ impl Given {
         let mut random = Stream::new(seed, "laws");
         let problem = Problem::press(&part().0, Sensing::GOOD, &mut random);
         let guess = problem.guess(0.02, 0.2, &mut random);
+        let decay_mm = problem.contact().decay_mm;
         let Problem { points_mm, covariance_mm2, unpressed_mm, .. } = problem;
-        Self { points_mm, covariance_mm2, unpressed_mm, press_direction: DVec3::NEG_Z, guess }
+        Self { points_mm, covariance_mm2, unpressed_mm, press_direction: DVec3::NEG_Z, decay_mm, guess }
     }
 
     fn register(&self, params: &RegisterParams, template: &Template) -> Registration {
@@ -53,6 +55,7 @@ impl Given {
             covariance_mm2: Some(&self.covariance_mm2),
             unpressed_mm: &self.unpressed_mm,
             press_direction: self.press_direction,
+            decay_mm: self.decay_mm,
         };
         Registrar::new(params).register(&contact, template, &self.guess).unwrap()
     }
@@ -69,6 +72,7 @@ impl Given {
             covariance_mm2: self.covariance_mm2.iter().map(turned).map(symmetric).collect(),
             unpressed_mm: self.unpressed_mm.iter().map(point).collect(),
             press_direction: motion.transform_vector(self.press_direction),
+            decay_mm: self.decay_mm,
             guess: *motion * self.guess,
         }
     }
@@ -185,6 +189,7 @@ fn the_answer_scales_with_all_that_is_sensed() {
                 covariance_mm2: keep.iter().map(|&k| square(&problem.covariance_mm2[k])).collect(),
                 unpressed_mm: Vec::new(),
                 press_direction: DVec3::NEG_Z,
+                decay_mm: problem.contact().decay_mm * scale,
                 guess: Pose { translation_mm: guess.translation_mm * scale, ..guess },
             }
         };

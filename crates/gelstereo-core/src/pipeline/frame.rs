@@ -71,6 +71,9 @@ pub struct Frame {
     pub salient: Vec<bool>,
     /// Salient and in the contact patch, which is what registration is given.
     pub patch: Vec<bool>,
+    /// Length over which the gel comes back to rest beside a contact, as the contact was judged by it, millimetres:
+    /// `contact.decay_mm`, or what was learned since.
+    pub decay_mm: f64,
     /// Mean motion of the seen markers of the left view since the reference, pixels.
     pub motion_px: f64,
     /// Markers that both views saw, but that no point of space explains (rows or disparity disagree), or none of the gel's surface
@@ -140,6 +143,7 @@ impl Touch {
         Contact {
             covariance_mm2: Some(&self.covariance_mm2),
             unpressed_mm: &self.unpressed_mm,
+            decay_mm: frame.decay_mm,
             ..Contact::new(&self.points_mm)
         }
     }

@@ -331,6 +331,8 @@ impl Pipeline {
         }
         .map_err(PipelineError::Contact)?;
         contact::patch(&out.indentation_mm, &out.salient, settings.patch_share, &mut out.patch);
+        let learns = settings.saliency == Saliency::Pressure && self.rest.is_some();
+        out.decay_mm = if learns { self.pressure.decay_mm() } else { settings.decay_mm };
         out.motion_px = contact::mean_motion_px(&self.reference_px, &out.left_px, &out.state);
         out.left = self.left.evidence;
         out.right = self.right.evidence;
