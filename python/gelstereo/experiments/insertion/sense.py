@@ -93,12 +93,13 @@ class Senses:
                 raise Error(f"preset {preset} does not find the sensor's lattice in the rest frame")
             self._pipelines[preset] = (pipeline, record)
 
-    def sense(self, preset: str, contact: SimulatedFrame) -> Frame:
-        """What a preset sees of a contact that follows the rest frame."""
+    def sense(self, preset: str, grasp: Sequence[SimulatedFrame]) -> Frame:
+        """What a preset sees in the last frame of a grasp that follows the rest frame."""
         pipeline, record = self._pipelines[preset]
         pipeline.resume(record)
-        pipeline.process(self._rest.left, self._rest.right)
-        return pipeline.process(contact.left, contact.right)
+        for pair in (self._rest, *grasp[:-1]):
+            pipeline.process(pair.left, pair.right)
+        return pipeline.process(grasp[-1].left, grasp[-1].right)
 
 
 def find(method: Method, frame: Frame, template: Template, guesses: Sequence[Array]) -> Found:

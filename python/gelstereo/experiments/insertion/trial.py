@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from gelstereo import Frame, RegisterError, Scene, Simulator, Template
+from gelstereo import Frame, RegisterError, Scene, SimulatedFrame, Simulator, Template
 from gelstereo.experiments.batch import Configuration
 from gelstereo.experiments.insertion.chance import Prior, chance, object_covariance, weakest
 from gelstereo.experiments.insertion.grasp import GraspRanges, Hold, fit_of, guesses, lie
@@ -24,8 +24,10 @@ __all__ = ["PRIOR", "RANGES", "Workplace", "run", "sensor_scene", "workplace"]
 
 Array = npt.NDArray[np.float64]
 
-#: Frames of the grasp that is taught, and of trial 0: the noise of a frame depends on its number.
+#: Seeds of the grasp that is taught, and of trial 0.
 _TAUGHT, _FIRST = 1, 2
+#: Frames while the fingers close: at 30 a second, a press of 1 mm at 7 mm/s.
+_CLOSING = 4
 
 
 #: Where parts may lie, and what is known of it before it is sensed.
@@ -73,6 +75,18 @@ class Workplace:
         """Pose of the part that is held so, (4, 4) t_sensor_object."""
         return lie(hold, np.asarray(self.template.points_mm), self.middle_mm, self.hole.tip_mm)
 
+    def grasp(self, t_sensor_object: Array, press_mm: float, seed: int) -> list[SimulatedFrame]:
+        """Fingers that close on a part until it is there, having pressed it in so far: markers are followed by the way.
+
+        Frames of a seed have numbers of their own, and noise with these.
+        """
+        frames = []
+        for step in range(1, _CLOSING + 1):
+            pose = np.array(t_sensor_object)
+            pose[2, 3] += press_mm * (1.0 - step / _CLOSING)
+            frames.append(self.simulator.press(pose, frame=_CLOSING * seed + step))
+        return frames
+
     def find(self, method: Method, frame: Frame) -> Found:
         """Find the part from a frame of its contact."""
         surface_mm, patch_mm = np.asarray(self.template.points_mm), np.asarray(frame.patch_points_mm)
@@ -87,8 +101,8 @@ class Workplace:
         """Teach a method the hole: the part is held in the middle, stands ideally over it, and is found by it."""
         if method.name not in self._taught:
             t_sensor_object = self.lie(self.nominal)
-            contact = self.simulator.press(t_sensor_object, frame=_TAUGHT)
-            found = self.find(method, self.senses.sense(method.preset, contact))
+            grasp = self.grasp(t_sensor_object, self.nominal.press_mm, _TAUGHT)
+            found = self.find(method, self.senses.sense(method.preset, grasp))
             self._taught[method.name] = Taught(t_sensor_object, found)
         return self._taught[method.name]
 
@@ -113,11 +127,11 @@ def run(configuration: Configuration, seed: int) -> Record:
     place = workplace(configuration["part"])
     hold = Hold.drawn(place.part, RANGES, np.random.default_rng(seed))
     t_sensor_object = place.lie(hold)
-    contact = place.simulator.press(t_sensor_object, frame=_FIRST + seed)
-    frames = {preset: place.senses.sense(preset, contact) for preset in {m.preset for m in METHODS}}
+    grasp = place.grasp(t_sensor_object, hold.press_mm, _FIRST + seed)
+    frames = {preset: place.senses.sense(preset, grasp) for preset in {m.preset for m in METHODS}}
     return {
         "hold": asdict(hold),
-        "touching": int(np.count_nonzero(contact.in_contact)),
+        "touching": int(np.count_nonzero(grasp[-1].in_contact)),
         "t_sensor_object": t_sensor_object.tolist(),
         "methods": {
             method.name: _judged(place, method, frames[method.preset], t_sensor_object, seed)
