@@ -162,9 +162,9 @@ fn row_34_one_thread_or_two_and_any_repeat_give_the_same_bits() {
 fn row_34_the_bits_of_a_fixed_scene_are_known() {
     let known = [
         ("paper", 0x2b40_eb98_c8ce_3af0),
-        ("fast", 0x7ed2_774f_dbf9_1d8f),
-        ("balanced", 0x9235_fb31_c33f_0853),
-        ("exact", 0xc8b2_b00c_dade_bdd4),
+        ("fast", 0xd767_2874_d026_0735),
+        ("balanced", 0x0c6f_3cd6_c8a3_60c8),
+        ("exact", 0x2888_bb9a_3f50_5930),
     ];
     assert_eq!(known.map(|(preset, _)| preset), Params::PRESETS, "every preset has its digest");
     let found = known.map(|(preset, _)| {
