@@ -38,7 +38,8 @@ class Pressed:
             t_sensor_object=guess,
             all_points_mm=self.points_mm if every else None,
             covariance_mm2=np.tile(np.diag([0.25, 0.25, 1.0]) * SIGMA_MM**2, (count, 1, 1)),
-            params=Params().replace({"register.method": method}),
+            # This gel comes back to rest at once beside the part.
+            params=Params().replace({"register.method": method, "contact.decay_mm": 0.1}),
         )
 
 
