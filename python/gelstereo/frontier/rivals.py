@@ -131,6 +131,9 @@ def meshlib_icp(grasp: Grasp, guess: Array) -> Array:
     pose = np.eye(4)
     for row, vector in enumerate((found.A.x, found.A.y, found.A.z)):
         pose[row, :3] = vector.x, vector.y, vector.z
+    # Its numbers have single precision: the nearest rotation.
+    u, _, v = np.linalg.svd(pose[:3, :3])
+    pose[:3, :3] = u @ v
     pose[:3, 3] = found.b.x, found.b.y, found.b.z
     return np.asarray(np.linalg.inv(pose), np.float64)
 
