@@ -151,13 +151,27 @@ class Grasp:
         about[:3, 3] = -self.centre_mm
         twist = se3_log(about @ self.t_sensor_object @ np.linalg.inv(found) @ np.linalg.inv(about))
         error = np.concatenate([twist[:3] * self.radius_mm, twist[3:]])
+        values, vectors = self._observable
+        return self._score(values, vectors, vectors.T @ error)
+
+    def at_bound(self, draws: int, seed: int) -> float:
+        """Share of an efficient estimate's answers that succeed: normal errors, as small as the bound allows."""
+        values, vectors = self._observable
+        errors = np.random.default_rng([seed, 53]).normal(size=(draws, len(values))) / np.sqrt(values)
+        return float(np.mean([self._score(values, vectors, along).success for along in errors]))
+
+    @property
+    def _observable(self) -> tuple[Array, Array]:
+        """Information on the directions that the contact determines, (K,), and these, (6, K)."""
         values, vectors = np.linalg.eigh(self.information)
         seen = values * _OBSERVABLE_MM**2 >= 1.0
-        along = vectors[:, seen].T @ error
-        kept = vectors[:, seen] @ along
+        return values[seen], vectors[:, seen]
+
+    def _score(self, values: Array, vectors: Array, along: Array) -> Score:
+        kept = vectors @ along
         return Score(
-            int(seen.sum()),
-            float(values[seen] @ along**2),
+            len(values),
+            float(values @ along**2),
             float(np.rad2deg(np.linalg.norm(kept[:3]) / self.radius_mm)),
             float(np.linalg.norm(kept[3:])),
         )
