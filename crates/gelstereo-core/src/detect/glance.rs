@@ -335,7 +335,7 @@ impl<const L: usize> Eye<L> {
     }
 
     /// Centre of the marker about its component's mean position, if it lies whole in a window around it, and [`Spot::band`].
-    /// None farther than [`MOST_OFF_PX`] away: a window upon two markers that nearly touch settles in their middle.
+    /// None farther than a pixel away: a window upon two markers that nearly touch settles in their middle.
     #[must_use]
     pub fn centre(&self, image: GrayView<'_>, at_px: DVec2) -> Option<(DVec2, u8)> {
         match self.settle(&image, at_px, 1) {
