@@ -131,7 +131,13 @@ fn run(mut u: Unstructured<'_>) -> Result<()> {
     let guess = Pose::exp(vector(&mut u, 0.3)?, vector(&mut u, 2.0)?) * truth;
     let points_mm = patch(&mut u, template, &truth)?;
     let unpressed_mm = (0..u.int_in_range(0..=12)?).map(|_| Ok(truth.transform_point(vector(&mut u, 9.0)?)));
-    let unpressed_mm = unpressed_mm.collect::<Result<Vec<_>>>()?;
+    let mut unpressed_mm = unpressed_mm.collect::<Result<Vec<_>>>()?;
+    if u.arbitrary()? {
+        // Markers of a gel around the part.
+        let (middle, size) = (truth.translation_mm + vector(&mut u, 4.0)?, u.int_in_range(1..=14)?);
+        let place = |k: usize| DVec3::new((k % 14) as f64 - 6.5, (k / 14) as f64 - 6.5, 0.0) * 0.9;
+        unpressed_mm.extend((0..14 * size).map(|k| middle + place(k)));
+    }
     let mut covariances = Vec::new();
     if u.arbitrary()? {
         for _ in 0..points_mm.len() {
@@ -144,6 +150,7 @@ fn run(mut u: Unstructured<'_>) -> Result<()> {
         covariance_mm2: (!covariances.is_empty()).then_some(&covariances),
         unpressed_mm: &unpressed_mm,
         press_direction: *u.choose(&[DVec3::NEG_Z, DVec3::Y, truth.transform_vector(DVec3::X)])?,
+        decay_mm: *u.choose(&[2.5, 0.1, 20.0, 0.0, f64::NAN])?,
     };
     let mut registrar = Registrar::new(&params);
     let first = registrar.register(&contact, template, &guess);
