@@ -198,7 +198,7 @@ proptest! {
         let (cols, rows) = (width.div_ceil(BLOCK_PX), height.div_ceil(BLOCK_PX));
         let mut blocks = Blocks::default();
         blocks.start(width, height);
-        image.chunks_exact(width).for_each(|row| blocks.push(row));
+        image.chunks(BLOCK_PX * width).for_each(|rows| blocks.push(rows));
         blocks.finish(radius as usize);
         let pixels = |bx: usize, by: usize| -> Vec<u8> {
             (by * BLOCK_PX..((by + 1) * BLOCK_PX).min(height))
@@ -234,7 +234,7 @@ proptest! {
         let (smooth, mut blocks, mut mask) = (smoothed(&image, width, 3, Polarity::Dark), Blocks::default(), Vec::new());
         detector.mask(&mut mask);
         blocks.start(width, image.len() / width);
-        smooth.chunks_exact(width).for_each(|row| blocks.push(row));
+        smooth.chunks(BLOCK_PX * width).for_each(|rows| blocks.push(rows));
         blocks.finish(1);
         for (n, &level) in smooth.iter().enumerate() {
             let surround = blocks.surround()[n / width / BLOCK_PX * blocks.cols() + n % width / BLOCK_PX];

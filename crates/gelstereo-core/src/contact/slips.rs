@@ -21,7 +21,7 @@ const APART: f64 = 0.7;
 const SHARE: usize = 10;
 
 /// So many markers tell what a slip looks like.
-const MARKERS_TO_LEARN: usize = 64;
+const MARKERS_TO_LEARN: usize = 16;
 
 /// Finds slips; scratch is kept from frame to frame.
 #[derive(Clone, Debug, Default)]
@@ -66,9 +66,10 @@ impl LabelSlips {
         [left, right]: [Centres<'_>; 2],
         (cols, pitch_px): (usize, f64),
     ) {
+        let ready = triangulator.ready();
         let height = |i: usize, step_px: f64| {
             let moved = Centre { at_px: right.at(i).at_px + DVec2::new(step_px, 0.0), ..right.at(i) };
-            let point = triangulator.point(i, &left.at(i), &moved).ok()?;
+            let point = ready.point(i, &left.at(i), &moved).ok()?;
             Some((point.point_mm - rest.points_mm()[i]).dot(rest.normal()).abs())
         };
         // Away from the camera a slip is larger than towards it.

@@ -24,16 +24,15 @@ pub struct Blocks {
     boxes: BoxSums,
 }
 
-/// Sums and minima of the rows of blocks that is being read, column by column of pixels.
+/// Sums and minima of a row of blocks, column by column of pixels.
 #[derive(Clone, Debug, Default)]
 struct Columns {
     sum: Vec<u16>,
     darkest: Vec<u8>,
-    rows: usize,
 }
 
 impl Blocks {
-    /// Starts an image of this width.
+    /// Starts an image of this size.
     pub fn start(&mut self, width: usize, height: usize) {
         self.cols = width.div_ceil(BLOCK_PX);
         let blocks = self.cols * height.div_ceil(BLOCK_PX);
@@ -41,55 +40,40 @@ impl Blocks {
         self.mean.reserve(blocks);
         self.darkest.clear();
         self.darkest.reserve(blocks);
-        self.columns.clear(width);
+        self.columns.sum.resize(width, 0);
+        self.columns.darkest.resize(width, 0);
     }
 
-    /// Adds the next row of pixels.
-    pub fn push(&mut self, row: &[u8]) {
-        let Columns { sum, darkest, rows } = &mut self.columns;
-        for ((sum, darkest), &level) in sum.iter_mut().zip(darkest).zip(row) {
-            *sum = sum.wrapping_add(u16::from(level)); // at most 8 x 255
-            *darkest = level.min(*darkest);
-        }
-        *rows += 1;
-        if *rows == BLOCK_PX {
-            self.close();
-        }
-    }
-
-    /// Ends the image: `surround` is then the mean of the blocks up to `radius` blocks away, mirrored at the borders.
-    pub fn finish(&mut self, radius: usize) {
-        if self.columns.rows > 0 {
-            self.close();
-        }
-        let area = (2 * radius as u64 + 1).pow(2);
-        let sums = self.boxes.run(&self.mean, self.cols, radius);
-        self.surround.clear();
-        self.surround.extend(sums.iter().map(|sum| ((sum + area / 2) / area) as u16));
-    }
-
-    /// Turns the columns read so far into blocks.
-    fn close(&mut self) {
-        let Columns { sum, darkest, rows } = &self.columns;
+    /// Adds the next row of blocks: up to [`BLOCK_PX`] rows of pixels, fewer at the lower border only.
+    pub fn push(&mut self, rows: &[u8]) {
+        self.columns.add_up(rows);
+        let Columns { sum, darkest } = &self.columns;
+        let height = rows.len() / sum.len().max(1);
         let mean = |total: u32, area: u32| u64::from(((total << FRACTION_BITS) + area / 2) / area);
         let (whole_sums, last_sum) = sum.as_chunks::<BLOCK_PX>();
         let (whole_darkest, last_darkest) = darkest.as_chunks::<BLOCK_PX>();
         let totals = whole_sums.iter().map(|sum| sum.iter().map(|&s| u32::from(s)).sum());
-        if *rows == BLOCK_PX {
+        if height == BLOCK_PX {
             const AREA: u32 = (BLOCK_PX * BLOCK_PX) as u32;
             self.mean.extend(totals.map(|total| mean(total, AREA)));
         } else {
-            self.mean.extend(totals.map(|total| mean(total, (BLOCK_PX * rows) as u32)));
+            self.mean.extend(totals.map(|total| mean(total, (BLOCK_PX * height) as u32)));
         }
         let least = |levels: &[u8]| levels.iter().fold(u8::MAX, |low, &level| low.min(level));
         self.darkest.extend(whole_darkest.iter().map(|levels| least(levels)));
         if !last_sum.is_empty() {
             let total = last_sum.iter().map(|&s| u32::from(s)).sum();
-            self.mean.push(mean(total, (last_sum.len() * rows) as u32));
+            self.mean.push(mean(total, (last_sum.len() * height) as u32));
             self.darkest.push(least(last_darkest));
         }
-        let width = sum.len();
-        self.columns.clear(width);
+    }
+
+    /// Ends the image: `surround` is then the mean of the blocks up to `radius` blocks away, mirrored at the borders.
+    pub fn finish(&mut self, radius: usize) {
+        let area = (2 * radius as u64 + 1).pow(2);
+        let sums = self.boxes.run(&self.mean, self.cols, radius);
+        self.surround.clear();
+        self.surround.extend(sums.iter().map(|sum| ((sum + area / 2) / area) as u16));
     }
 
     /// Blocks in a row.
@@ -120,12 +104,30 @@ impl Blocks {
 }
 
 impl Columns {
-    fn clear(&mut self, width: usize) {
-        self.sum.clear();
-        self.sum.resize(width, 0);
-        self.darkest.clear();
-        self.darkest.resize(width, u8::MAX);
-        self.rows = 0;
+    /// Of these rows.
+    fn add_up(&mut self, rows: &[u8]) {
+        let Self { sum, darkest } = self;
+        let width = sum.len();
+        let row = |y: usize| &rows[y * width..][..width];
+        if rows.len() == BLOCK_PX * width {
+            // All at once: sums and minima stay in registers. At most 8 x 255.
+            let all: [&[u8]; BLOCK_PX] = core::array::from_fn(row);
+            for (x, sum) in sum.iter_mut().enumerate() {
+                *sum = all.iter().fold(0, |sum, row| sum + u16::from(row[x]));
+            }
+            for (x, darkest) in darkest[..width].iter_mut().enumerate() {
+                *darkest = all.iter().fold(u8::MAX, |low, row| low.min(row[x]));
+            }
+            return;
+        }
+        sum.fill(0);
+        darkest.fill(u8::MAX);
+        for row in rows.chunks_exact(width.max(1)) {
+            for ((sum, darkest), &level) in sum.iter_mut().zip(&mut *darkest).zip(row) {
+                *sum += u16::from(level);
+                *darkest = level.min(*darkest);
+            }
+        }
     }
 }
 

@@ -86,9 +86,11 @@ impl Difference {
         if self.threshold == Threshold::Auto || matches!(self.rung, Rung::Blocks) {
             self.smoothed.resize(width * height, 0);
             self.blocks.start(width, height);
-            for (y, row) in self.smoothed.chunks_exact_mut(width).enumerate() {
-                self.smoother.row(image, y, row);
-                self.blocks.push(row);
+            for (first, rows) in (0..).step_by(BLOCK_PX).zip(self.smoothed.chunks_mut(BLOCK_PX * width)) {
+                for (y, row) in (first..).zip(rows.chunks_exact_mut(width)) {
+                    self.smoother.row(image, y, row);
+                }
+                self.blocks.push(rows);
             }
             self.blocks.finish(self.radius);
         }

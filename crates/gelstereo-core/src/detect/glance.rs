@@ -191,27 +191,59 @@ impl<const L: usize> Place<L> {
     fn middle_px(&self) -> DVec2 {
         DVec2::new(self.first.0 as f64, self.first.1 as f64) + 0.5 * (self.side as f64 - 1.0)
     }
+}
 
-    fn rows<'a>(&self, image: &GrayView<'a>) -> impl Iterator<Item = &'a [u8; L]> {
-        image.lanes::<L>((self.begin, self.first.1), self.side)
+/// Which lanes belong to a window, and to its corners.
+#[derive(Clone, Copy, Debug)]
+struct Lanes<const L: usize> {
+    /// All ones, or nothing.
+    inside: [u8; L],
+    /// One, or nothing.
+    left: [i16; L],
+    right: [i16; L],
+}
+
+impl<const L: usize> Lanes<L> {
+    /// Of windows that begin with this lane.
+    fn of(lane: usize, kind: &Kind) -> Self {
+        let within = |first: usize, end: usize| -> [u8; L] {
+            let (rise, fall) = (step_up::<L>(lane + first), step_up::<L>(lane + end));
+            core::array::from_fn(|x| rise[x] & !fall[x])
+        };
+        let (side, corner) = (kind.side_px, kind.corner_px());
+        let ones = |first: usize| within(first, first + corner).map(|on| i16::from(on & 1));
+        Self { inside: within(0, side), left: ones(0), right: ones(side - corner) }
     }
+}
 
-    /// All ones in the window's lanes from the first to one before an end.
-    fn within(&self, first: usize, end: usize) -> [u8; L] {
-        let (rise, fall) = (step_up::<L>(self.lane() + first), step_up::<L>(self.lane() + end));
-        core::array::from_fn(|x| rise[x] & !fall[x])
+/// A window's pixels, dark markers on a bright gel.
+struct Window<'a, const L: usize> {
+    place: Place<L>,
+    lanes: &'a Lanes<L>,
+    rows: &'a mut [[u8; L]],
+}
+
+/// Where a window's pixels are kept.
+struct Room<const L: usize> {
+    rows: [[u8; L]; L],
+    /// Unless they are the usual ones.
+    lanes: Option<Lanes<L>>,
+}
+
+impl<const L: usize> Room<L> {
+    const fn new() -> Self {
+        Self { rows: [[0; L]; L], lanes: None }
     }
+}
 
+impl<const L: usize> Window<'_, L> {
     /// The gel by the window's corners, squares of `corner` pixels.
-    fn gel(&self, image: &GrayView<'_>, corner: usize, flip: u8) -> Gel {
-        let far = self.side - corner;
-        let darkest = darkest(self.rows(image), flip, &self.within(0, self.side));
-        let [left, right] =
-            [0, far].map(|first| self.within(first, first + corner).map(|on| i16::from(on & 1)));
+    fn gel(&self, corner: usize) -> Gel {
+        let far = self.place.side - corner;
+        let darkest = darkest(self.rows, &self.lanes.inside);
         let sums = |first: usize| {
-            let rows = image.lanes::<L>((self.begin, self.first.1 + first), corner);
-            let columns = sum_columns(rows, flip);
-            (products(&columns, &left), products(&columns, &right))
+            let columns = sum_columns(&self.rows[first..first + corner]);
+            (products(&columns, &self.lanes.left), products(&columns, &self.lanes.right))
         };
         let ((a, b), (c, d)) = (sums(0), sums(far));
         let area = (corner * corner) as i32;
@@ -224,18 +256,18 @@ impl<const L: usize> Place<L> {
     }
 
     /// Weights of the window's pixels: how much darker than the gel, less `low`, at most `band`.
-    fn weigh(&self, image: &GrayView<'_>, gel: &Gel, (low, band): (i32, u8), flip: u8) -> Weights<L> {
-        let (lane, side) = (self.lane() as i32, self.side as i32);
-        let twice = |at: i32| 2 * at - (side - 1);
-        let inside = self.within(0, self.side);
-        // Of the brightest row; the others are less by a whole number of levels.
-        let brightest = gel.level - low + ((side * gel.down.abs()) >> (9 - BITS));
+    fn weigh(&mut self, gel: &Gel, (low, band): (i32, u8)) -> Weights<L> {
+        let (lane, side) = (self.place.lane() as i32, self.place.side as i32);
+        // Of the brightest row; the others are less by a whole number of levels. All these numbers fit 16 bits.
+        let brightest = (gel.level - low + ((side * gel.down.abs()) >> (9 - BITS))) as i16;
+        let (along, before) = (gel.along as i16, (gel.along * (2 * lane + side - 1)) as i16);
         let limit: [u8; L] = core::array::from_fn(|x| {
-            let along = (twice(x as i32 - lane) * gel.along) >> (9 - BITS);
-            ((brightest + along) >> BITS).clamp(0, 255) as u8 & inside[x]
+            let along = (2 * x as i16 * along - before) >> (9 - BITS);
+            ((brightest + along) >> BITS).clamp(0, 255) as u8 & self.lanes.inside[x]
         });
-        let less = (0..).map(|y| ((side * gel.down.abs() - twice(y) * gel.down) >> 9) as u8);
-        weigh(self.rows(image).zip(less), &limit, band, flip)
+        let added = side * gel.down.abs() + (side - 1) * gel.down;
+        weigh(self.rows, &limit, (added, 2 * gel.down), band);
+        Weights::of(self.rows)
     }
 }
 
@@ -252,8 +284,10 @@ struct Outline {
 
 impl<const L: usize> Weights<L> {
     fn outline(&self, place: &Place<L>, band: u8) -> Outline {
-        let (sum, x, variance_x) = moments(&self.columns);
-        let (_, y, variance_y) = moments(&self.rows);
+        let sum: i32 = self.columns.iter().map(|&weight| i32::from(weight)).sum();
+        let per = 1.0 / f64::from(sum.max(1));
+        let (x, variance_x) = moments(&self.columns, per);
+        let (y, variance_y) = moments(&self.rows, per);
         let (lane, last) = (place.lane(), place.side - 1);
         let rim = [self.columns[lane], self.columns[lane + last], self.rows[0], self.rows[last]];
         Outline {
@@ -282,18 +316,35 @@ pub struct Eye<const L: usize> {
     kind: Kind,
     /// 255 where markers are bright.
     flip: u8,
+    /// Of windows that do not reach the image's right border.
+    lanes: Lanes<L>,
 }
 
 impl<const L: usize> Eye<L> {
     /// For markers of one kind.
     #[must_use]
-    pub const fn new(kind: Kind, flip: u8) -> Self {
-        Self { kind, flip }
+    pub fn new(kind: Kind, flip: u8) -> Self {
+        Self { kind, flip, lanes: Lanes::of(0, &kind) }
     }
 
-    fn gel(&self, image: &GrayView<'_>, at_px: DVec2) -> Option<(Place<L>, Gel)> {
+    fn window<'a>(
+        &'a self,
+        image: &GrayView<'_>,
+        at_px: DVec2,
+        room: &'a mut Room<L>,
+    ) -> Option<Window<'a, L>> {
         let place = Place::around(at_px, self.kind.side_px, (image.width(), image.height()))?;
-        Some((place, place.gel(image, self.kind.corner_px(), self.flip)))
+        let Room { rows, lanes } = room;
+        *lanes = (place.lane() > 0).then(|| Lanes::of(place.lane(), &self.kind));
+        let rows = &mut rows[..place.side];
+        for (row, levels) in rows.iter_mut().zip(image.lanes::<L>((place.begin, place.first.1), place.side)) {
+            *row = levels.map(|level| level ^ self.flip);
+        }
+        Some(Window { place, lanes: lanes.as_ref().unwrap_or(&self.lanes), rows })
+    }
+
+    fn gel(&self, window: &Window<'_, L>) -> Gel {
+        window.gel(self.kind.corner_px())
     }
 
     /// The kind of marker.
@@ -310,8 +361,10 @@ impl<const L: usize> Eye<L> {
         positions_px: impl Iterator<Item = &'p DVec2>,
     ) -> f64 {
         let (mut squares, mut cubes) = (0_u64, 0_u64);
-        for (_, gel) in positions_px.filter_map(|&at| self.gel(&image, at)) {
-            let depth = gel.depth as u64;
+        let mut room = Room::new();
+        for &at_px in positions_px {
+            let Some(window) = self.window(&image, at_px, &mut room) else { continue };
+            let depth = self.gel(&window).depth as u64;
             squares += depth * depth;
             cubes += depth * depth * depth;
         }
@@ -359,15 +412,17 @@ impl<const L: usize> Eye<L> {
         at_px: DVec2,
         mut each: impl FnMut([i32; 2], DVec2),
     ) -> Option<(u8, f64)> {
-        let (place, gel) = self.gel(&image, self.centre(image, at_px)?.0)?;
+        let mut room = Room::new();
+        let window = self.window(&image, self.centre(image, at_px)?.0, &mut room)?;
+        let (place, gel) = (window.place, self.gel(&window));
         let (low, band) = gel.band();
         let (unit, high) = (f64::from(1 << BITS), f64::from(band));
         let (side, corner) = (place.side, self.kind.corner_px());
         let middle = 0.5 * (side as f64 - 1.0);
         let (along, down) = (f64::from(gel.along) / 256.0, f64::from(gel.down) / 256.0);
         let pixels = || {
-            let rows = (0..).zip(image.lanes::<L>((place.begin, place.first.1), side));
-            rows.flat_map(|(y, row)| (0..side).map(move |x| (x, y, row[place.lane() + x] ^ self.flip)))
+            let rows = (0..).zip(&*window.rows);
+            rows.flat_map(|(y, row)| (0..side).map(move |x| (x, y, row[place.lane() + x])))
         };
         let from_middle = |x: usize, y: usize| DVec2::new(x as f64 - middle, y as f64 - middle);
         let weight = |at: DVec2, level: u8| {
@@ -411,14 +466,15 @@ impl<const L: usize> Eye<L> {
 
     /// Moves the window until what it shows lies in its middle.
     fn settle(&self, image: &GrayView<'_>, at_px: DVec2, least_depth: i32) -> Settled {
-        let mut middle_px = at_px;
+        let (mut middle_px, mut room) = (at_px, Room::new());
         for _ in 0..TRIES {
-            let Some((place, gel)) = self.gel(image, middle_px) else { return Settled::Lost };
+            let Some(mut window) = self.window(image, middle_px, &mut room) else { return Settled::Lost };
+            let (place, gel) = (window.place, self.gel(&window));
             if gel.depth < least_depth {
                 return Settled::Nothing;
             }
             let (low, band) = gel.band();
-            let outline = place.weigh(image, &gel, (low, band), self.flip).outline(&place, band);
+            let outline = window.weigh(&gel, (low, band)).outline(&place, band);
             if (outline.centre_px - place.middle_px()).abs().max_element() <= OFF_PX {
                 return Settled::At(gel, outline);
             }

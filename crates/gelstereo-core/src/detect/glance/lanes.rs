@@ -10,46 +10,48 @@ pub(super) struct Weights<const L: usize> {
 
 /// The darkest level of the lanes that are on.
 #[inline(never)]
-pub(super) fn darkest<'a, const L: usize>(
-    rows: impl Iterator<Item = &'a [u8; L]>,
-    flip: u8,
-    on: &[u8; L],
-) -> u8 {
+pub(super) fn darkest<const L: usize>(rows: &[[u8; L]], on: &[u8; L]) -> u8 {
     let mut darkest = [u8::MAX; L];
     for row in rows {
-        darkest = core::array::from_fn(|x| darkest[x].min(row[x] ^ flip));
+        darkest = core::array::from_fn(|x| darkest[x].min(row[x]));
     }
-    least(&darkest, on)
+    darkest.iter().zip(on).fold(u8::MAX, |low, (&level, &on)| low.min(level | !on))
 }
 
-/// Sums of how far rows, with what is added to each, stay below a limit, up to `band`.
+/// Turns levels into weights: how far they, and what is added to their row, stay below a limit, up to `band`. What is added
+/// becomes less from row to row; both in 1 / 512 level.
 #[inline(never)]
-pub(super) fn weigh<'a, const L: usize>(
-    rows: impl Iterator<Item = (&'a [u8; L], u8)>,
+pub(super) fn weigh<const L: usize>(
+    rows: &mut [[u8; L]],
     limit: &[u8; L],
+    (mut added, less): (i32, i32),
     band: u8,
-    flip: u8,
-) -> Weights<L> {
-    let [mut columns, mut sums] = [[0_i16; L]; 2];
-    for ((row, less), total) in rows.zip(&mut sums) {
-        let weight: [u8; L] =
-            core::array::from_fn(|x| limit[x].saturating_sub((row[x] ^ flip).saturating_add(less)).min(band));
-        columns = core::array::from_fn(|x| columns[x] + i16::from(weight[x]));
-        *total = weight.iter().map(|&w| u32::from(w)).sum::<u32>() as i16;
+) {
+    for row in rows {
+        let more = (added >> 9) as u8;
+        *row = core::array::from_fn(|x| limit[x].saturating_sub(row[x].saturating_add(more)).min(band));
+        added -= less;
     }
-    Weights { columns, rows: sums }
+}
+
+impl<const L: usize> Weights<L> {
+    /// Of a window of at most `L` rows. Apart from the weights themselves: together, neither compiles to whole vectors.
+    #[inline(never)]
+    pub fn of(rows: &[[u8; L]]) -> Self {
+        let [mut columns, mut sums] = [[0_i16; L]; 2];
+        for (row, total) in rows.iter().zip(&mut sums) {
+            columns = core::array::from_fn(|x| columns[x] + i16::from(row[x]));
+            *total = row.iter().map(|&w| u32::from(w)).sum::<u32>() as i16;
+        }
+        Self { columns, rows: sums }
+    }
 }
 
 #[inline(never)]
-fn least<const L: usize>(levels: &[u8; L], on: &[u8; L]) -> u8 {
-    levels.iter().zip(on).fold(u8::MAX, |low, (&level, &on)| low.min(level | !on))
-}
-
-#[inline(never)]
-pub(super) fn sum_columns<'a, const L: usize>(rows: impl Iterator<Item = &'a [u8; L]>, flip: u8) -> [i16; L] {
+pub(super) fn sum_columns<const L: usize>(rows: &[[u8; L]]) -> [i16; L] {
     let mut columns = [0; L];
     for row in rows {
-        columns = core::array::from_fn(|x| columns[x] + i16::from(row[x] ^ flip));
+        columns = core::array::from_fn(|x| columns[x] + i16::from(row[x]));
     }
     columns
 }
@@ -60,14 +62,12 @@ pub(super) fn products<const L: usize>(a: &[i16; L], b: &[i16; L]) -> i32 {
     a.iter().zip(b).map(|(&a, &b)| i32::from(a) * i32::from(b)).sum()
 }
 
-/// Sum, mean place and variance of weights along a line.
-pub(super) fn moments<const L: usize>(line: &[i16; L]) -> (i32, f64, f64) {
-    let sum: i32 = line.iter().map(|&weight| i32::from(weight)).sum();
+/// Mean place and variance of weights along a line, one over whose sum is given.
+pub(super) fn moments<const L: usize>(line: &[i16; L], per: f64) -> (f64, f64) {
     let first = products(line, &const { powers(1) });
     let second = products(line, &const { powers(2) });
-    let per = 1.0 / f64::from(sum.max(1));
     let mean = f64::from(first) * per;
-    (sum, mean, f64::from(second) * per - mean * mean)
+    (mean, f64::from(second) * per - mean * mean)
 }
 
 /// Powers of places.
