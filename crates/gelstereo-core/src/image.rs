@@ -107,17 +107,21 @@ impl<'a> GrayView<'a> {
         &self.data[y * self.stride..y * self.stride + self.width]
     }
 
-    /// The `L` bytes from column `x` on of so many rows from `y` on; none where they are not all in the image.
-    pub(crate) fn lanes<const L: usize>(
-        &self,
-        (x, y): (usize, usize),
-        rows: usize,
-    ) -> impl Iterator<Item = &'a [u8; L]> {
-        let inside = rows > 0 && x + L <= self.width && y + rows <= self.height;
+    /// Copies the `L` bytes from column `x` on of as many rows from `y` on as `rows` has; nothing where they are not all in the
+    /// image.
+    pub(crate) fn copy_lanes<const L: usize>(&self, (x, y): (usize, usize), rows: &mut [[u8; L]]) {
+        let inside = x + L <= self.width && y + rows.len() <= self.height;
+        let (Some((last, others)), true) = (rows.split_last_mut(), inside) else { return };
         let first = y * self.stride + x;
-        let last = first + (rows.max(1) - 1) * self.stride + L;
-        let data = self.data.get(first..last).filter(|_| inside).unwrap_or_default();
-        data.chunks(self.stride).map_while(|row| row.first_chunk::<L>())
+        let data = &self.data[first..first + others.len() * self.stride + L];
+        // All of one length, so that no row asks how much is left.
+        for (row, levels) in others.iter_mut().zip(data.chunks_exact(self.stride)) {
+            let Some(levels) = levels.first_chunk() else { return };
+            *row = *levels;
+        }
+        if let Some(levels) = data.last_chunk() {
+            *last = *levels;
+        }
     }
 
     /// The part of `width` x `height` pixels whose first pixel is (`x`, `y`), without copying.

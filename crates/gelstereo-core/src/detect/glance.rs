@@ -174,12 +174,14 @@ struct Place<const L: usize> {
 impl<const L: usize> Place<L> {
     /// The window whose middle is nearest to a position, or nearest within the image.
     fn around(at_px: DVec2, side: usize, (width, height): (usize, usize)) -> Option<Self> {
-        let inside = |at: f64, size: usize| at >= 0.0 && at <= size as f64 - 1.0;
+        // From 32 bits: there is an instruction.
+        let float = |size: usize| f64::from(size as u32);
+        let inside = |at: f64, size: usize| at >= 0.0 && at <= float(size) - 1.0;
         if width < L || height < side || side > L || !inside(at_px.x, width) || !inside(at_px.y, height) {
             return None;
         }
-        let half = 0.5 * (side as f64 - 2.0);
-        let first = |at: f64, size: usize| (at - half).clamp(0.0, (size - side) as f64) as usize;
+        let half = 0.5 * (float(side) - 2.0);
+        let first = |at: f64, size: usize| (at - half).clamp(0.0, float(size - side)) as u32 as usize;
         let first = (first(at_px.x, width), first(at_px.y, height));
         Some(Self { first, begin: first.0.min(width - L), side })
     }
@@ -337,8 +339,9 @@ impl<const L: usize> Eye<L> {
         let Room { rows, lanes } = room;
         *lanes = (place.lane() > 0).then(|| Lanes::of(place.lane(), &self.kind));
         let rows = &mut rows[..place.side];
-        for (row, levels) in rows.iter_mut().zip(image.lanes::<L>((place.begin, place.first.1), place.side)) {
-            *row = levels.map(|level| level ^ self.flip);
+        image.copy_lanes((place.begin, place.first.1), rows);
+        if self.flip != 0 {
+            rows.as_flattened_mut().iter_mut().for_each(|level| *level ^= self.flip);
         }
         Some(Window { place, lanes: lanes.as_ref().unwrap_or(&self.lanes), rows })
     }

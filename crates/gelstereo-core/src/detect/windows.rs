@@ -212,17 +212,22 @@ impl Detector {
             // Cells begin one before the image, so that there is one on every side.
             let first = (centre_px.y * per_px) as usize * cols + (centre_px.x * per_px) as usize;
             let middle = first + cols + 1;
-            for cell in [first, first + cols, first + 2 * cols].into_iter().flat_map(|row| row..row + 3) {
-                let Some(other) = (cells[cell] as usize).checked_sub(1) else { continue };
-                if cell != middle && seen[other].centre_px.distance_squared(centre_px) >= near_px2 {
+            'around: for row in [first, first + cols, first + 2 * cols] {
+                if cells[row..row + 3].iter().all(|&other| other == 0) {
                     continue;
                 }
-                if far(&seen[other]) <= far(&seen[n]) {
-                    seen[n].alive = false;
-                    break;
+                for cell in row..row + 3 {
+                    let Some(other) = (cells[cell] as usize).checked_sub(1) else { continue };
+                    if cell != middle && seen[other].centre_px.distance_squared(centre_px) >= near_px2 {
+                        continue;
+                    }
+                    if far(&seen[other]) <= far(&seen[n]) {
+                        seen[n].alive = false;
+                        break 'around;
+                    }
+                    seen[other].alive = false;
+                    cells[cell] = 0;
                 }
-                seen[other].alive = false;
-                cells[cell] = 0;
             }
             if seen[n].alive {
                 // More positions than that no image has: such a marker may then be given twice.

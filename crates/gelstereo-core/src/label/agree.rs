@@ -155,8 +155,9 @@ impl Agreement {
 
     fn find_folds(&mut self, points: &[DVec2], canvas: &Canvas) {
         for (m, place) in among(&self.suspects, canvas) {
-            let corner = |step| canvas.at(place.step(step));
-            let cell = [Some(m), corner((0, 1)), corner((1, 1)), corner((1, 0))];
+            let Some(cell) = canvas.cell(place) else { continue };
+            let corner = |rows, cols| canvas.at_offset(cell, rows, cols);
+            let cell = [Some(m), corner(0, 1), corner(1, 1), corner(1, 0)];
             if super::folds(cell.map(|n| n.map(|n| points[n]))) {
                 cell.into_iter().flatten().for_each(|n| self.doomed.push(n));
             }
@@ -166,12 +167,12 @@ impl Agreement {
     /// Two sheets that met with different labels.
     fn find_seams(&mut self, points: &[DVec2], grid: &Grid, canvas: &Canvas) {
         for (m, place) in among(&self.suspects, canvas) {
+            let Some(cell) = canvas.cell(place) else { continue };
             for step in STEPS {
-                let beyond = place.step(step);
-                if canvas.at(beyond).is_some() {
+                if canvas.at_offset(cell, step.0, step.1).is_some() {
                     continue;
                 }
-                let Some(predicted) = predict(canvas, points, beyond) else { continue };
+                let Some(predicted) = predict(canvas, points, place.step(step)) else { continue };
                 let radius_px = MOST_OFF * predicted.at.distance(points[m]);
                 let other = grid.nearest(points, predicted.at, radius_px, |n| canvas.places[n].is_some());
                 if let Some(n) = other {

@@ -75,6 +75,8 @@ pub struct LatticeFinder {
     left_over: Vec<u32>,
     around: Vec<u32>,
     best: Vec<Option<Place>>,
+    /// Whether it is the one on the canvas.
+    best_is_laid: bool,
     /// Markers dropped and largest distance left, in steps, of the best.
     best_evidence: (usize, f64),
     agreement: Agreement,
@@ -189,7 +191,8 @@ impl LatticeFinder {
             self.grow(points, &seed);
             self.agreement.prune(points, &self.grid, self.near_px, &mut self.canvas);
             let count = placed(&self.canvas).count();
-            if count > most {
+            self.best_is_laid = count > most;
+            if self.best_is_laid {
                 most = count;
                 self.best.copy_from_slice(&self.canvas.places);
                 self.best_evidence = (self.agreement.dropped, self.agreement.worst);
@@ -203,7 +206,9 @@ impl LatticeFinder {
 
     /// Puts the best places back, turned so that rows run most nearly from left to right; gives the mean steps and the pitch.
     fn turn_upright(&mut self, points: &[DVec2]) -> Option<(DVec2, DVec2, f64)> {
-        self.put_turned(0);
+        if !self.best_is_laid {
+            self.put_turned(0);
+        }
         let steps = mean_steps(points, &self.canvas, &mut self.distances)?;
         let turns = upright_turns(steps.0, steps.1);
         if turns == 0 {

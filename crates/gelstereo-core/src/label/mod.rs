@@ -228,6 +228,10 @@ fn check_regular(
 
 /// Whether a cell, given in the order of its outline, turns the wrong way at one of its corners.
 fn folds(corners: [Option<DVec2>; 4]) -> bool {
+    if let [Some(a), Some(b), Some(c), Some(d)] = corners {
+        let sides = [b - a, c - b, d - c, a - d];
+        return (0..4).any(|k| sides[k].perp_dot(sides[(k + 1) % 4]) <= 0.0);
+    }
     (0..4).any(|k| match (corners[(k + 3) % 4], corners[k], corners[(k + 1) % 4]) {
         (Some(before), Some(here), Some(after)) => (after - here).perp_dot(before - here) <= 0.0,
         _ => false,

@@ -290,6 +290,9 @@ impl RestLattice {
     /// The same lattice with its columns read as rows so many times: what was down is then right, what was right is up.
     #[must_use]
     pub fn turned(&self, quarter_turns: u8) -> Self {
+        if quarter_turns.is_multiple_of(4) {
+            return self.clone();
+        }
         let (rows, cols) =
             if quarter_turns.is_multiple_of(2) { (self.rows, self.cols) } else { (self.cols, self.rows) };
         let (last_row, last_col) = (self.rows.saturating_sub(1), self.cols.saturating_sub(1));

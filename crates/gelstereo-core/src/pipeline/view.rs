@@ -147,7 +147,10 @@ impl ViewStages {
         let tolerance_pitches = params.label.tolerance_pitches;
         let rest = label::rest_lattice_of(&self.markers, &params.lattice, tolerance_pitches)
             .map_err(|error| PipelineError::Label { view: self.view, error })?;
-        let rest = other.map_or_else(|| rest.clone(), |other| rest.turned_like(other));
+        let rest = match other {
+            Some(other) => rest.turned_like(other),
+            None => rest,
+        };
         self.begin(params, &rest);
         Ok(rest)
     }

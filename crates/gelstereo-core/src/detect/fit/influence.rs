@@ -59,15 +59,18 @@ impl Influence {
         let within = REACH as usize - self.farthest..REACH as usize + self.farthest + 1;
         let rows = within.start * SIDE..within.end * SIDE;
         let (answers, blurred) = (&self.answers[rows.clone()], &mut self.blurred[rows]);
-        let white: f64 = answers.iter().map(|g| g.length_squared()).sum();
-        let mut grain = 0.0;
+        let (mut white, mut grain) = (0.0, 0.0);
         for (from, to) in answers.chunks_exact(SIDE).zip(blurred.chunks_exact_mut(SIDE)) {
-            blur(&from[within.clone()], &mut to[within.clone()], &alike);
+            let from = &from[within.clone()];
+            white += from.iter().map(|g| g.length_squared()).sum::<f64>();
+            blur(from, &mut to[within.clone()], &alike);
         }
         for (row, answers) in answers.chunks_exact(SIDE).enumerate() {
-            for (other, blurred) in blurred.chunks_exact(SIDE).enumerate() {
+            for (apart, blurred) in blurred.chunks_exact(SIDE).skip(row).enumerate() {
                 let pairs = answers[within.clone()].iter().zip(&blurred[within.clone()]);
-                grain += alike[row.abs_diff(other)] * pairs.map(|(a, b)| a.dot(*b)).sum::<f64>();
+                // Rows are alike both ways.
+                let times = if apart == 0 { 1.0 } else { 2.0 };
+                grain += times * alike[apart] * pairs.map(|(a, b)| a.dot(*b)).sum::<f64>();
             }
         }
         Some(Variances { white, grain })
@@ -77,9 +80,10 @@ impl Influence {
 /// Convolves a row with a symmetric kernel.
 fn blur(from: &[DVec2], to: &mut [DVec2], kernel: &[f64; SIDE]) {
     to.fill(DVec2::ZERO);
+    let mirrored: [f64; 2 * SIDE - 1] = core::array::from_fn(|k| kernel[k.abs_diff(SIDE - 1)]);
     for (x, &value) in from.iter().enumerate().filter(|(_, value)| **value != DVec2::ZERO) {
-        for (k, sum) in to.iter_mut().enumerate() {
-            *sum += value * kernel[x.abs_diff(k)];
+        for (sum, share) in to.iter_mut().zip(&mirrored[SIDE - 1 - x..]) {
+            *sum += value * share;
         }
     }
 }
