@@ -126,13 +126,13 @@ impl Difference {
             Rung::Blocks => {
                 if y.is_multiple_of(BLOCK_PX) {
                     let limits = &self.block_limits[y / BLOCK_PX * levels.len()..][..levels.len()];
-                    spread(limits.iter().copied(), width, below);
+                    spread(limits, width, below);
                 }
                 darker(&self.smoothed[y * width..][..width], below, mask);
             }
             Rung::Rows { smooth, surround, smooth_row, surround_row } => {
                 if y.is_multiple_of(BLOCK_PX) {
-                    spread(levels.iter().copied(), width, least);
+                    spread(levels, width, least);
                 }
                 smooth_row.resize(width, 0);
                 surround_row.resize(width, 0);
@@ -152,10 +152,13 @@ impl Difference {
 }
 
 /// One value a block becomes one a pixel.
-fn spread<T: Copy>(blocks: impl Iterator<Item = T>, width: usize, out: &mut Vec<T>) {
-    out.clear();
-    out.extend(blocks.flat_map(|value| [value; BLOCK_PX]));
-    out.truncate(width);
+fn spread<T: Copy + Default>(blocks: &[T], width: usize, out: &mut Vec<T>) {
+    out.resize(width, T::default());
+    let (whole, last) = out.as_chunks_mut::<BLOCK_PX>();
+    whole.iter_mut().zip(blocks).for_each(|(out, &value)| *out = [value; BLOCK_PX]);
+    if let Some(&value) = blocks.last() {
+        last.fill(value);
+    }
 }
 
 fn darker(levels: &[u8], below: &[u8], mask: &mut [u8]) {

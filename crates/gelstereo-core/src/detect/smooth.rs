@@ -69,7 +69,6 @@ impl Smoother {
 fn binomial_row(image: GrayView<'_>, y: usize, flip: u8, columns: &mut Vec<u8>, out: &mut [u8]) {
     let (width, height) = (image.width(), image.height());
     let row = |dy: isize| image.row(reflect101(y as isize + dy, height));
-    columns.clear();
     columns.resize(width + 2, 0);
     average(row(-1), row(0), row(1), flip, &mut columns[1..=width]);
     columns[0] = columns[1 + reflect101(-1, width)];

@@ -96,9 +96,8 @@ impl Grid {
         if high.min_element() < 0.0 || low.x >= self.columns as f64 || low.y >= self.rows as f64 {
             return;
         }
-        // Casts of negative numbers give 0.
-        let (x0, x1) = (low.x as usize, (high.x as usize).min(self.columns - 1));
-        let (y0, y1) = (low.y as usize, (high.y as usize).min(self.rows - 1));
+        let (x0, x1) = (bucket_of(low.x), bucket_of(high.x).min(self.columns - 1));
+        let (y0, y1) = (bucket_of(low.y), bucket_of(high.y).min(self.rows - 1));
         for y in y0..=y1 {
             let (from, to) = (self.starts[y * self.columns + x0], self.starts[y * self.columns + x1 + 1]);
             for &index in &self.items[from as usize..to as usize] {
@@ -109,6 +108,11 @@ impl Grid {
 
     fn bucket(&self, point: DVec2) -> usize {
         let at = (point - self.origin) * self.per_px;
-        (at.y as usize).min(self.rows - 1) * self.columns + (at.x as usize).min(self.columns - 1)
+        bucket_of(at.y).min(self.rows - 1) * self.columns + bucket_of(at.x).min(self.columns - 1)
     }
+}
+
+/// Row or column of buckets; 0 before the first. There is an instruction for 32 bits.
+const fn bucket_of(at: f64) -> usize {
+    at as u32 as usize
 }
