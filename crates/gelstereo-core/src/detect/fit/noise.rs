@@ -337,3 +337,36 @@ fn squares(a: &[u8; LANES], b: &[u8; LANES]) -> u32 {
     let apart: [u8; LANES] = core::array::from_fn(|x| a[x].saturating_sub(b[x]) | b[x].saturating_sub(a[x]));
     apart.iter().map(|&d| u32::from(d) * u32::from(d)).sum()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{LANES, squared_difference, stretches};
+    use alloc::vec::Vec;
+    use core::ops::Range;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Against a look at one pixel after the other.
+        #[test]
+        fn stretches_lie_between_set_pixels(runs in prop::collection::vec((any::<bool>(), 1..30_usize), 0..9)) {
+            let level = |set: bool| if set { u8::MAX } else { 0 };
+            let row: Vec<u8> = runs.iter().flat_map(|&(set, length)| (0..length).map(move |_| level(set))).collect();
+            let mut expected: Vec<Range<usize>> = Vec::new();
+            for x in (0..row.len()).filter(|&x| row[x] == 0) {
+                match expected.last_mut() {
+                    Some(stretch) if stretch.end == x => stretch.end = x + 1,
+                    _ => expected.push(x..x + 1),
+                }
+            }
+            prop_assert_eq!(stretches(&row).collect::<Vec<_>>(), expected);
+        }
+
+        /// Against one square after the other, for lengths about those that are added at once.
+        #[test]
+        fn squares_of_differences_add_up(pairs in prop::collection::vec(any::<(u8, u8)>(), 0..3 * LANES)) {
+            let (a, b): (Vec<u8>, Vec<u8>) = pairs.iter().copied().unzip();
+            let expected: i64 = pairs.iter().map(|&(a, b)| (i64::from(a) - i64::from(b)).pow(2)).sum();
+            prop_assert_eq!(i64::from(squared_difference(&a, &b)), expected);
+        }
+    }
+}
