@@ -50,7 +50,7 @@ impl Effect for Relaxation {
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
         // The surface of the frame before, cell by cell.
-        super::cells_of_layer(facts) * (300.0 + 6.0 * self.terms.len() as f64)
+        super::cells_of_layer(facts) * (840.0 + 6.0 * self.terms.len() as f64)
     }
 
     fn sideways_mm(&self, facts: &Facts<'_>) -> f64 {
