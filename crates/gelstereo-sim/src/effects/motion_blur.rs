@@ -60,6 +60,6 @@ impl Effect for MotionBlur {
         // Fields at both ends, and every dot as often as its way asks for.
         let sigma_px = effects.defocus.as_ref().map(|defocus| defocus.sigma_px);
         let times = Shutter::times(facts.followed_px(self.exposure_s), sigma_px);
-        2.0 * field + 3500.0 * facts.markers() * (times as f64 - 1.0)
+        2.0 * field + 2600.0 * facts.markers() * (times as f64 - 1.0)
     }
 }
