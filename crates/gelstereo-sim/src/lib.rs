@@ -14,6 +14,7 @@ extern crate alloc;
 pub mod effects;
 mod lattice;
 pub mod layer;
+mod membrane;
 pub mod plan;
 mod render;
 pub mod scene;

@@ -86,6 +86,20 @@ fn memory_does_not_depend_on_the_order_of_frames() {
     }
 }
 
+/// A contact that somebody asks for beside the trajectory is not what the gel remembers.
+#[test]
+fn what_was_never_on_the_trajectory_is_not_remembered() {
+    let scene = held(gel(&Relaxation::default().terms));
+    let ordered = moments(&scene);
+    let (mut simulator, mut truth) = (simulator(&scene), Truth::default());
+    let pressed = simulator.contact(10);
+    for contact in [None, Some(ContactState { shear_mm: [-0.3, 0.2], ..pressed.unwrap() })] {
+        simulator.moment(contact.as_ref(), 10, &mut truth);
+        simulator.moment(pressed.as_ref(), 11, &mut truth);
+        assert_eq!(truth, ordered[11]);
+    }
+}
+
 #[test]
 fn refinements_need_the_layer_and_sensible_numbers() {
     let alone = Effects { relaxation: Some(Relaxation::default()), ..Effects::default() };

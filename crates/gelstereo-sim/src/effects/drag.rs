@@ -46,7 +46,8 @@ impl Effect for Drag {
     }
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
-        2.0 * facts.relaxation_ns(self.decay_thicknesses)
+        // Both components at once.
+        1.2 * facts.relaxation_ns(self.decay_thicknesses)
     }
 
     /// Each component is between those of the markers that stick.
@@ -61,21 +62,17 @@ impl Drag {
         &self,
         lattice: &Lattice,
         grip: &Grip,
-        rest: &[DVec2],
-        stuck: &[bool],
-        fields: [&mut Vec<f64>; 2],
+        (rest, stuck): (&[DVec2], &[bool]),
+        [held, field]: [&mut Vec<DVec2>; 2],
         motion: &mut [DVec2],
     ) {
-        let length = self.decay_thicknesses * lattice.thickness_mm;
-        for (axis, field) in fields.into_iter().enumerate() {
-            let with_part = |i: usize| if stuck[i] { grip.motion_mm(rest[i])[axis] } else { 0.0 };
-            field.clear();
-            field.extend((0..rest.len()).map(with_part));
-            lattice.relax(length, field, |_| 0.0, |i, u| if stuck[i] { with_part(i) } else { u });
-            for (u, &along) in motion.iter_mut().zip(field.iter()) {
-                u[axis] += along;
-            }
-        }
+        let with_part = |(&rest, &stuck)| if stuck { grip.motion_mm(rest) } else { DVec2::ZERO };
+        held.clear();
+        held.extend(rest.iter().zip(stuck).map(with_part));
+        field.clone_from(held);
+        let length_mm = self.decay_thicknesses * lattice.thickness_mm;
+        lattice.relax(length_mm, field, |_| DVec2::ZERO, |i, u| if stuck[i] { held[i] } else { u });
+        motion.iter_mut().zip(field).for_each(|(u, along)| *u += *along);
     }
 }
 

@@ -56,6 +56,7 @@ pub(crate) use optics::{Optics, ellipse_bias_px};
 pub(crate) use shot::Shots;
 pub(crate) use smear::SmearsOfView;
 pub(crate) use specks::Speck;
+pub(crate) use spread::Spreading;
 pub(crate) use wear::Worn;
 
 use crate::plan::{Bound, Effect, Facts, Switch};

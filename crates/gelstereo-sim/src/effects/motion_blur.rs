@@ -42,8 +42,9 @@ impl Effect for MotionBlur {
 
     fn bound(&self, facts: &Facts<'_>) -> Bound {
         let px = facts.passed_px(self.exposure_s);
-        // What is within d of an outline is 4 d + π d² of a pixel at most; the mean of it, d from 0 to half the way.
-        let share = px + core::f64::consts::PI / 12.0 * px * px;
+        // Along its way a dot enters a pixel by no more than it goes, and leaves it by no more: of the pixel, which is √2 wide
+        // at most, that is √2 d. The mean of it over d from 0 to half the way; of two dots, which is all that share a pixel.
+        let share = px * core::f64::consts::FRAC_1_SQRT_2;
         Bound::of_levels(facts.contrast_levels() * share.min(1.0))
     }
 
@@ -59,6 +60,6 @@ impl Effect for MotionBlur {
         // Fields at both ends, and every dot as often as its way asks for.
         let sigma_px = effects.defocus.as_ref().map(|defocus| defocus.sigma_px);
         let times = Shutter::times(facts.followed_px(self.exposure_s), sigma_px);
-        2.0 * field + 3500.0 * facts.markers() * (times as f64 - 1.0)
+        2.0 * field + 2600.0 * facts.markers() * (times as f64 - 1.0)
     }
 }

@@ -46,7 +46,7 @@ impl Effect for Specks {
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
         let _ = facts;
-        5.4e3 * self.count as f64
+        3.0e3 * self.count as f64
     }
 }
 

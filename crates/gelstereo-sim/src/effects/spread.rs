@@ -2,6 +2,7 @@
 
 use super::check_decay;
 use crate::lattice::Lattice;
+use crate::membrane::Membranes;
 use crate::plan::{Bound, Effect, Facts};
 use crate::scene::{Gel, SceneError};
 use alloc::vec::Vec;
@@ -51,7 +52,9 @@ impl Effect for Spread {
     }
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
-        facts.relaxation_ns(SMOOTHING) + facts.relaxation_ns(self.decay_thicknesses)
+        // Four products of matrices, two numbers at once.
+        let gel = &facts.scene.gel;
+        facts.markers() * (60.0 + 1.7 * (gel.rows + gel.cols) as f64)
     }
 
     /// The gradient of p under heights between 0 and the part's depth. Summed across its direction, the two membranes'
@@ -77,26 +80,37 @@ impl Effect for Spread {
     }
 }
 
-impl Spread {
+/// The effect on a lattice.
+#[derive(Clone, Debug)]
+pub(crate) struct Spreading {
+    membranes: Membranes,
+    /// Sideways motion per gradient of the smoothed heights, mm².
+    scale: f64,
+}
+
+impl Spreading {
+    pub(crate) fn new(spread: &Spread, lattice: &Lattice) -> Self {
+        let thickness_mm = lattice.thickness_mm;
+        let length_mm = spread.decay_thicknesses * thickness_mm;
+        let lengths = [SMOOTHING * thickness_mm, length_mm].map(|mm| mm / lattice.pitch_mm);
+        // p / l² - Δp = smooth is solved for p / l².
+        let scale = -spread.strength * 1.5 / thickness_mm * length_mm * length_mm;
+        Self { membranes: Membranes::new([lattice.rows, lattice.cols], &lengths), scale }
+    }
+
     /// Adds the sideways motion under these heights; the two fields are scratch.
     pub(crate) fn push(
         &self,
         lattice: &Lattice,
         heights: &[f64],
-        [smooth, potential]: [&mut Vec<f64>; 2],
+        [potential, scratch]: [&mut Vec<f64>; 2],
         motion: &mut [DVec2],
     ) {
-        smooth.clear();
-        smooth.extend_from_slice(heights);
-        lattice.relax(SMOOTHING * lattice.thickness_mm, smooth, |i| heights[i], |_, h| h);
-        let length = self.decay_thicknesses * lattice.thickness_mm;
         potential.clear();
-        potential.extend_from_slice(smooth);
-        lattice.relax(length, potential, |i| smooth[i], |_, p| p);
-        // p / l² - Δp = smooth is solved for p / l².
-        let scale = -self.strength * 1.5 / lattice.thickness_mm * length * length;
+        potential.extend_from_slice(heights);
+        self.membranes.settle(potential, scratch);
         for (i, u) in motion.iter_mut().enumerate() {
-            *u += lattice.gradient(potential, i) * scale;
+            *u += lattice.gradient(potential, i) * self.scale;
         }
     }
 }
@@ -120,7 +134,12 @@ mod tests {
             let k = half_waves * PI / 40.0;
             let heights: Vec<f64> = (0..320).map(|i| cos(k * 0.25 * ((i % 160) as f64 + 0.5))).collect();
             let mut motion = [DVec2::ZERO; 320];
-            spread.push(&lattice, &heights, [&mut Vec::new(), &mut Vec::new()], &mut motion);
+            Spreading::new(&spread, &lattice).push(
+                &lattice,
+                &heights,
+                [&mut Vec::new(), &mut Vec::new()],
+                &mut motion,
+            );
             let steepest = (0.5 * 40.0 / half_waves / 0.25) as usize;
             let x = k * 5.0;
             let layer = 2.0 * x * x / (0.5 * (pow(E, 2.0 * x) - pow(E, -2.0 * x)) - 2.0 * x);

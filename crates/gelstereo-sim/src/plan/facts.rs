@@ -79,7 +79,7 @@ impl<'a> Facts<'a> {
 
     /// Time to relax a field over the lattice: about 13 sweeps for every pitch of decay length.
     pub(crate) fn relaxation_ns(&self, decay_thicknesses: f64) -> f64 {
-        const PER_MARKER_NS: f64 = 23.0;
+        const PER_MARKER_NS: f64 = 15.0;
         if !(self.touch.depth_mm > 0.0) {
             return PER_MARKER_NS * self.markers();
         }

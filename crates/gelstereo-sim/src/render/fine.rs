@@ -1,8 +1,9 @@
 //! Ink through a lens that blurs, on a canvas of fine pixels: slow, and right for whatever is drawn.
 
+use super::cover::cover;
 use super::lens::Lens;
 use super::overlap::Overlaps;
-use super::shape::{Shape, cover};
+use super::shape::Shape;
 use crate::effects::UnevenLight;
 use alloc::vec::Vec;
 use gelstereo_core::math::{DVec2, ceil, exp};

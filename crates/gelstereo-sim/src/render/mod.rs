@@ -5,6 +5,7 @@
 //! closed form within every dot's window; [`Fine`], what it is tested against, draws on a canvas of fine pixels and
 //! filters that. Without a lens that blurs both are the share of every pixel that ink covers.
 
+mod cover;
 mod dot;
 mod fine;
 mod finish;
@@ -24,12 +25,13 @@ use crate::effects::{Bridge, Codec, Defocus, Gain, Noise, Shots, SmearsOfView, T
 use crate::scene::{Images, Scene};
 use crate::simulator::{DotImage, Sight, Truth};
 use alloc::vec::Vec;
+use cover::cover;
 use fine::Fine;
 use finish::{Base, Finish};
 use gelstereo_core::camera::Camera;
 use gelstereo_core::math::{DVec2, ceil};
 use overlap::Overlaps;
-use shape::{Shape, cover};
+use shape::Shape;
 use shutter::longest_px;
 use soft::Soft;
 

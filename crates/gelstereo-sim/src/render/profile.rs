@@ -4,7 +4,11 @@ use alloc::vec::Vec;
 
 /// Steps of the table per pixel. Between them the function is linear: off by at most an eighth of its second derivative
 /// and a squared step, 5e-6 for a lens of 0.8 px.
-const STEPS: usize = 128;
+const STEPS: usize = 1 << LOG_STEPS;
+const LOG_STEPS: u32 = 7;
+
+/// Added to a number of the size of an image it leaves whole steps, rounded, in the lowest bits: 1.5 · 2^52 / 2^7.
+const WHOLE_STEPS: f64 = 52_776_558_133_248.0;
 
 /// Values that are worked out at once: vectors, with luck.
 pub(crate) const BLOCK: usize = 4;
@@ -15,7 +19,9 @@ pub(crate) type Block = [f32; BLOCK];
 #[derive(Clone, Debug)]
 pub(crate) struct Profile {
     reach: usize,
-    /// `STEPS + 1` rows of twice the reach.
+    /// Values in a row: twice the reach, in whole blocks.
+    taps: usize,
+    /// `STEPS + 1` rows.
     values: Vec<f32>,
 }
 
@@ -29,24 +35,29 @@ pub(crate) struct About<'a> {
 
 impl Profile {
     pub(crate) fn new(reach: usize, at: impl Fn(f64) -> f64) -> Self {
+        let taps = (2 * reach).next_multiple_of(BLOCK);
         let distances = (0..=STEPS).flat_map(|step| {
             let share = step as f64 / STEPS as f64;
-            (0..2 * reach).map(move |k| (k + 1) as f64 - reach as f64 - share)
+            (0..taps).map(move |k| (k < 2 * reach).then(|| (k + 1) as f64 - reach as f64 - share))
         });
-        Self { reach, values: distances.map(|x| at(x) as f32).collect() }
+        Self { reach, taps, values: distances.map(|x| x.map_or(0.0, |x| at(x) as f32)).collect() }
+    }
+
+    /// Values in a row, those that fill its last block included.
+    pub(crate) fn taps(&self) -> usize {
+        self.taps
     }
 
     /// At whole places from `x` on, whole ones included: the first is `x` rounded up and less the reach, which is returned
-    /// as well, and there are twice the reach of them.
+    /// as well, and there are twice the reach of them. `x` is a place in an image, or about one.
     #[inline]
     pub(crate) fn about(&self, x: f64) -> (About<'_>, i32) {
-        // Rounded downwards; numbers that are no i32 have no place in an image.
-        let truncated = x as i32;
-        let whole = truncated - i32::from(f64::from(truncated) > x);
-        let steps = (x - f64::from(whole)) * STEPS as f64;
-        let step = (steps as i32).clamp(0, STEPS as i32 - 1);
-        let (taps, share) = (2 * self.reach, (steps - f64::from(step)) as f32);
-        let (before, after) = self.values[step as usize * taps..][..2 * taps].split_at(taps);
+        // Half a step less is rounded downwards.
+        let shifted = x - 0.5 / STEPS as f64 + WHOLE_STEPS;
+        let below = shifted.to_bits() as i32;
+        let share = ((x - (shifted - WHOLE_STEPS)) * STEPS as f64) as f32;
+        let (whole, step) = (below >> LOG_STEPS, below as usize & (STEPS - 1));
+        let (before, after) = self.values[step * self.taps..][..2 * self.taps].split_at(self.taps);
         (About { rows: [before, after], share }, whole + 1 - self.reach as i32)
     }
 }
@@ -67,12 +78,16 @@ impl<'a> About<'a> {
         Some(values)
     }
 
-    /// All values, times `scale`.
+    /// All values, times `scale`; `out` has room for them in whole blocks.
     #[inline]
-    pub(crate) fn weigh(self, scale: f32, out: &mut [f32]) {
-        let [before, after] = self.rows;
-        for (out, (a, b)) in out.iter_mut().zip(before.iter().zip(after)) {
-            *out = scale * (a + self.share * (b - a));
+    pub(crate) fn weigh(self, scale: f32, out: &mut [Block]) {
+        let [before, after] = self.rows.map(|row| row.as_chunks::<BLOCK>().0);
+        for (out, (before, after)) in out.iter_mut().zip(before.iter().zip(after)) {
+            let mut weights = *before; // by value: nothing that is written is read again
+            for (weight, next) in weights.iter_mut().zip(after) {
+                *weight = scale * (*weight + self.share * (next - *weight));
+            }
+            *out = weights;
         }
     }
 }

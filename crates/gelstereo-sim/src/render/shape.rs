@@ -1,10 +1,7 @@
 //! What ink covers: ellipses and bars, cut by horizontal lines.
 
 use super::Ellipse;
-use gelstereo_core::math::{DVec2, ceil, floor, sqrt};
-
-/// Horizontal lines per pixel row over which coverage is integrated; along a line it is exact.
-const LINES_PER_ROW: u32 = 8;
+use gelstereo_core::math::{DVec2, sqrt};
 
 /// A convex region of the image with sharp edges, pixels.
 #[derive(Clone, Copy, Debug)]
@@ -18,10 +15,10 @@ pub(crate) struct Shape {
 
 #[derive(Clone, Copy, Debug)]
 enum Outline {
-    /// A line at dy from the centre is cut from dy·slope -+ widest·sqrt(1 - dy²/yy).
+    /// A line at dy from the centre is cut from dy·slope -+ widest·sqrt(1 - dy² per_yy).
     Ellipse {
         centre: DVec2,
-        yy: f64,
+        per_yy: f64,
         slope: f64,
         widest: f64,
     },
@@ -35,7 +32,12 @@ impl Shape {
         let (xy, yy) = (a.x * a.y + b.x * b.y, a.y * a.y + b.y * b.y);
         let reach = ellipse.reach_px();
         let (low, high) = (centre - reach, centre + reach);
-        let outline = Outline::Ellipse { centre, yy, slope: xy / yy, widest: a.perp_dot(b).abs() / reach.y };
+        let outline = Outline::Ellipse {
+            centre,
+            per_yy: 1.0 / yy,
+            slope: xy / yy,
+            widest: a.perp_dot(b).abs() / reach.y,
+        };
         (yy > 0.0 && low.is_finite() && high.is_finite()).then_some(Self {
             low,
             high,
@@ -75,8 +77,8 @@ impl Shape {
     /// Moved by so much.
     pub(crate) fn moved(&self, by: DVec2) -> Self {
         let outline = match self.outline {
-            Outline::Ellipse { centre, yy, slope, widest } => {
-                Outline::Ellipse { centre: centre + by, yy, slope, widest }
+            Outline::Ellipse { centre, per_yy, slope, widest } => {
+                Outline::Ellipse { centre: centre + by, per_yy, slope, widest }
             }
             Outline::Bar(corners) => Outline::Bar(corners.map(|corner| corner + by)),
         };
@@ -88,87 +90,67 @@ impl Shape {
         let by = times as f64;
         let move_ = |p: DVec2| (p + DVec2::from_array(origin)) * by + 0.5 * (by - 1.0);
         let outline = match self.outline {
-            Outline::Ellipse { centre, yy, slope, widest } => {
-                Outline::Ellipse { centre: move_(centre), yy: yy * by * by, slope, widest: widest * by }
+            Outline::Ellipse { centre, per_yy, slope, widest } => {
+                let per_yy = per_yy / (by * by);
+                Outline::Ellipse { centre: move_(centre), per_yy, slope, widest: widest * by }
             }
             Outline::Bar(corners) => Outline::Bar(corners.map(move_)),
         };
         Self { low: move_(self.low), high: move_(self.high), radius: self.radius * by, outline }
     }
 
-    /// Where a horizontal line at `y` enters and leaves it; the second is not above the first where it does not.
+    /// Where a horizontal line at `y`, between its ends, enters and leaves it.
     pub(crate) fn cut(&self, y: f64) -> (f64, f64) {
+        let [[from], [to]] = self.cuts([y]);
+        (from, to)
+    }
+
+    /// The same of several lines: where they enter, and where they leave.
+    #[inline]
+    pub(crate) fn cuts<const COUNT: usize>(&self, heights: [f64; COUNT]) -> [[f64; COUNT]; 2] {
+        let mut ends = [[0.0; COUNT]; 2];
+        let [from, to] = &mut ends;
         match &self.outline {
-            Outline::Ellipse { centre, yy, slope, widest } => {
-                let dy = y - centre.y;
-                let half = widest * sqrt((1.0 - dy * dy / yy).max(0.0));
-                let middle = centre.x + dy * slope;
-                (middle - half, middle + half)
+            // In loops of their own: but for the root they become vectors.
+            &Outline::Ellipse { centre, per_yy, slope, widest } => {
+                for (half, y) in to.iter_mut().zip(heights) {
+                    let dy = y - centre.y;
+                    *half = (1.0 - dy * dy * per_yy).abs(); // 0 at its ends, as far as rounding goes
+                }
+                to.iter_mut().for_each(|half| *half = sqrt(*half));
+                for ((from, to), y) in from.iter_mut().zip(to).zip(heights) {
+                    let (middle, half) = (centre.x + (y - centre.y) * slope, widest * *to);
+                    (*from, *to) = (middle - half, middle + half);
+                }
             }
             Outline::Bar(corners) => {
-                let edges = [(0, 1), (1, 2), (2, 3), (3, 0)].map(|(i, j)| (corners[i], corners[j]));
-                let crossing = |&(p, q): &(DVec2, DVec2)| {
-                    ((p.y <= y) != (q.y <= y)).then(|| p.x + (q.x - p.x) * ((y - p.y) / (q.y - p.y)))
-                };
-                let span = |(from, to): (f64, f64), x: f64| (from.min(x), to.max(x));
-                edges.iter().filter_map(crossing).fold((f64::INFINITY, f64::NEG_INFINITY), span)
+                for ((from, to), y) in from.iter_mut().zip(to).zip(heights) {
+                    (*from, *to) = cut_bar(corners, y);
+                }
             }
         }
+        ends
     }
 }
 
-/// Adds the share of every pixel that lies within any of the regions, times `share`.
-pub(crate) fn cover(shapes: &[Shape], share: f64, canvas: &mut [f32], width: usize) {
-    let height = canvas.len() / width;
-    let low = shapes.iter().fold(f64::INFINITY, |low, shape| low.min(shape.low.y));
-    let high = shapes.iter().fold(f64::NEG_INFINITY, |high, shape| high.max(shape.high.y));
-    if !shapes.iter().any(|shape| shape.seen(0.0, [width, height])) {
-        return;
-    }
-    let first = floor(low + 0.5).max(0.0) as usize;
-    let last = (ceil(high - 0.5).max(0.0) as usize).min(height - 1);
-    for y in first..=last {
-        let (top, bottom) = (low.max(y as f64 - 0.5), high.min(y as f64 + 0.5));
-        let step = (bottom - top).max(0.0) / f64::from(LINES_PER_ROW);
-        let row = &mut canvas[y * width..][..width];
-        for line in 0..LINES_PER_ROW {
-            let at = top + (f64::from(line) + 0.5) * step;
-            each_interval(shapes, at, |(from, to)| cover_line(row, from, to, share * step));
-        }
-    }
+fn cut_bar(corners: &[DVec2; 4], y: f64) -> (f64, f64) {
+    let edges = [(0, 1), (1, 2), (2, 3), (3, 0)].map(|(i, j)| (corners[i], corners[j]));
+    let crossing = |&(p, q): &(DVec2, DVec2)| {
+        ((p.y <= y) != (q.y <= y)).then(|| p.x + (q.x - p.x) * ((y - p.y) / (q.y - p.y)))
+    };
+    let span = |(from, to): (f64, f64), x: f64| (from.min(x), to.max(x));
+    edges.iter().filter_map(crossing).map(|x| (x, x)).reduce(|ends, (x, _)| span(ends, x)).unwrap_or_default()
 }
 
 /// Whatever of a line lies in any of the regions, from left to right.
 pub(crate) fn each_interval(shapes: &[Shape], y: f64, mut draw: impl FnMut((f64, f64))) {
-    if let [shape] = shapes {
-        return draw(shape.cut(y));
-    }
     let mut reached = f64::NEG_INFINITY;
     loop {
         // The interval that begins left of all others among those that end beyond what is drawn.
-        let beyond = shapes.iter().map(|shape| shape.cut(y)).filter(|&(from, to)| to > from.max(reached));
+        let crossed = shapes.iter().filter(|shape| shape.low.y < y && y < shape.high.y);
+        let beyond = crossed.map(|shape| shape.cut(y)).filter(|&(from, to)| to > from.max(reached));
         let Some((from, to)) = beyond.reduce(|a, b| if b.0 < a.0 { b } else { a }) else { return };
         draw((from.max(reached), to));
         reached = to;
-    }
-}
-
-/// Adds a line from `from` to `to` of the given thickness to a row.
-fn cover_line(row: &mut [f32], from: f64, to: f64, thickness: f64) {
-    // Measured from the left border of the first pixel.
-    let (from, to) = ((from + 0.5).max(0.0), (to + 0.5).min(row.len() as f64));
-    if to <= from {
-        return;
-    }
-    let (first, last) = (from as usize, (to as usize).min(row.len() - 1));
-    if first == last {
-        row[first] += ((to - from) * thickness) as f32;
-        return;
-    }
-    row[first] += ((first as f64 + 1.0 - from) * thickness) as f32;
-    row[last] += ((to - last as f64) * thickness) as f32;
-    let whole = thickness as f32;
-    for pixel in &mut row[first + 1..last] {
-        *pixel += whole;
     }
 }

@@ -37,8 +37,10 @@ pub(crate) struct Soft {
     points: Profile,
     /// (sine, cosine) of half a step, by the number of lines.
     half_steps: Vec<(f64, f64)>,
+    /// How far a pixel sees, in whole pixels.
+    reach: usize,
     /// A line's weight for the rows about it.
-    weights: Vec<f32>,
+    weights: Vec<Block>,
     /// What the window's pixels see, row by row.
     tile: Vec<Block>,
     /// Heights between which a region is smooth.
@@ -62,13 +64,15 @@ impl Soft {
             (sin(angle), cos(angle))
         };
         let reach = lens.reach();
+        let points = Profile::new(reach, |x| lens.point(x));
         Self {
             lens,
             // Any column of a window from any place that one of its columns sees.
             edges: Profile::new(reach + MOST_COLUMNS, |x| lens.edge(x)),
-            points: Profile::new(reach, |x| lens.point(x)),
+            reach,
             half_steps: (0..=MOST_LINES).map(half_step).collect(),
-            weights: alloc::vec![0.0; 2 * reach],
+            weights: alloc::vec![Block::default(); points.taps() / BLOCK],
+            points,
             tile: Vec::with_capacity(rows * MOST_COLUMNS.div_ceil(BLOCK)),
             breaks: Vec::with_capacity(2 * regions),
         }
@@ -185,10 +189,15 @@ impl Soft {
     #[inline]
     fn between<const BLOCKS: usize>(&self, window: Window, (from, to): (f64, f64)) -> [Block; BLOCKS] {
         // Beyond so far no column sees a difference.
-        let (reach, left) = (self.lens.reach() as f64, window.left as f64);
+        let (reach, left) = (self.reach as f64, window.left as f64);
         let end = window.columns as f64 - 1.0 + reach;
-        let (from, first) = self.edges.about((from - left).max(-reach).min(end));
-        let (to, last) = self.edges.about((to - left).max(-reach).min(end));
+        // (`f64::clamp` keeps a NaN, which nobody hands over, and takes longer.)
+        let within = |x: f64| {
+            let x = if x > -reach { x } else { -reach };
+            if x < end { x } else { end }
+        };
+        let (from, first) = self.edges.about(within(from - left));
+        let (to, last) = self.edges.about(within(to - left));
         // The columns begin at 0.
         let (from, to) = (from.blocks::<BLOCKS>(-first as usize), to.blocks::<BLOCKS>(-last as usize));
         let (Some(mut line), Some(to)) = (from, to) else { return [Block::default(); BLOCKS] };
@@ -207,7 +216,7 @@ impl Soft {
         let (row, skipped) = (first.max(0) as usize, first.min(0).unsigned_abs() as usize);
         weights.weigh(weight, &mut self.weights);
         let rows = self.tile.as_chunks_mut::<BLOCKS>().0.get_mut(row..).unwrap_or_default();
-        for (row, &weight) in rows.iter_mut().zip(self.weights.iter().skip(skipped)) {
+        for (row, &weight) in rows.iter_mut().zip(self.weights.as_flattened().iter().skip(skipped)) {
             let mut sums = *row; // by value: kept in registers
             for (sums, shares) in sums.iter_mut().zip(&line) {
                 for (sum, share) in sums.iter_mut().zip(shares) {

@@ -9,7 +9,7 @@ mod truth;
 use layered::Layered;
 pub use truth::{DotImage, OUT_OF_SIGHT_PX, Sight, Truth};
 
-use crate::effects::{Bridge, Drag, Print, Shoulder, Speck, Spread, Worn};
+use crate::effects::{Bridge, Drag, Print, Shoulder, Speck, Spreading, Worn};
 use crate::lattice::Lattice;
 use crate::plan::{Plan, Switch};
 use crate::render::{Dot, Exposure, Renderer};
@@ -80,7 +80,7 @@ pub struct Simulator {
     specks: Vec<Speck>,
     part: Option<Part>,
     shoulder: Option<Shoulder>,
-    spread: Option<Spread>,
+    spread: Option<Spreading>,
     drag: Option<Drag>,
     layered: Option<Box<Layered>>,
     /// Whether a disc's image has its centroid beside its centre's image.
@@ -110,6 +110,7 @@ struct Scratch {
     heights: Vec<f64>,
     stuck: Vec<bool>,
     fields: [Vec<f64>; 2],
+    pulled: [Vec<DVec2>; 2],
     dots: Vec<Dot>,
     /// Markers when the shutter opens and when it closes; empty when nothing is known to move.
     ends_mm: [Vec<DVec3>; 2],
@@ -150,7 +151,7 @@ impl Simulator {
             specks: effects.specks.as_ref().map_or_else(Vec::new, |specks| Speck::all(specks, seed, gel)),
             part,
             shoulder: effects.shoulder.clone(),
-            spread: effects.spread.clone(),
+            spread: effects.spread.as_ref().map(|spread| Spreading::new(spread, &lattice)),
             drag: effects.drag.clone(),
             layered: Layered::of(scene)?.map(Box::new),
             delivered: effects

@@ -18,11 +18,12 @@ impl Simulator {
         self.place(|rest| grip.map_or(DVec2::ZERO, |grip| grip.motion_mm(rest)));
         self.imprint(contact);
         let Self { drag, spread, scratch, lattice, rest, .. } = self;
-        let [first, second] = &mut scratch.fields;
         if let (Some(drag), Some(grip)) = (drag, grip) {
-            drag.pull(lattice, &grip, rest, &scratch.stuck, [first, second], &mut scratch.motion);
+            let [held, field] = &mut scratch.pulled;
+            drag.pull(lattice, &grip, (rest, &scratch.stuck), [held, field], &mut scratch.motion);
         }
         if let Some(spread) = spread {
+            let [first, second] = &mut scratch.fields;
             spread.push(lattice, &scratch.heights, [first, second], &mut scratch.motion);
         }
         // Where markers have moved sideways they meet another spot of the part.
