@@ -21,6 +21,7 @@ __all__ = [
     "break_even",
     "calibration",
     "cause",
+    "expected",
     "share_with",
     "verdicts",
     "wilson",
@@ -49,7 +50,8 @@ class Verdict:
     taught: tuple[Array, Array]
     room_mm: float
     chance: float
-    free: tuple[str, ...]
+    #: Directions that the contact's faces leave free and that keep the part out of its hole.
+    matters: tuple[str, ...]
     #: What is known least of what matters.
     weakest: str
 
@@ -87,9 +89,9 @@ def _verdict(part: str, method: str, record: Record, result: dict[str, Any]) -> 
         )
     taught = np.array(result["taught"][0]), np.array(result["taught"][1])
     found = np.array(result["t_sensor_object"])
-    room, chance, free = result["room_mm"], result["chance"], tuple(result["free"])
+    room, chance, matters = result["room_mm"], result["chance"], tuple(result["matters"])
     weakest = result["weakest"]
-    return Verdict(part, method, record["hold"], truth, None, found, taught, room, chance, free, weakest)
+    return Verdict(part, method, record["hold"], truth, None, found, taught, room, chance, matters, weakest)
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:
@@ -117,13 +119,30 @@ def allowed(chosen: Sequence[Verdict], angle: str, share: float = 1.0) -> float 
 
 def calibration(chosen: Sequence[Verdict], bins: int = 10) -> list[tuple[float, int, int]]:
     """Predicted chance against what happened: mean chance, grasps and insertions of every bin that has grasps."""
-    found = []
-    for index in range(bins):
-        within = [v for v in chosen if min(int(v.chance * bins), bins - 1) == index and v.refused is None]
-        if within:
-            mean = float(np.mean([v.chance for v in within]))
-            found.append((mean, len(within), sum(v.inserted for v in within)))
-    return found
+    return [
+        (float(np.mean([v.chance for v in within])), len(within), sum(v.inserted for v in within))
+        for within in _bins(chosen, bins)
+    ]
+
+
+def expected(chosen: Sequence[Verdict], bins: int = 10) -> list[tuple[int, int]]:
+    """How many of every bin go in, from and to, in 95 % of cases, if every one does with the chance predicted of it."""
+    return [_poisson_binomial([v.chance for v in within]) for within in _bins(chosen, bins)]
+
+
+def _bins(chosen: Sequence[Verdict], bins: int) -> list[list[Verdict]]:
+    judged = [v for v in chosen if v.refused is None]
+    every = [[v for v in judged if min(int(v.chance * bins), bins - 1) == index] for index in range(bins)]
+    return [within for within in every if within]
+
+
+def _poisson_binomial(chances: Sequence[float]) -> tuple[int, int]:
+    """Central 95 % of the number of successes."""
+    law = np.ones(1)
+    for chance in chances:
+        law = np.convolve(law, [1.0 - chance, chance])
+    below = np.cumsum(law)
+    return int(np.searchsorted(below, 0.025)), int(np.searchsorted(below, 0.975))
 
 
 def share_with(chosen: Sequence[Verdict], fits: dict[str, Fit], errors: RobotErrors) -> float:
