@@ -126,12 +126,19 @@ def test_chance_of_a_square_that_shifts_is_that_of_two_normals(sigma_mm: float) 
     ],
 )
 def test_the_motion_that_costs_most_is_named(axis: int, sigma: float, said: str) -> None:
-    hole = FITS["b"].hole
+    hole, end = FITS["b"].hole, FITS["b"].end
     # About the middle of the hole; what slides along its axis costs nothing.
     about = adjoint(pose(np.array([0, 0, 0, 0, 0, 0.5 * (hole.tip_mm + hole.mouth_mm)])))
     alone = np.diag([1e-8, 1e-8, 1e-8, 1e-4, 1e-4, 25.0])
     alone[axis, axis] = sigma * sigma
-    assert weakest(hole, about @ alone @ about.T) == said
+    assert weakest(hole, end, about @ alone @ about.T) == said
+
+
+def test_a_round_pegs_spin_is_never_what_is_known_too_little() -> None:
+    hole, end = FITS["a"].hole, FITS["a"].end
+    about = adjoint(pose(np.array([0, 0, 0, 0, 0, 0.5 * (hole.tip_mm + hole.mouth_mm)])))
+    covariance = np.diag([1e-8, 1e-8, 1.0, 1e-3, 1e-4, 25.0])
+    assert weakest(hole, end, about @ covariance @ about.T) == "slide along x, known to 0.03 mm"
 
 
 def test_spin_and_slide_of_a_round_peg_cost_no_chance() -> None:

@@ -75,17 +75,22 @@ _LITTLE_RAD, _LITTLE_MM = 0.2, 1.0
 _MOTIONS = ("lean about x", "lean about y", "spin about z", "slide along x", "slide along y")
 
 
-def weakest(hole: Hole, covariance: Array) -> str:
+def weakest(hole: Hole, end: InsertedEnd, covariance: Array) -> str:
     """Name the motion that costs the inserted end the most room, and how well it is known.
 
-    `covariance` is that of a motion (ω, v) in the hole's frame. Leans act at the end of the inserted length, a spin at
-    the farthest wall, shifts where the hole is; the part's origin is far from it.
+    `covariance` is that of a motion (ω, v) in the hole's frame. Every motion is made by one standard deviation, either
+    way, about the middle of the hole: the part's origin is far from it. A round part's spin costs nothing.
     """
     about = np.eye(4)
     about[2, 3] = -0.5 * (hole.tip_mm + hole.mouth_mm)
     carry = adjoint(about)
     sigma = np.sqrt(np.maximum(np.diag(carry @ covariance @ carry.T)[:5], 0.0))
-    half_mm, reach_mm = 0.5 * (hole.tip_mm - hole.mouth_mm), float(hole.offsets_mm.max())
-    worst = int(np.argmax(sigma * [half_mm, half_mm, reach_mm, 1.0, 1.0]))
+    there = adjoint(np.asarray(np.linalg.inv(about)))
+    # Half a turn is as bad as any.
+    twists = np.concatenate(
+        [sign * np.minimum(sigma, np.pi) * np.eye(6, 5) for sign in (-1.0, 1.0)], axis=1
+    ).T
+    rooms = hole.rooms_mm(end, np.stack([np.asarray(se3_exp(there @ twist)) for twist in twists]))
+    worst = int(np.argmin(np.min(rooms.reshape(2, 5), axis=0)))
     known = f"{np.rad2deg(sigma[worst]):.1f} deg" if worst < 3 else f"{sigma[worst]:.2f} mm"
     return f"{_MOTIONS[worst]}, known to {known}"

@@ -178,5 +178,5 @@ def _judged(place: Workplace, method: Method, frame: Frame, t_sensor_object: Arr
         "converged": found.converged,
         "free": [str(free) for free in found.free],
         "matters": [str(free) for free in found.free if matters(place.hole, place.fit.end, free)],
-        "weakest": weakest(place.hole, covariance),
+        "weakest": weakest(place.hole, place.fit.end, covariance),
     }
