@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -210,6 +210,17 @@ def verdict(
     nothing = np.eye(4)
     pair = (nothing, nothing)
     return Verdict("b", "", {}, nothing, None, nothing, pair, room_mm, chance_predicted, matters, weakest)
+
+
+def test_a_range_ends_where_the_share_falls_and_is_not_of_one_lucky_grasp() -> None:
+    def grasp(angle: float, room_mm: float) -> Verdict:
+        return replace(verdict(1.0, room_mm), hold={"roll_rad": angle})
+
+    falls = [grasp(0.01 * k * (-1) ** k, 0.1 if k <= 12 else -0.1) for k in range(1, 21)]
+    # 12 of the first 12 go in, and 12 of 13 and 12 of 14; the last that goes in ends the range.
+    assert analysis.allowed(falls, "roll_rad", 0.85) == pytest.approx(0.12)
+    lucky = [grasp(0.001, 0.1), *(grasp(0.01 * k, -0.1) for k in range(1, 20))]
+    assert analysis.allowed(lucky, "roll_rad", 0.85) is None
 
 
 @given(grasps=st.integers(1, 60), chance_predicted=st.floats(0.01, 0.99))

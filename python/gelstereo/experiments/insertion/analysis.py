@@ -35,6 +35,7 @@ LEAST_CHANCE = 0.95
 PAPER_SHARE = 0.8571
 
 _ROBOTS = 8
+_LEAST_GRASPS = 5
 
 
 @dataclass(frozen=True)
@@ -107,12 +108,15 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
 
 
 def allowed(chosen: Sequence[Verdict], angle: str, share: float = 1.0) -> float | None:
-    """Largest angle (a key of `Verdict.hold`) up to which at least this share of grasps goes in, rad, or None."""
+    """Largest angle (a key of `Verdict.hold`) up to which at least this share of grasps goes in, rad, or None.
+
+    One or two grasps are no share: an angle that fewer than `_LEAST_GRASPS` do not exceed does not count.
+    """
     order = sorted(chosen, key=lambda verdict: abs(verdict.hold[angle]))
     best, inserted = None, 0
     for count, verdict in enumerate(order, start=1):
         inserted += verdict.inserted
-        if verdict.inserted and inserted >= share * count:
+        if verdict.inserted and count >= _LEAST_GRASPS and inserted >= share * count:
             best = abs(verdict.hold[angle])
     return best
 
