@@ -195,7 +195,9 @@ def _range(chosen: Sequence[Verdict], angle: str) -> str:
 
 def _robots(ours: Sequence[Verdict], fits: dict[str, Fit]) -> list[Block]:
     """Errors of the robot and of the coordinate transforms."""
-    go = [v for v in ours if v.go][:_MOST_SWEPT]
+    go = [v for v in ours if v.go]
+    # Of all parts: they come one after the other.
+    go = go[:: -(-len(go) // _MOST_SWEPT) or 1]
     if not go:
         return []
     curves, rows = {}, []
@@ -224,7 +226,7 @@ def _robots(ours: Sequence[Verdict], fits: dict[str, Fit]) -> list[Block]:
     ]
 
 
-#: Grasps in the sweeps of robot errors.
+#: Grasps in the sweeps of robot errors, at most.
 _MOST_SWEPT = 100
 
 
