@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from gelstereo import Error
-from gelstereo.experiments.insertion import EXPERIMENT, analysis, trials
-from gelstereo.experiments.insertion.chance import SAMPLES, adjoint, chance, weakest
+from gelstereo.experiments.insertion import EXPERIMENT, analysis, report, trials
+from gelstereo.experiments.insertion.analysis import Verdict
+from gelstereo.experiments.insertion.chance import SAMPLES, adjoint, chance, matters, weakest
 from gelstereo.experiments.insertion.grasp import GRASPED, GraspRanges, Hold, fit_of, guesses, lie
 from gelstereo.experiments.insertion.hole import Hole
 from gelstereo.experiments.insertion.physics import Hand, descend
@@ -100,6 +102,10 @@ def test_the_adjoint_takes_twists_through_poses(twist: np.ndarray, other: np.nda
     assert np.allclose(pose(carried), there, atol=1e-12)
 
 
+def normal_motions(covariance: np.ndarray, seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).multivariate_normal(np.zeros(6), covariance, size=SAMPLES)
+
+
 @pytest.mark.parametrize("sigma_mm", [0.03, 0.1, 0.3])
 def test_chance_of_a_square_that_shifts_is_that_of_two_normals(sigma_mm: float) -> None:
     fit = FITS["b"]
@@ -107,7 +113,7 @@ def test_chance_of_a_square_that_shifts_is_that_of_two_normals(sigma_mm: float) 
     expected = (2.0 * stats.norm.cdf(0.125 / sigma_mm) - 1.0) ** 2
     # Four standard deviations of a share of that many draws.
     slack = 4.0 * math.sqrt(expected * (1.0 - expected) / SAMPLES) + 1e-9
-    assert abs(chance(fit.hole, fit.end, covariance, 5) - expected) <= slack
+    assert abs(chance(fit.hole, fit.end, normal_motions(covariance, 5)) - expected) <= slack
 
 
 @pytest.mark.parametrize(
@@ -120,19 +126,57 @@ def test_chance_of_a_square_that_shifts_is_that_of_two_normals(sigma_mm: float) 
     ],
 )
 def test_the_motion_that_costs_most_is_named(axis: int, sigma: float, said: str) -> None:
-    hole = FITS["b"].hole
+    hole, end = FITS["b"].hole, FITS["b"].end
     # About the middle of the hole; what slides along its axis costs nothing.
     about = adjoint(pose(np.array([0, 0, 0, 0, 0, 0.5 * (hole.tip_mm + hole.mouth_mm)])))
     alone = np.diag([1e-8, 1e-8, 1e-8, 1e-4, 1e-4, 25.0])
     alone[axis, axis] = sigma * sigma
-    assert weakest(hole, about @ alone @ about.T) == said
+    assert weakest(hole, end, about @ alone @ about.T) == said
+
+
+def test_a_round_pegs_spin_is_never_what_is_known_too_little() -> None:
+    hole, end = FITS["a"].hole, FITS["a"].end
+    about = adjoint(pose(np.array([0, 0, 0, 0, 0, 0.5 * (hole.tip_mm + hole.mouth_mm)])))
+    covariance = np.diag([1e-8, 1e-8, 1.0, 1e-3, 1e-4, 25.0])
+    assert weakest(hole, end, about @ covariance @ about.T) == "slide along x, known to 0.03 mm"
 
 
 def test_spin_and_slide_of_a_round_peg_cost_no_chance() -> None:
     fit = FITS["a"]
-    assert chance(fit.hole, fit.end, np.diag([0, 0, 1.0, 0, 0, 25.0]), 3) == 1.0
+    drawn = normal_motions(np.diag([0, 0, 1.0, 0, 0, 25.0]), 3)
+    assert chance(fit.hole, fit.end, drawn) == 1.0
     square = FITS["b"]
-    assert chance(square.hole, square.end, np.diag([0, 0, 1.0, 0, 0, 25.0]), 3) < 0.1
+    assert chance(square.hole, square.end, drawn) < 0.1
+
+
+@dataclass(frozen=True)
+class Free:
+    """A direction as a registration gives it: a turn about a point, or a slide; the part's frame."""
+
+    omega: np.ndarray
+    v: np.ndarray
+    centre_mm: np.ndarray
+
+
+@pytest.mark.parametrize(
+    ("letter", "omega", "v", "centre_mm", "expected"),
+    [
+        ("a", (0, 0, 0), (0, 0, 1), (4, 0, 15), False),
+        ("a", (0, 0, 0), (0, 1, 0), (4, 0, 15), True),
+        # About the part's own axis; what a turn about the contact's middle shifts is in v.
+        ("a", (0, 0, 1), (0, 4, 0), (4, 0, 15), False),
+        ("b", (0, 0, 1), (0, 4, 0), (4, 0, 15), True),
+        # A round shaft that rolls about a line beside its axis is carried off it.
+        ("c", (0, 0, 1), (0, 0, 0), (4, 0, 15), True),
+        ("d", (1, 0, 0), (0, 0, 0), (4, 0, 15), True),
+    ],
+)
+def test_a_free_direction_matters_if_it_keeps_the_part_out(
+    letter: str, omega: tuple, v: tuple, centre_mm: tuple, expected: bool
+) -> None:
+    fit = FITS[letter]
+    free = Free(*(np.array(x, float) for x in (omega, v, centre_mm)))
+    assert matters(fit.hole, fit.end, free) is expected
 
 
 @given(truth=twists, found=twists, taught=twists, learned=twists, mount=twists)
@@ -158,6 +202,44 @@ def test_robot_errors_have_their_standard_deviations() -> None:
     # A standard deviation of 4000 draws is known to 1.1 %.
     assert np.allclose(draws.std(axis=0) / sigma, 1.0, atol=0.05)
     assert np.allclose(errors.draw(7, 1)[0], errors.draw(7, 2)[0])
+
+
+def verdict(
+    chance_predicted: float, room_mm: float, weakest: str = "", matters: tuple[str, ...] = ()
+) -> Verdict:
+    nothing = np.eye(4)
+    pair = (nothing, nothing)
+    return Verdict("b", "", {}, nothing, None, nothing, pair, room_mm, chance_predicted, matters, weakest)
+
+
+def test_a_range_ends_where_the_share_falls_and_is_not_of_one_lucky_grasp() -> None:
+    def grasp(angle: float, room_mm: float) -> Verdict:
+        return replace(verdict(1.0, room_mm), hold={"roll_rad": angle})
+
+    falls = [grasp(0.01 * k * (-1) ** k, 0.1 if k <= 12 else -0.1) for k in range(1, 21)]
+    # 12 of the first 12 go in, and 12 of 13 and 12 of 14; the last that goes in ends the range.
+    assert analysis.allowed(falls, "roll_rad", 0.85) == pytest.approx(0.12)
+    lucky = [grasp(0.001, 0.1), *(grasp(0.01 * k, -0.1) for k in range(1, 20))]
+    assert analysis.allowed(lucky, "roll_rad", 0.85) is None
+
+
+@given(grasps=st.integers(1, 60), chance_predicted=st.floats(0.01, 0.99))
+def test_expected_insertions_of_equal_chances_are_binomial(grasps: int, chance_predicted: float) -> None:
+    (found,) = analysis.expected([verdict(chance_predicted, 0.0)] * grasps)
+    law = stats.binom(grasps, chance_predicted)
+    # A count whose cumulative law is the quantile itself may go either way with round-off.
+    for count, quantile in zip(found, (0.025, 0.975), strict=True):
+        assert law.cdf(count) >= quantile - 1e-9 and law.cdf(count - 1) <= quantile + 1e-9
+
+
+def test_a_refusal_begins_with_the_motion_that_matters_and_leaves_harmless_ones_out() -> None:
+    free = ("slide along y through (0.0, 0.0, 1.0) mm", "spin about x through (0.0, -0.1, 14.9) mm")
+    assert report.reason(verdict(0.1, 0.0, "slide along y, known to 0.30 mm", free)) == (
+        "slide along y is known too little (no face tells slide along y and spin about x)"
+    )
+    assert report.reason(verdict(0.1, 0.0, "lean about x, known to 1.1 deg")) == (
+        "lean about x is known too little"
+    )
 
 
 @given(trials=st.integers(1, 2000), share=st.floats(0.0, 1.0))

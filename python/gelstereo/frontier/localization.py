@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from gelstereo import Error, localize
+from gelstereo import Error
 from gelstereo.frontier.grasps import GRASPED, NOISES, STARTS, Grasp, Start, grasps
 from gelstereo.frontier.rivals import Method, rivals
 from gelstereo.frontier.rungs import Rung, rungs_of
@@ -158,16 +158,4 @@ def _one_of(method: Method, contacts: Sequence[Grasp]) -> Callable[[int], object
 def _native(rung: Rung) -> Method:
     """Register with all that the sensor knows of the contact; guesses are farther off than usual."""
     params = rung.params().replace({"register": {"search_radius_mm": 8.0}})
-
-    def method(grasp: Grasp, guess: Array) -> Array:
-        found = localize(
-            grasp.points_mm,
-            grasp.template,
-            t_sensor_object=guess,
-            all_points_mm=grasp.all_points_mm,
-            covariance_mm2=grasp.covariance_mm2,
-            params=params,
-        )
-        return found.t_sensor_object
-
-    return method
+    return lambda grasp, guess: grasp.localized(guess, params)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from gelstereo import Params, RegisterError, localize
+from gelstereo import RegisterError
 from gelstereo.frontier.grasps import NOISES, STARTS, Press, Score, Start, grasps
 from gelstereo.frontier.rungs import Rung, rungs_of
 from gelstereo.reports.markdown import replace_between, table
@@ -65,19 +65,12 @@ def measure(part: MeshPart, folder: Path, rung: Rung, start: Start, seeds: range
 
     A rung that refuses leaves the guess as it was.
     """
-    params: Params = rung.params()
+    params = rung.params()
     scores = []
     for seed, grasp in enumerate(grasps(part.press(folder), NOISES[0], seeds)):
         guess = grasp.guess(start, seed)
         try:
-            found = localize(
-                grasp.points_mm,
-                grasp.template,
-                t_sensor_object=guess,
-                all_points_mm=grasp.all_points_mm,
-                covariance_mm2=grasp.covariance_mm2,
-                params=params,
-            ).t_sensor_object
+            found = grasp.localized(guess, params)
         except RegisterError:
             found = guess
         scores.append(grasp.score(found))

@@ -21,6 +21,7 @@ __all__ = [
     "break_even",
     "calibration",
     "cause",
+    "expected",
     "share_with",
     "verdicts",
     "wilson",
@@ -34,6 +35,7 @@ LEAST_CHANCE = 0.95
 PAPER_SHARE = 0.8571
 
 _ROBOTS = 8
+_LEAST_GRASPS = 5
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,8 @@ class Verdict:
     taught: tuple[Array, Array]
     room_mm: float
     chance: float
-    free: tuple[str, ...]
+    #: Directions that the contact's faces leave free and that keep the part out of its hole.
+    matters: tuple[str, ...]
     #: What is known least of what matters.
     weakest: str
 
@@ -87,9 +90,9 @@ def _verdict(part: str, method: str, record: Record, result: dict[str, Any]) -> 
         )
     taught = np.array(result["taught"][0]), np.array(result["taught"][1])
     found = np.array(result["t_sensor_object"])
-    room, chance, free = result["room_mm"], result["chance"], tuple(result["free"])
+    room, chance, matters = result["room_mm"], result["chance"], tuple(result["matters"])
     weakest = result["weakest"]
-    return Verdict(part, method, record["hold"], truth, None, found, taught, room, chance, free, weakest)
+    return Verdict(part, method, record["hold"], truth, None, found, taught, room, chance, matters, weakest)
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:
@@ -105,25 +108,45 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
 
 
 def allowed(chosen: Sequence[Verdict], angle: str, share: float = 1.0) -> float | None:
-    """Largest angle (a key of `Verdict.hold`) up to which at least this share of grasps goes in, rad, or None."""
+    """Largest angle (a key of `Verdict.hold`) up to which at least this share of grasps goes in, rad, or None.
+
+    One or two grasps are no share: an angle that fewer than `_LEAST_GRASPS` do not exceed does not count.
+    """
     order = sorted(chosen, key=lambda verdict: abs(verdict.hold[angle]))
     best, inserted = None, 0
     for count, verdict in enumerate(order, start=1):
         inserted += verdict.inserted
-        if verdict.inserted and inserted >= share * count:
+        if verdict.inserted and count >= _LEAST_GRASPS and inserted >= share * count:
             best = abs(verdict.hold[angle])
     return best
 
 
 def calibration(chosen: Sequence[Verdict], bins: int = 10) -> list[tuple[float, int, int]]:
     """Predicted chance against what happened: mean chance, grasps and insertions of every bin that has grasps."""
-    found = []
-    for index in range(bins):
-        within = [v for v in chosen if min(int(v.chance * bins), bins - 1) == index and v.refused is None]
-        if within:
-            mean = float(np.mean([v.chance for v in within]))
-            found.append((mean, len(within), sum(v.inserted for v in within)))
-    return found
+    return [
+        (float(np.mean([v.chance for v in within])), len(within), sum(v.inserted for v in within))
+        for within in _bins(chosen, bins)
+    ]
+
+
+def expected(chosen: Sequence[Verdict], bins: int = 10) -> list[tuple[int, int]]:
+    """How many of every bin go in, from and to, in 95 % of cases, if every one does with the chance predicted of it."""
+    return [_poisson_binomial([v.chance for v in within]) for within in _bins(chosen, bins)]
+
+
+def _bins(chosen: Sequence[Verdict], bins: int) -> list[list[Verdict]]:
+    judged = [v for v in chosen if v.refused is None]
+    every = [[v for v in judged if min(int(v.chance * bins), bins - 1) == index] for index in range(bins)]
+    return [within for within in every if within]
+
+
+def _poisson_binomial(chances: Sequence[float]) -> tuple[int, int]:
+    """Central 95 % of the number of successes."""
+    law = np.ones(1)
+    for chance in chances:
+        law = np.convolve(law, [1.0 - chance, chance])
+    below = np.cumsum(law)
+    return int(np.searchsorted(below, 0.025)), int(np.searchsorted(below, 0.975))
 
 
 def share_with(chosen: Sequence[Verdict], fits: dict[str, Fit], errors: RobotErrors) -> float:

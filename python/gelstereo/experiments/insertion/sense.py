@@ -11,9 +11,11 @@ import numpy.typing as npt
 from gelstereo import (
     Error,
     Frame,
+    FreeDirection,
     Localization,
     Params,
     Pipeline,
+    RegisterError,
     RestRecord,
     SimulatedFrame,
     Simulator,
@@ -22,9 +24,13 @@ from gelstereo import (
 )
 from gelstereo.states import MarkerState
 
-__all__ = ["METHODS", "Found", "Method", "Senses", "find"]
+__all__ = ["METHODS", "Found", "Method", "Registering", "Senses"]
 
 Array = npt.NDArray[np.float64]
+
+
+#: Of the grasp that is taught: a little, since rows of markers along an edge see it badly.
+NOMINAL_PITCH_RAD = 0.1
 
 
 @dataclass(frozen=True)
@@ -38,10 +44,17 @@ class Method:
     register: str
     #: Whether it tells which of several poses is the likeliest, and so may start from all guesses.
     tries_all: bool = False
+    #: Pitches of the grasps over the hole that it is taught by; the paper teaches one (section V-A).
+    taught_rad: tuple[float, ...] = (NOMINAL_PITCH_RAD,)
 
     def params(self) -> Params:
         """All settings."""
         return Params.preset(self.preset).replace({"register.method": self.register})
+
+    def held(self, by_mm: float) -> Params:
+        """Settings that look near a guess only, which holds the pose by a prior of so many mm."""
+        near = {"start_sigma_mm": by_mm, "start_sigma_deg": 5.0 * by_mm, "starts": 1, "max_iterations": 4}
+        return self.params().replace({"register": near})
 
 
 #: The paper's two, on the paper's sensing, and ours.
@@ -49,7 +62,7 @@ METHODS = (
     Method("FilterReg, point to point", "paper", "filterreg_point"),
     Method("FilterReg, point to plane", "paper", "filterreg_plane"),
     Method("RANSAC + ICP", "paper", "ransac_icp"),
-    Method("surface search", "balanced", "surface_search", tries_all=True),
+    Method("surface search", "balanced", "surface_search", tries_all=True, taught_rad=(-0.4, -0.2, 0.2, 0.4)),
 )
 
 
@@ -61,9 +74,11 @@ class Found:
     #: (6, 6) of a left perturbation (ω, v) of the pose; singular along what is free.
     information: Array
     converged: bool
-    free: tuple[str, ...]
+    free: tuple[FreeDirection, ...]
     #: Centroid of the patch.
     centre_mm: Array
+    #: Of methods that try all.
+    log_likelihood: float
 
     @classmethod
     def of(cls, found: Localization, patch_mm: Array) -> Found:
@@ -72,8 +87,9 @@ class Found:
             np.array(found.t_sensor_object),
             np.array(found.information),
             found.converged,
-            tuple(map(str, found.free)),
+            tuple(found.free),
             patch_mm.mean(axis=0),
+            -np.inf if found.log_likelihood is None else found.log_likelihood,
         )
 
 
@@ -102,27 +118,41 @@ class Senses:
         return pipeline.process(grasp[-1].left, grasp[-1].right)
 
 
-def find(method: Method, frame: Frame, template: Template, guesses: Sequence[Array]) -> Found:
-    """Register a frame's contact patch, from the first guess or from all of them; the likeliest pose counts.
+@dataclass(frozen=True)
+class Registering:
+    """A method at work on a frame's contact patch."""
 
-    Raises
-    ------
-    RegisterError
-        If there is too little of it.
-    """
-    seen = np.asarray(frame.state) == MarkerState.SEEN
-    patch_mm = frame.patch_points_mm
+    method: Method
+    frame: Frame
+    template: Template
 
-    def register(guess: Array) -> Localization:
-        return localize(
+    def found(self, guesses: Sequence[Array]) -> list[Found]:
+        """Register from the first guess, or from all of them; the likeliest pose comes first.
+
+        Raises
+        ------
+        RegisterError
+            If there is too little of it.
+        """
+        params = self.method.params()
+        tried = [self._from(guess, params) for guess in guesses[: None if self.method.tries_all else 1]]
+        return sorted(tried, key=lambda found: -found.log_likelihood)
+
+    def held(self, guess: Array, by_mm: float) -> Found | None:
+        """Register close to a guess, `Method.held`; None if that leaves nothing to register."""
+        try:
+            return self._from(guess, self.method.held(by_mm))
+        except RegisterError:
+            return None
+
+    def _from(self, guess: Array, params: Params) -> Found:
+        patch_mm, seen = self.frame.patch_points_mm, np.asarray(self.frame.state) == MarkerState.SEEN
+        found = localize(
             patch_mm,
-            template,
+            self.template,
             t_sensor_object=guess,
-            all_points_mm=frame.points_mm[seen],
-            covariance_mm2=frame.covariance_mm2[frame.patch],
-            params=method.params(),
+            all_points_mm=self.frame.points_mm[seen],
+            covariance_mm2=self.frame.covariance_mm2[self.frame.patch],
+            params=params,
         )
-
-    tried = [register(guess) for guess in guesses[: len(guesses) if method.tries_all else 1]]
-    best = max(tried, key=lambda found: -np.inf if found.log_likelihood is None else found.log_likelihood)
-    return Found.of(best, patch_mm)
+        return Found.of(found, patch_mm)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -12,13 +12,14 @@ import numpy.typing as npt
 
 from gelstereo import Frame, RegisterError, Scene, SimulatedFrame, Simulator, Template
 from gelstereo.experiments.batch import Configuration
-from gelstereo.experiments.insertion.chance import Prior, chance, object_covariance, weakest
+from gelstereo.experiments.insertion.belief import Belief, believed, drawn
+from gelstereo.experiments.insertion.chance import SAMPLES, Prior, chance, matters, weakest
 from gelstereo.experiments.insertion.grasp import GraspRanges, Hold, fit_of, guesses, lie
 from gelstereo.experiments.insertion.robot import over_hole
-from gelstereo.experiments.insertion.sense import METHODS, Found, Method, Senses, find
+from gelstereo.experiments.insertion.sense import METHODS, Found, Method, Registering, Senses
 from gelstereo.experiments.store import Record
 from gelstereo.frontier.scenes import VGA
-from gelstereo.geometry import se3_log
+from gelstereo.geometry import se3_exp, se3_log
 
 __all__ = ["PRIOR", "RANGES", "Workplace", "run", "sensor_scene", "workplace"]
 
@@ -41,15 +42,17 @@ def sensor_scene() -> Scene:
 
 @dataclass(frozen=True)
 class Taught:
-    """The grasp over the hole from which a method learned where the part must go: truth, and what it found."""
+    """Grasps over the hole, from which a method learned where the part must go: truth, and what it believes of each."""
 
     t_sensor_object: Array
-    found: Found
+    beliefs: tuple[Belief, ...]
+    #: By how much the poses found differ from the true ones, a motion in the part's frame: their mean.
+    error: Array
 
     @property
     def pair(self) -> tuple[Array, Array]:
         """True and found pose, as `over_hole` wants them."""
-        return self.t_sensor_object, self.found.t_sensor_object
+        return self.t_sensor_object, np.asarray(self.t_sensor_object @ np.asarray(se3_exp(self.error)))
 
 
 class Workplace:
@@ -87,23 +90,36 @@ class Workplace:
             frames.append(self.simulator.press(pose, frame=_CLOSING * seed + step))
         return frames
 
-    def find(self, method: Method, frame: Frame) -> Found:
-        """Find the part from a frame of its contact."""
+    def find(self, method: Method, frame: Frame, seed: int) -> tuple[Found, Belief]:
+        """Find the part from a frame of its contact, and what to believe of its pose."""
         surface_mm, patch_mm = np.asarray(self.template.points_mm), np.asarray(frame.patch_points_mm)
         if len(patch_mm) < _LEAST_PATCH:
             raise RegisterError(
                 f"only {len(patch_mm)} markers are in contact; valid is {_LEAST_PATCH} or more: press deeper"
             )
-        starts = guesses(self.nominal, surface_mm, patch_mm, self.hole.tip_mm)
-        return find(method, frame, self.template, starts)
+        registering = Registering(method, frame, self.template)
+        tried = registering.found(guesses(self.nominal, surface_mm, patch_mm, self.hole.tip_mm))
+        if not method.tries_all:
+            return tried[0], Belief.normal(tried[0], PRIOR)
+        return tried[0], believed(tried, registering.held, PRIOR, seed)
 
     def taught(self, method: Method) -> Taught:
-        """Teach a method the hole: the part is held in the middle, stands ideally over it, and is found by it."""
+        """Teach a method the hole: the part is held in the middle, stands ideally over it, and is found by it.
+
+        So often as the method is taught, every time turned otherwise among the markers: an edge that lies along a row
+        of them is known to a pitch only.
+        """
         if method.name not in self._taught:
-            t_sensor_object = self.lie(self.nominal)
-            grasp = self.grasp(t_sensor_object, self.nominal.press_mm, _TAUGHT)
-            found = self.find(method, self.senses.sense(method.preset, grasp))
-            self._taught[method.name] = Taught(t_sensor_object, found)
+            errors, beliefs = [], []
+            for turn_rad in method.taught_rad:
+                hold = replace(self.nominal, pitch_rad=turn_rad)
+                t_sensor_object = self.lie(hold)
+                grasp = self.grasp(t_sensor_object, hold.press_mm, _TAUGHT)
+                belief = self.find(method, self.senses.sense(method.preset, grasp), _TAUGHT)[1]
+                errors.append(np.asarray(se3_log(np.linalg.inv(t_sensor_object) @ belief.t_sensor_object)))
+                beliefs.append(belief)
+            taught = Taught(self.lie(self.nominal), tuple(beliefs), np.mean(errors, axis=0))
+            self._taught[method.name] = taught
         return self._taught[method.name]
 
 
@@ -120,9 +136,10 @@ def workplace(letter: str) -> Workplace:
 def run(configuration: Configuration, seed: int) -> Record:
     """Grasp a part somewhere, find it by every method, and see whether it would go in.
 
-    The record holds the grasp, the true pose, and by method the pose found, ``room_mm`` between part and walls (below
-    0 it does not go in), the ``chance`` predicted from the covariance, the free directions, and the ``weakest`` of the
-    others; or ``refused``, why there is no pose.
+    The record holds the grasp, the true pose, and by method the pose that is acted on, ``room_mm`` between part and
+    walls (below 0 it does not go in), the ``chance`` predicted from what is believed and of how many ``poses`` that is
+    made, the directions that the contact's faces leave ``free`` and which of them ``matters``, and the ``weakest``
+    motion over the hole, all told; or ``refused``, why there is no pose.
     """
     place = workplace(configuration["part"])
     hold = Hold.drawn(place.part, RANGES, np.random.default_rng(seed))
@@ -143,19 +160,23 @@ def run(configuration: Configuration, seed: int) -> Record:
 def _judged(place: Workplace, method: Method, frame: Frame, t_sensor_object: Array, seed: int) -> Record:
     """What one method finds, and what comes of it with a robot that moves exactly."""
     try:
-        found = place.find(method, frame)
+        found, belief = place.find(method, frame, seed)
         taught = place.taught(method)
     except RegisterError as error:
         return {"refused": str(error)}
-    t_hole_object = over_hole(t_sensor_object, found.t_sensor_object, taught.pair)
-    covariance = object_covariance(found, PRIOR) + object_covariance(taught.found, PRIOR)
+    t_hole_object = over_hole(t_sensor_object, belief.t_sensor_object, taught.pair)
+    random = np.random.default_rng([seed, 71])
+    motions = belief.draw(random, SAMPLES) - drawn(taught.beliefs, random, SAMPLES)
+    covariance = belief.covariance + sum(b.covariance for b in taught.beliefs) / len(taught.beliefs) ** 2
     return {
-        "t_sensor_object": found.t_sensor_object.tolist(),
+        "t_sensor_object": belief.t_sensor_object.tolist(),
         "taught": [pose.tolist() for pose in taught.pair],
         "error": np.asarray(se3_log(t_hole_object)).tolist(),
         "room_mm": place.fit.room_mm(t_hole_object),
-        "chance": chance(place.hole, place.fit.end, covariance, seed),
+        "chance": chance(place.hole, place.fit.end, motions),
+        "poses": len(belief.weights),
         "converged": found.converged,
-        "free": list(found.free),
-        "weakest": weakest(place.hole, covariance),
+        "free": [str(free) for free in found.free],
+        "matters": [str(free) for free in found.free if matters(place.hole, place.fit.end, free)],
+        "weakest": weakest(place.hole, place.fit.end, covariance),
     }
