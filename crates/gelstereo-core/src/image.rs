@@ -11,11 +11,21 @@ pub struct GrayView<'a> {
     stride: usize,
 }
 
+/// Most columns and rows of an image: what 16 bits count.
+pub const MOST_SIDE_PX: usize = u16::MAX as usize;
+
 /// Why a buffer is no image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ImageError {
     /// Width or height is zero.
     Empty {
+        /// Width found, pixels.
+        width: usize,
+        /// Height found, pixels.
+        height: usize,
+    },
+    /// More columns or rows than any camera gives.
+    TooLarge {
         /// Width found, pixels.
         width: usize,
         /// Height found, pixels.
@@ -54,6 +64,12 @@ impl core::fmt::Display for ImageError {
             Self::Empty { width, height } => {
                 write!(f, "the image is {width} x {height} pixels; both sides must be at least 1")
             }
+            Self::TooLarge { width, height } => {
+                write!(
+                    f,
+                    "the image is {width} x {height} pixels; valid is up to {MOST_SIDE_PX} on each side"
+                )
+            }
             Self::StrideTooSmall { width, stride } => {
                 write!(f, "the stride is {stride} bytes for rows of {width}; it must be at least the width")
             }
@@ -74,10 +90,13 @@ impl<'a> GrayView<'a> {
     /// A view of rows that are `stride` bytes apart.
     ///
     /// # Errors
-    /// [`ImageError`] when the shape is empty or does not fit the buffer.
+    /// [`ImageError`] when the shape is empty, larger than [`MOST_SIDE_PX`] on a side, or does not fit the buffer.
     pub fn new(data: &'a [u8], width: usize, height: usize, stride: usize) -> Result<Self, ImageError> {
         if width == 0 || height == 0 {
             return Err(ImageError::Empty { width, height });
+        }
+        if width.max(height) > MOST_SIDE_PX {
+            return Err(ImageError::TooLarge { width, height });
         }
         if stride < width {
             return Err(ImageError::StrideTooSmall { width, stride });

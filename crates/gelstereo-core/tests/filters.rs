@@ -5,6 +5,7 @@ mod support;
 use gelstereo_core::detect::blur::{BoxMean, FRACTION_BITS, GaussianBlur, reflect101};
 use gelstereo_core::detect::components::Components;
 use gelstereo_core::detect::morphology::Closing;
+use gelstereo_core::image::MOST_SIDE_PX;
 use proptest::prelude::*;
 use support::view;
 
@@ -33,7 +34,8 @@ fn images() -> impl Strategy<Value = (Vec<u8>, usize)> {
 
 /// Masks of 0 and 255 with a share of set pixels that makes long and winding components.
 fn masks() -> impl Strategy<Value = (Vec<u8>, usize)> {
-    (1..32_usize, 1..32_usize, 0.1..0.9_f64).prop_flat_map(|(width, height, share)| {
+    // Some wider than the 64 pixels that components are made of at a time.
+    (1..200_usize, 1..24_usize, 0.1..0.9_f64).prop_flat_map(|(width, height, share)| {
         let pixel = prop::bool::weighted(share).prop_map(|set| if set { 255 } else { 0 });
         (prop::collection::vec(pixel, width * height), Just(width))
     })
@@ -184,8 +186,8 @@ proptest! {
                     }
                 }
             }
-            let xs = || pixels.iter().map(|p| p.0 as u32);
-            let ys = || pixels.iter().map(|p| p.1 as u32);
+            let xs = || pixels.iter().map(|p| p.0 as u16);
+            let ys = || pixels.iter().map(|p| p.1 as u16);
             expected.push((
                 pixels.len() as u32,
                 xs().map(u64::from).sum::<u64>(), ys().map(u64::from).sum::<u64>(),
@@ -193,8 +195,40 @@ proptest! {
             ));
         }
         let mut components = Components::default();
-        let found: Vec<_> = components.run(&mask, width).iter()
+        let found: Vec<_> = components.run(view(&mask, width)).iter()
             .map(|b| (b.area_px2, b.sum_x, b.sum_y, [b.left, b.top, b.right, b.bottom])).collect();
-        prop_assert_eq!(found, expected);
+        prop_assert_eq!(&found, &expected);
+        // Runs from first to last, which are the pixels again.
+        let mut painted = vec![0; mask.len()];
+        for blob in components.blobs() {
+            let runs: Vec<_> = components.runs(blob).map(|run| (run.y, run.start, run.end)).collect();
+            prop_assert!(runs.is_sorted());
+            let mut area_px2 = 0;
+            for &(y, start, end) in &runs {
+                painted[usize::from(y) * width..][usize::from(start)..usize::from(end)].fill(255);
+                area_px2 += u32::from(end - start);
+            }
+            prop_assert_eq!(area_px2, blob.area_px2);
+        }
+        prop_assert_eq!(painted, mask);
+    }
+}
+
+/// Sums by the formula of an arithmetic series.
+#[test]
+fn the_widest_and_the_highest_image_have_one_component() {
+    let most = MOST_SIDE_PX as u64;
+    let mask = vec![255; 2 * MOST_SIDE_PX];
+    let (half, sum) = (most * (most - 1) / 2, most);
+    for (width, sums, last) in
+        [(MOST_SIDE_PX, (2 * half, sum), (u16::MAX - 1, 1)), (2, (sum, 2 * half), (1, u16::MAX - 1))]
+    {
+        let mut components = Components::default();
+        let found = components.run(view(&mask, width));
+        assert_eq!(found.len(), 1);
+        let blob = &found[0];
+        assert_eq!(u64::from(blob.area_px2), 2 * most);
+        assert_eq!((blob.sum_x, blob.sum_y), sums);
+        assert_eq!((blob.left, blob.top, blob.right, blob.bottom), (0, 0, last.0, last.1));
     }
 }

@@ -22,10 +22,13 @@ fn row_30_shapes_that_do_not_fit_are_refused_by_name() {
     assert_eq!(view(5, 4, 4), Err(ImageError::StrideTooSmall { width: 5, stride: 4 }));
     assert_eq!(view(5, 5, 5), Err(ImageError::BufferTooShort { needed: 25, found: 20 }));
     assert_eq!(
-        view(5, usize::MAX, 5),
+        view(1, 3, usize::MAX),
         Err(ImageError::BufferTooShort { needed: usize::MAX, found: 20 }),
         "a shape whose size overflows"
     );
+    for (width, height) in [(65_536, 1), (1, 65_536), (5, usize::MAX)] {
+        assert_eq!(view(width, height, width), Err(ImageError::TooLarge { width, height }));
+    }
     // The last row may end before its stride does.
     assert_eq!(view(2, 4, 6), Ok(()));
     let whole = GrayView::new(&bytes, 5, 4, 5).unwrap();

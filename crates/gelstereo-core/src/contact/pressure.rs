@@ -50,7 +50,7 @@ struct Filter {
     /// Weights over the window; 0 beyond the lattice.
     weights: [f32; WINDOW],
     /// Variance for heights of variance 1.
-    variance: f64,
+    variance: f32,
 }
 
 impl Pressure {
@@ -90,7 +90,7 @@ impl Pressure {
         let mut weights = [0.0_f32; WINDOW];
         weights[WINDOW / 2] = 1.0;
         let mut kriging = Kriging::new(&self.covariances, i, self.window(i, REACH), |_| true);
-        let variance = kriging.weights(|j, weight| weights[self.slot(i, j)] = -weight as f32);
+        let variance = kriging.weights(|j, weight| weights[self.slot(i, j)] = -weight as f32) as f32;
         Filter { weights, variance }
     }
 
@@ -222,7 +222,8 @@ impl Pressure {
                 .map(|j| f64::from(filter.weights[self.slot(i, j)]) * self.pressure_mm[j])
                 .sum()
         };
-        value > 0.0 && value * value > SCREEN * SCREEN * filter.variance * self.variance_mm2[i]
+        let variance_mm2 = f64::from(filter.variance) * self.variance_mm2[i];
+        value > 0.0 && value * value > SCREEN * SCREEN * variance_mm2
     }
 
     /// Changes labels until none gains: in each round those that gain most within their windows, so that no order of

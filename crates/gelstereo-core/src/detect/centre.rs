@@ -71,8 +71,7 @@ impl GreyCentre {
     }
 
     fn grow<'a>(&mut self, blob: &Blob, runs: impl Iterator<Item = &'a Run>) {
-        self.spans
-            .resize((blob.bottom - blob.top + 1) as usize + 2 * MARGIN_PX as usize, (i64::MAX, i64::MIN));
+        self.spans.resize(blob.size().1 as usize + 2 * MARGIN_PX as usize, (i64::MAX, i64::MIN));
         for run in runs {
             let first = (run.y - blob.top) as usize;
             for span in &mut self.spans[first..=first + 2 * MARGIN_PX as usize] {
@@ -108,8 +107,7 @@ impl Plane {
 
 impl<'a> Window<'a> {
     fn new(image: GrayView<'a>, blob: &Blob, spans: &'a [(i64, i64)]) -> Self {
-        let ends = (i64::from(blob.left + blob.right), i64::from(blob.top + blob.bottom));
-        Self { image, spans, top: i64::from(blob.top) - MARGIN_PX, ends }
+        Self { image, spans, top: i64::from(blob.top) - MARGIN_PX, ends: blob.ends() }
     }
 
     const fn u(&self, x: i64) -> i64 {

@@ -1,17 +1,18 @@
 //! Connected components of a mask: runs joined by union-find.
 
+use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
 use alloc::vec::Vec;
 
-/// A maximal stretch of set pixels in one row.
+/// A maximal stretch of set pixels in one row. No image has more columns or rows than 16 bits count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Run {
     /// Row.
-    pub y: u32,
+    pub y: u16,
     /// First column.
-    pub start: u32,
+    pub start: u16,
     /// One past the last column.
-    pub end: u32,
+    pub end: u16,
     /// A run of the same component that stands earlier in raster order, or itself; when all rows are joined, the blob.
     parent: u32,
     /// The next run of the same component, or `NO_RUN`; until all rows are joined, pixels.
@@ -20,7 +21,7 @@ pub struct Run {
 
 impl Run {
     /// Of a component that nobody joined.
-    pub(super) const fn alone(y: u32, start: u32, end: u32) -> Self {
+    pub(super) const fn alone(y: u16, start: u16, end: u16) -> Self {
         Self { y, start, end, parent: 0, next: NO_RUN }
     }
 }
@@ -40,15 +41,14 @@ pub struct Blob {
     /// Sum of the pixels' rows.
     pub sum_y: u64,
     /// First column.
-    pub left: u32,
+    pub left: u16,
     /// First row.
-    pub top: u32,
+    pub top: u16,
     /// Last column.
-    pub right: u32,
+    pub right: u16,
     /// Last row.
-    pub bottom: u32,
+    pub bottom: u16,
     first_run: u32,
-    last_run: u32,
 }
 
 /// Labelling and its scratch.
@@ -62,7 +62,7 @@ pub struct Components {
     kept: usize,
     most_kept: usize,
     /// Rows pushed.
-    rows: u32,
+    rows: u16,
     /// First run of the last row pushed.
     above: usize,
     /// Components of the rows pushed.
@@ -117,20 +117,16 @@ impl Components {
         }
     }
 
-    /// Components of `mask`, rows of `width` bytes of 0 or 255, in the raster order of their first pixels; all of them, however
-    /// many there are.
-    pub fn run(&mut self, mask: &[u8], width: usize) -> &[Blob] {
-        let rows = mask.chunks_exact(width.max(1));
-        self.start(width, rows.len());
+    /// Components of a mask of 0 and 255, in the raster order of their first pixels; all of them, however many there are.
+    pub fn run(&mut self, mask: GrayView<'_>) -> &[Blob] {
+        self.start(mask.width(), mask.height());
         self.most_kept = usize::MAX;
-        for row in rows {
-            self.push(row);
-        }
+        (0..mask.height()).for_each(|y| self.push(mask.row(y)));
         self.finish()
     }
 
     /// Starts a mask of this size; scratch is reserved for [`Most`] runs and components, and grows for more.
-    pub fn start(&mut self, width: usize, height: usize) {
+    pub(super) fn start(&mut self, width: usize, height: usize) {
         let most = Most::of(width, height);
         self.runs.clear();
         // Whoever stops at the limit does so at the end of a row.
@@ -156,7 +152,7 @@ impl Components {
     }
 
     /// Adds the next row, bytes of 0 or 255.
-    pub fn push(&mut self, row: &[u8]) {
+    pub(super) fn push(&mut self, row: &[u8]) {
         let (above, first) = (self.above, self.runs.len());
         self.push_runs(row, self.rows);
         self.join(above..first, first..self.runs.len());
@@ -164,35 +160,38 @@ impl Components {
     }
 
     /// The components of the rows pushed, but for those that are left out.
-    pub fn finish(&mut self) -> &[Blob] {
+    pub(super) fn finish(&mut self) -> &[Blob] {
         for index in 0..self.runs.len() {
             let Run { start, end, parent, .. } = self.runs[index];
             // Parents stand earlier, or are the run itself, and know their root by now.
             let root = self.runs[parent as usize].parent;
             self.runs[index].parent = root;
-            self.runs[root as usize].next += end - start;
+            self.runs[root as usize].next += u32::from(end - start);
         }
         for index in 0..self.runs.len() {
             // Runs before this one know their blob already.
             let Run { parent, next: area_px2, .. } = self.runs[index];
             let blob = if parent as usize == index {
-                self.open(index, area_px2)
+                self.open(area_px2)
             } else {
                 self.runs[parent as usize].parent
             };
-            (self.runs[index].parent, self.runs[index].next) = (blob, NO_RUN);
-            let Some(blob) = self.blobs.get_mut(blob as usize) else { continue };
-            blob.add(&self.runs[index]);
-            if blob.last_run as usize != index {
-                self.runs[blob.last_run as usize].next = index as u32;
-                blob.last_run = index as u32;
+            self.runs[index].parent = blob;
+            if let Some(blob) = self.blobs.get_mut(blob as usize) {
+                blob.add(&self.runs[index]);
+            }
+        }
+        // From the last run on each points to the one before, so that a blob needs no last run.
+        for (index, run) in (0..self.runs.len() as u32).zip(&mut self.runs).rev() {
+            if let Some(blob) = self.blobs.get_mut(run.parent as usize) {
+                run.next = core::mem::replace(&mut blob.first_run, index);
             }
         }
         &self.blobs
     }
 
-    /// The blob of a component that begins with this run.
-    fn open(&mut self, run: usize, area_px2: u32) -> u32 {
+    /// The blob of a component that begins here.
+    fn open(&mut self, area_px2: u32) -> u32 {
         if area_px2 < self.least_px2 {
             return NO_BLOB;
         }
@@ -200,7 +199,7 @@ impl Components {
         if self.kept > self.most_kept {
             return NO_BLOB;
         }
-        self.blobs.push(Blob::starting_at(run as u32));
+        self.blobs.push(Blob::EMPTY);
         self.blobs.len() as u32 - 1
     }
 
@@ -229,7 +228,7 @@ impl Components {
     }
 
     /// 64 pixels at a time: most of a mask is empty.
-    fn push_runs(&mut self, row: &[u8], y: u32) {
+    fn push_runs(&mut self, row: &[u8], y: u16) {
         let (wholes, rest) = row.as_chunks::<64>();
         let mut last = [0; 64];
         last[..rest.len()].copy_from_slice(rest);
@@ -245,7 +244,7 @@ impl Components {
                 (0..).step_by(8).zip(words).fold(0, |set, (at, &word)| set | u64::from(bits(word)) << at);
             let mut edges = set ^ (set << 1 | u64::from(open.is_some()));
             while edges != 0 {
-                let at = x + edges.trailing_zeros();
+                let at = (x + edges.trailing_zeros()) as u16;
                 edges &= edges - 1;
                 open = match open {
                     None => Some(at),
@@ -257,11 +256,11 @@ impl Components {
             }
         }
         if let Some(start) = open {
-            self.close(y, start, row.len() as u32);
+            self.close(y, start, row.len() as u16);
         }
     }
 
-    fn close(&mut self, y: u32, start: u32, end: u32) {
+    fn close(&mut self, y: u16, start: u16, end: u16) {
         let parent = self.runs.len() as u32;
         self.runs.push(Run { y, start, end, parent, next: 0 });
         self.pieces += 1;
@@ -300,18 +299,25 @@ impl Components {
 }
 
 impl Blob {
-    pub(super) const fn starting_at(run: u32) -> Self {
-        Self {
-            area_px2: 0,
-            sum_x: 0,
-            sum_y: 0,
-            left: u32::MAX,
-            top: u32::MAX,
-            right: 0,
-            bottom: 0,
-            first_run: run,
-            last_run: run,
-        }
+    pub(super) const EMPTY: Self = Self {
+        area_px2: 0,
+        sum_x: 0,
+        sum_y: 0,
+        left: u16::MAX,
+        top: u16::MAX,
+        right: 0,
+        bottom: 0,
+        first_run: NO_RUN,
+    };
+
+    /// Sums of the first and last column, and of the first and last row: twice the middle of its bounding box.
+    pub(super) fn ends(&self) -> (i64, i64) {
+        (i64::from(self.left) + i64::from(self.right), i64::from(self.top) + i64::from(self.bottom))
+    }
+
+    /// Columns and rows from the first to the last.
+    pub(super) fn size(&self) -> (u32, u32) {
+        (u32::from(self.right - self.left) + 1, u32::from(self.bottom - self.top) + 1)
     }
 
     /// Four times the covariance of the component's pixels, given its runs: for an ellipse the matrix whose eigenvalues
@@ -320,11 +326,11 @@ impl Blob {
     pub fn spread_px2<'a>(&self, runs: impl Iterator<Item = &'a Run>) -> Symmetric<2> {
         let area = i64::from(self.area_px2);
         // Twice the coordinates about the middle of the bounding box, as in the grey centroid.
-        let (mid_x, mid_y) = (i64::from(self.left + self.right), i64::from(self.top + self.bottom));
+        let (mid_x, mid_y) = self.ends();
         let (mut u, mut v, mut uu, mut uv, mut vv) = (0_i64, 0_i64, 0_i64, 0_i64, 0_i64);
         for run in runs {
             let len = i64::from(run.end - run.start);
-            let middle = i64::from(run.start + run.end) - 1 - mid_x;
+            let middle = i64::from(run.start) + i64::from(run.end) - 1 - mid_x;
             let y = 2 * i64::from(run.y) - mid_y;
             u += middle * len;
             v += y * len;
@@ -350,7 +356,7 @@ impl Blob {
 
     pub(super) fn add(&mut self, run: &Run) {
         let (start, end, y, len) =
-            (u64::from(run.start), u64::from(run.end), u64::from(run.y), run.end - run.start);
+            (u64::from(run.start), u64::from(run.end), u64::from(run.y), u32::from(run.end - run.start));
         self.area_px2 += len;
         // start + (start + 1) + ... + (end - 1)
         self.sum_x += (start + end - 1) * u64::from(len) / 2;

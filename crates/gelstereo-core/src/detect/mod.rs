@@ -407,7 +407,8 @@ const AREA_SPREAD: f64 = 0.2;
 /// Whether what reaches the border may be a part of a marker, not a strip along the border. Without whole markers to compare
 /// with, nothing may.
 fn is_as_long_as_a_marker(blob: &Blob, usual_px2: f64) -> bool {
-    let side = f64::from((blob.right - blob.left).max(blob.bottom - blob.top) + 1);
+    let (width, height) = blob.size();
+    let side = f64::from(width.max(height));
     // Twice the diameter, since markers need not be round.
     side * side <= 4.0 * 4.0 * core::f64::consts::FRAC_1_PI * usual_px2
 }
@@ -433,7 +434,7 @@ fn is_marker(blob: &Blob, params: &DetectParams) -> bool {
 
 /// Whether a component is round enough.
 fn in_shape(blob: &Blob, params: &DetectParams) -> bool {
-    let box_area = f64::from(blob.right - blob.left + 1) * f64::from(blob.bottom - blob.top + 1);
-    let ellipse_area = core::f64::consts::FRAC_PI_4 * box_area;
+    let (width, height) = blob.size();
+    let ellipse_area = core::f64::consts::FRAC_PI_4 * f64::from(width) * f64::from(height);
     f64::from(blob.area_px2) >= params.min_fill * ellipse_area
 }

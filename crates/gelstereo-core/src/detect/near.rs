@@ -69,7 +69,7 @@ impl Window {
 struct Candidate {
     position: u32,
     /// Row and column of its first pixel: no two pieces of an image share it.
-    key: (u32, u32),
+    key: (u16, u16),
     centre_px: DVec2,
     area_px2: u32,
     spread_px2: Symmetric<2>,

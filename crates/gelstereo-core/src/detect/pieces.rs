@@ -51,15 +51,15 @@ impl Pieces {
             || self.piece[0] != 0
             || self.piece[last_row] != 0;
         self.runs.clear();
-        let mut blob = Blob::starting_at(0);
-        for (y, (row, piece)) in (window.first.1 as u32..).zip(self.rows.iter_mut().zip(&self.piece)) {
+        let mut blob = Blob::EMPTY;
+        for (y, (row, piece)) in (window.first.1 as u16..).zip(self.rows.iter_mut().zip(&self.piece)) {
             *row &= !piece;
             let mut rest = *piece;
             while rest != 0 {
                 let start = rest.trailing_zeros();
                 let len = (!(rest >> start)).trailing_zeros();
-                let left = window.first.0 as u32 + start;
-                let run = Run::alone(y, left, left + len);
+                let left = window.first.0 as u16 + start as u16;
+                let run = Run::alone(y, left, left + len as u16);
                 blob.add(&run);
                 self.runs.push(run);
                 rest = rest.checked_shr(start + len).map_or(0, |high| high << (start + len));

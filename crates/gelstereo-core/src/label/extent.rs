@@ -66,23 +66,13 @@ impl View<'_> {
         while let Some(smaller) = self.without_specks(canvas, extent) {
             extent = smaller;
         }
-        let (rows, cols) = extent.size();
-        (out.rows, out.cols) = (rows, cols);
+        (out.rows, out.cols) = extent.size();
         out.places.clear();
-        out.detection.clear();
-        // Room for any lattice of which a quarter is seen, whatever specks make of its extent from frame to frame.
-        out.detection.reserve(4 * canvas.places.len());
-        out.detection.resize(rows * cols, None);
-        out.placed = 0;
-        for (m, place) in canvas.places.iter().enumerate() {
-            let place = place.filter(|&place| extent.contains(place));
-            let place = place.map(|p| Place::new(p.row - extent.low.row, p.col - extent.low.col));
-            out.places.push(place);
-            if let Some(p) = place {
-                out.detection[p.row as usize * cols + p.col as usize] = Some(m as u32);
-                out.placed += 1;
-            }
-        }
+        out.places.extend(canvas.places.iter().map(|place| {
+            let place = place.filter(|&place| extent.contains(place))?;
+            Some(Place::new(place.row - extent.low.row, place.col - extent.low.col))
+        }));
+        out.placed = out.places.iter().flatten().count();
         out.sides = [0, 1, 2, 3].map(|side| self.side(canvas, extent, side));
     }
 

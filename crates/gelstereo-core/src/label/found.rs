@@ -60,8 +60,6 @@ pub struct FoundLattice {
     pub rows: usize,
     /// Columns found.
     pub cols: usize,
-    /// Detection at `row * cols + col`.
-    pub detection: Vec<Option<u32>>,
     /// Detections with a place.
     pub placed: usize,
     /// Upper, right, lower and left side.
@@ -80,6 +78,32 @@ pub struct FoundLattice {
 }
 
 impl FoundLattice {
+    /// Which detection stands at each place.
+    #[must_use]
+    pub fn sites(&self) -> Sites {
+        let Self { rows, cols, .. } = *self;
+        let mut detection = alloc::vec![None; rows * cols];
+        for (m, place) in (0..).zip(&self.places) {
+            if let Some(place) = place {
+                detection[place.row as usize * cols + place.col as usize] = Some(m);
+            }
+        }
+        Sites { rows, cols, detection }
+    }
+}
+
+/// The rows and columns of a [`FoundLattice`], and the detection at each of their places.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Sites {
+    /// Rows found.
+    pub rows: usize,
+    /// Columns found.
+    pub cols: usize,
+    /// Row by row.
+    detection: Vec<Option<u32>>,
+}
+
+impl Sites {
     /// The detection at a place, if one was found there.
     #[must_use]
     pub fn at(&self, place: Place) -> Option<usize> {

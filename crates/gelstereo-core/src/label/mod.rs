@@ -18,7 +18,7 @@ mod seed;
 pub use anchor::{Anchor, AnchorEvidence, anchor};
 pub use finder::LatticeFinder;
 pub use foresight::foresight_sort;
-pub use found::{FoundLattice, Place, Side};
+pub use found::{FoundLattice, Place, Side, Sites};
 pub use rest::{rest_lattice, rest_lattice_of};
 
 use crate::math::DVec2;

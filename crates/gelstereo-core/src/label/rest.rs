@@ -1,7 +1,7 @@
 //! The rest lattice: rows and columns counted, every marker labelled, missing ones filled in.
 
 use super::fill::Partial;
-use super::found::{FoundLattice, Place};
+use super::found::{FoundLattice, Place, Sites};
 use super::{LabelError, LatticeFinder, RestLattice, check_regular};
 use crate::detect::Markers;
 use crate::math::{DVec2, atan2};
@@ -69,9 +69,10 @@ fn label_all(
 ) -> Result<RestLattice, LabelError> {
     let (mut finder, mut found) = (LatticeFinder::default(), FoundLattice::default());
     finder.run_with_specks(detected_px, &mut found)?;
-    let window = Window::choose(&found, whole, lattice)?;
+    let sites = found.sites();
+    let window = Window::choose(&sites, whole, lattice)?;
     let (rows, cols) = (window.rows(), window.cols());
-    let taken: Vec<Option<u32>> = window.places().map(|p| found.at(p).map(|m| m as u32)).collect();
+    let taken: Vec<Option<u32>> = window.places().map(|p| sites.at(p).map(|m| m as u32)).collect();
     let detection: Vec<Option<u32>> = taken.iter().map(|d| d.filter(|&m| (m as usize) < whole)).collect();
     let at = detection.iter().map(|d| d.map(|m| detected_px[m as usize])).collect();
     let partial = Partial { rows, cols, at };
@@ -115,11 +116,7 @@ impl Window {
     }
 
     /// The rows and columns that are printed.
-    fn choose(
-        found: &FoundLattice,
-        whole_markers: usize,
-        lattice: &LatticeParams,
-    ) -> Result<Self, LabelError> {
+    fn choose(found: &Sites, whole_markers: usize, lattice: &LatticeParams) -> Result<Self, LabelError> {
         let counted = lattice.rows.is_none() && lattice.cols.is_none();
         let mut whole = Self { top: 0, bottom: found.rows, left: 0, right: found.cols };
         let is_none = |within: &Self, side: usize| {
@@ -142,7 +139,7 @@ impl Window {
     /// Without outer rows and columns that the settings say are none, if they are known.
     fn with_settings(
         mut self,
-        found: &FoundLattice,
+        found: &Sites,
         lattice: &LatticeParams,
         printed: [Option<usize>; 2],
     ) -> Result<Self, LabelError> {
@@ -188,14 +185,14 @@ impl Window {
         }
     }
 
-    fn line(&self, found: &FoundLattice, side: usize) -> Line {
+    fn line(&self, found: &Sites, side: usize) -> Line {
         let line = self.side(side);
         let seen = line.places().filter(|&p| found.at(p).is_some()).count();
         Line { seen, length: line.rows() * line.cols() }
     }
 
     /// Whether none of its markers is whole.
-    fn is_cut(&self, found: &FoundLattice, whole_markers: usize) -> bool {
+    fn is_cut(&self, found: &Sites, whole_markers: usize) -> bool {
         self.places().all(|p| found.at(p).is_none_or(|m| m >= whole_markers))
     }
 
@@ -209,7 +206,7 @@ impl Window {
         self
     }
 
-    fn error(&self, found: &FoundLattice, lattice: &LatticeParams) -> LabelError {
+    fn error(&self, found: &Sites, lattice: &LatticeParams) -> LabelError {
         let (rows, cols) = (self.rows(), self.cols());
         LabelError::Shape {
             rows,

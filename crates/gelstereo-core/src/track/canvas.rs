@@ -1,6 +1,5 @@
 //! The lattice with rings of empty places around it, where markers would appear if it had moved by whole pitches.
 
-use super::near;
 use crate::math::{DVec2, median, sqrt};
 use alloc::vec::Vec;
 
@@ -66,6 +65,30 @@ pub(super) struct Canvas {
     pub located: Vec<bool>,
 }
 
+/// Where a place stands on its canvas.
+#[derive(Clone, Copy)]
+struct Near {
+    site: usize,
+    row: usize,
+    col: usize,
+    width: usize,
+    height: usize,
+    /// Places between it and the canvas' nearest end.
+    room: usize,
+}
+
+impl Near {
+    /// The place so many steps away; `None` beyond the canvas.
+    #[inline]
+    fn at(self, steps: usize, [down, right]: [isize; 2]) -> Option<usize> {
+        let (down, right) = (steps as isize * down, steps as isize * right);
+        let inside = self.room >= steps
+            || (self.row.wrapping_add_signed(down) < self.height
+                && self.col.wrapping_add_signed(right) < self.width);
+        inside.then(|| self.site.wrapping_add_signed(down * self.width as isize + right))
+    }
+}
+
 /// From a match so many steps outwards it is known where a place is.
 const LOCATED_STEPS: usize = 2;
 
@@ -125,9 +148,32 @@ impl Canvas {
         }
     }
 
-    /// The up to eight places around one.
+    /// Rows of the canvas, rings included.
+    pub const fn height(&self) -> usize {
+        self.rows + 2 * self.rings
+    }
+
+    /// The up to eight places around one, row by row.
     pub fn around(&self, site: usize) -> impl Iterator<Item = usize> + use<> {
-        near(site, self.width(), self.found.len(), 1).filter(move |&other| other != site)
+        let near = self.near(site);
+        AROUND.into_iter().filter_map(move |direction| near.at(1, direction))
+    }
+
+    fn near(&self, site: usize) -> Near {
+        let (width, height) = (self.width(), self.height());
+        let (row, col) = (site / width, site % width);
+        let room = row.min(height - 1 - row).min(col).min(width - 1 - col);
+        Near { site, row, col, width, height, room }
+    }
+
+    /// Least distance of two neighbours in a row or a column, as predicted.
+    pub fn least_step_px(&self) -> f64 {
+        let apart2 = |(a, b): (&DVec2, &DVec2)| a.distance_squared(*b);
+        let (mut least2, places) = (f64::INFINITY, &self.predicted_px);
+        for row in places.chunks_exact(self.width()) {
+            least2 = row.iter().zip(&row[1..]).map(apart2).fold(least2, f64::min);
+        }
+        sqrt(places.iter().zip(&places[self.width()..]).map(apart2).fold(least2, f64::min))
     }
 
     /// Distance of a place to the nearest of the four beside it, as predicted.
@@ -174,40 +220,62 @@ impl Canvas {
 
     /// What the matched places around one suggest as its value: each two on opposite sides, and each two in a line. All
     /// are right where values change evenly, as positions do, and residuals in a turn.
-    fn suggestions(&self, site: usize, value: impl Fn(usize) -> DVec2) -> Suggestions {
-        let mut out = Suggestions::default();
-        let (width, height) = (self.width() as isize, (self.rows + 2 * self.rings) as isize);
-        let (row, col) = (site as isize / width, site as isize % width);
-        let found = |steps: isize, [down, right]: [isize; 2]| {
-            let (r, c) = (row + steps * down, col + steps * right);
-            let inside = r >= 0 && c >= 0 && r < height && c < width;
-            let other = (r * width + c) as usize;
-            (inside && self.found[other] != NONE).then_some(other)
+    fn suggest(&self, site: usize, value: impl Fn(usize) -> DVec2, mut see: impl FnMut(DVec2)) {
+        let near = self.near(site);
+        let found = |steps, direction| {
+            let value = |other: usize| (self.found[other] != NONE).then(|| value(other));
+            near.at(steps, direction).and_then(value)
         };
-        let mut near = [None; 8];
-        for (near, direction) in near.iter_mut().zip(AROUND) {
-            *near = found(1, direction);
-        }
+        let firsts = AROUND.map(|direction| found(1, direction));
         for k in 0..8 {
-            let Some(first) = near[k].map(&value) else { continue };
-            if let (true, Some(opposite)) = (k < 4, near[7 - k]) {
-                out.push((first + value(opposite)) * 0.5);
+            let Some(first) = firsts[k] else { continue };
+            if let (true, Some(opposite)) = (k < 4, firsts[7 - k]) {
+                see((first + opposite) * 0.5);
             }
             if let Some(second) = found(2, AROUND[k]) {
-                out.push(first * 2.0 - value(second));
+                see(first * 2.0 - second);
             }
         }
-        out
     }
 
     /// Whether all that a place's surround suggests as its residual, if anything, lies closer to it than `most_px`: then so does
     /// what the surround suggests together.
     pub fn is_as_suggested(&self, site: usize, most_px: f64) -> bool {
-        let suggested = self.suggestions(site, |s| self.residual_px[s]);
-        let here = self.residual_px[site];
-        let (xs, ys) = (&suggested.x[..suggested.count], &suggested.y[..suggested.count]);
-        let off = |values: &[f64], at: f64| values.iter().fold(0.0_f64, |off, x| off.max((x - at).abs()));
-        suggested.count > 0 && DVec2::new(off(xs, here.x), off(ys, here.y)).length() <= most_px
+        let (mut off, mut any, here) = (DVec2::ZERO, false, self.residual_px[site]);
+        self.suggest(
+            site,
+            |s| self.residual_px[s],
+            |suggested| {
+                off = off.max((suggested - here).abs());
+                any = true;
+            },
+        );
+        any && off.length_squared() <= most_px * most_px
+    }
+
+    /// As [`Self::is_as_suggested`], and no place that suggests is without a detection.
+    pub fn is_amid(&self, site: usize, most_px: f64) -> bool {
+        if self.near(site).room < SUGGESTED_FROM {
+            return false;
+        }
+        let (here, mut off, mut whole) = (self.residual_px[site], DVec2::ZERO, true);
+        for [down, right] in &AROUND[..4] {
+            let step = down * self.width() as isize + right;
+            let [before, first, opposite, after] = [2, 1, -1, -2].map(|steps| {
+                let other = site.wrapping_add_signed(steps * step);
+                whole &= self.found[other] != NONE;
+                self.residual_px[other] - here
+            });
+            let suggested = [(first + opposite) * 0.5, first * 2.0 - before, opposite * 2.0 - after];
+            off = suggested.iter().fold(off, |off, suggested| off.max(suggested.abs()));
+        }
+        whole && off.length_squared() <= most_px * most_px
+    }
+
+    fn suggestions(&self, site: usize, value: impl Fn(usize) -> DVec2) -> Suggestions {
+        let mut out = Suggestions::default();
+        self.suggest(site, value, |suggested| out.push(suggested));
+        out
     }
 
     /// The residual that the matched places around one suggest.

@@ -161,7 +161,7 @@ impl Matching {
     fn agree(&mut self, canvas: &mut Canvas, detected_px: &[DVec2], before: Before<'_>) -> bool {
         let pitch_px = before.pitch_px;
         self.keep_largest(canvas, pitch_px, |_, _| false);
-        self.grow(canvas, detected_px, pitch_px);
+        let mut changed = self.grow(canvas, detected_px, pitch_px);
         // Islands beyond a gap are joined while all has moved alike; those that were hidden until now could have moved unseen.
         if let Some(mean) = moved_alike(canvas, pitch_px) {
             self.targets.clear();
@@ -172,16 +172,17 @@ impl Matching {
             }
             if self.claim(canvas, detected_px, NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px) {
                 self.grow(canvas, detected_px, pitch_px);
+                changed = true;
             }
         }
-        self.settle(canvas, detected_px, pitch_px);
+        changed |= self.settle(canvas, detected_px, pitch_px);
         // With a place for every detection and a detection for every place, no speck and no merged pair is among them.
-        if !self.is_complete(canvas) {
-            self.weed(canvas, before);
-        }
+        changed |= !self.is_complete(canvas) && self.weed(canvas, before);
         // What weeding cut off may have slipped as a whole.
-        let alike = moved_alike(canvas, pitch_px).is_some();
-        self.keep_largest(canvas, pitch_px, |canvas, site| alike && before.is_fresh(canvas, site));
+        if changed {
+            let alike = moved_alike(canvas, pitch_px).is_some();
+            self.keep_largest(canvas, pitch_px, |canvas, site| alike && before.is_fresh(canvas, site));
+        }
         canvas.spread(&mut self.known, &mut self.targets);
         !torn(canvas, before)
     }
@@ -226,6 +227,9 @@ impl Matching {
     /// Drops all but the largest set of neighbours in agreement; of other sets some places may be spared.
     fn keep_largest(&mut self, canvas: &mut Canvas, pitch_px: f64, spared: impl Fn(&Canvas, usize) -> bool) {
         let agree_px2 = (NEIGHBOURS_AGREE * pitch_px) * (NEIGHBOURS_AGREE * pitch_px);
+        if in_one_piece(canvas, agree_px2) {
+            return;
+        }
         self.component.clear();
         self.component.resize(canvas.found.len(), NONE);
         let (mut largest, mut most) = (NONE, 0);
@@ -263,9 +267,9 @@ impl Matching {
         }
     }
 
-    /// Matches places beside matched ones, predicted by their residuals, until nothing new is found.
-    fn grow(&mut self, canvas: &mut Canvas, detected_px: &[DVec2], pitch_px: f64) {
-        loop {
+    /// Matches places beside matched ones, predicted by their residuals, until nothing new is found; whether anything was.
+    fn grow(&mut self, canvas: &mut Canvas, detected_px: &[DVec2], pitch_px: f64) -> bool {
+        for round in 0.. {
             self.targets.clear();
             for site in (0..canvas.found.len()).filter(|&s| canvas.found[s] == NONE) {
                 if let Some(around) = canvas.suggested(site) {
@@ -273,13 +277,14 @@ impl Matching {
                 }
             }
             if !self.claim(canvas, detected_px, NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px) {
-                return;
+                return round > 0;
             }
         }
+        true
     }
 
-    /// Drops detections that an empty place wants about as much as the one that has it.
-    fn settle(&mut self, canvas: &mut Canvas, detected_px: &[DVec2], pitch_px: f64) {
+    /// Drops detections that an empty place wants about as much as the one that has it; whether there are any.
+    fn settle(&mut self, canvas: &mut Canvas, detected_px: &[DVec2], pitch_px: f64) -> bool {
         let (reach_px, disputed_px) = (NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px);
         self.claimants.clear();
         for (site, &m) in canvas.found.iter().enumerate().filter(|&(_, &m)| m != NONE) {
@@ -305,6 +310,7 @@ impl Matching {
             canvas.found[site as usize] = NONE;
             self.taken[m as usize] = false;
         }
+        !self.claimants.is_empty()
     }
 
     /// Whether all markers of the lattice were found, and nothing else.
@@ -314,20 +320,23 @@ impl Matching {
         self.taken.len() == markers && (0..canvas.found.len()).filter(found).count() == markers
     }
 
-    /// Drops detections that stand alone against their neighbours: specks, and merged pairs; until none does.
-    fn weed(&mut self, canvas: &mut Canvas, before: Before<'_>) {
+    /// Drops detections that stand alone against their neighbours: specks, and merged pairs; until none does. Whether there
+    /// were any.
+    fn weed(&mut self, canvas: &mut Canvas, before: Before<'_>) -> bool {
         let suspects = &mut self.known;
         suspects.clear();
         suspects.resize(canvas.found.len(), true);
-        loop {
+        // Closer than that nobody is asked how far it may be off.
+        let sure_px = (LONE_MOST * canvas.least_step_px()).min(LONE * before.pitch_px);
+        for round in 0.. {
             self.claimants.clear();
             for (site, &m) in canvas.found.iter().enumerate() {
-                if m != NONE && suspects[site] && stands_alone(canvas, before, site) {
+                if m != NONE && suspects[site] && stands_alone(canvas, before, site, sure_px) {
                     self.claimants.push((site as u32, m));
                 }
             }
             if self.claimants.is_empty() {
-                return;
+                return round > 0;
             }
             // What is dropped is missed by those who look at it, at most two places away.
             suspects.fill(false);
@@ -339,14 +348,34 @@ impl Matching {
                 }
             }
         }
+        true
     }
 }
 
-/// Whether a match differs from what its neighbours suggest, or has too few of them.
-fn stands_alone(canvas: &Canvas, before: Before<'_>, site: usize) -> bool {
+/// Whether every match but the first agrees with its left or upper neighbour: then all hang together. Most frames are like
+/// that; of others it says nothing.
+fn in_one_piece(canvas: &Canvas, agree_px2: f64) -> bool {
+    let (width, found) = (canvas.width(), &canvas.found);
+    let mut matched = (0..found.len()).filter(|&s| found[s] != NONE);
+    let _first = matched.next();
+    matched.all(|site| {
+        let agrees = |other: usize| {
+            found[other] != NONE
+                && canvas.residual_px[other].distance_squared(canvas.residual_px[site]) < agree_px2
+        };
+        (!site.is_multiple_of(width) && agrees(site - 1)) || site.checked_sub(width).is_some_and(agrees)
+    })
+}
+
+/// Whether a match differs from what its neighbours suggest, by more than is sure to be little, or has too few of them.
+fn stands_alone(canvas: &Canvas, before: Before<'_>, site: usize, sure_px: f64) -> bool {
     let pitch_px = before.pitch_px;
-    let nearest_px = LONE_MOST * canvas.step_px(site);
+    let hidden = !before.is_fresh(canvas, site);
+    if !hidden && canvas.is_amid(site, sure_px) {
+        return false;
+    }
     let differs = || {
+        let nearest_px = LONE_MOST * canvas.step_px(site);
         canvas.suggested(site).is_none_or(|around| {
             let hidden = before.missed(canvas, site).map_or(HIDDEN_FRAMES, |m| m.min(HIDDEN_FRAMES));
             let most_px = if around.count < SUPPORT {
@@ -359,12 +388,11 @@ fn stands_alone(canvas: &Canvas, before: Before<'_>, site: usize) -> bool {
         })
     };
     // What all suggest alike needs no medians.
-    if !canvas.is_as_suggested(site, nearest_px.min(LONE * pitch_px)) && differs() {
+    if !canvas.is_as_suggested(site, sure_px) && differs() {
         return true;
     }
     let bent = |between: DVec2| canvas.position_px(site).distance(between) > BENT * pitch_px;
     let beside = canvas.around(site).filter(|&s| canvas.found[s] != NONE).count();
-    let hidden = !before.is_fresh(canvas, site);
     beside < if hidden { BESIDE_HIDDEN } else { BESIDE }
         || (hidden && canvas.between_px(site).is_some_and(bent))
 }
@@ -375,27 +403,34 @@ fn stands_alone(canvas: &Canvas, before: Before<'_>, site: usize) -> bool {
 fn torn(canvas: &Canvas, before: Before<'_>) -> bool {
     let most_slip = if before.stale { SLIPPED_STALE } else { SLIPPED };
     let (slip, bent) = (most_slip * before.pitch_px, BENT * before.pitch_px);
-    let width = canvas.width();
+    let (width, height) = (canvas.width(), canvas.height());
     let found = |site: usize| canvas.found[site] != NONE;
-    let height = canvas.found.len() / width;
-    let tears = |site: usize, row: usize, col: usize| {
+    let tears = |row: usize, col: usize| {
+        let site = row * width + col;
         let between = |one: usize, other: usize| {
-            let off2 = |at: &dyn Fn(usize) -> DVec2| ((at(one) + at(other)) * 0.5).distance_squared(at(site));
-            let known = || [one, site, other].into_iter().all(|s| before.is_fresh(canvas, s));
+            let off2 = |[a, b, c]: [DVec2; 3]| ((a + c) * 0.5).distance_squared(b);
+            let line = [one, site, other];
             found(one)
                 && found(other)
-                && off2(&|s| canvas.position_px(s)) > bent * bent
-                && !(known() && off2(&|s| canvas.residual_px[s]) < bent * bent)
+                && off2(line.map(|s| canvas.position_px(s))) > bent * bent
+                && !(line.iter().all(|&s| before.is_fresh(canvas, s))
+                    && off2(line.map(|s| canvas.residual_px[s])) < bent * bent)
         };
         let slipped = |other: usize| {
             let apart = canvas.residual_px[site] - canvas.residual_px[other];
             found(other) && apart.length_squared() > slip * slip
         };
-        (col > 0 && col + 1 < width && between(site - 1, site + 1))
-            || (row > 0 && row + 1 < height && between(site - width, site + width))
-            || canvas.around(site).any(slipped)
+        let (inner, below) = (col > 0 && col + 1 < width, row + 1 < height);
+        // Each two neighbours once.
+        found(site)
+            && ((inner && between(site - 1, site + 1))
+                || (row > 0 && below && between(site - width, site + width))
+                || (col + 1 < width && slipped(site + 1))
+                || (below && slipped(site + width))
+                || (below && col > 0 && slipped(site + width - 1))
+                || (below && col + 1 < width && slipped(site + width + 1)))
     };
-    (0..canvas.found.len()).any(|site| found(site) && tears(site, site / width, site % width))
+    (0..height).any(|row| (0..width).any(|col| tears(row, col)))
 }
 
 /// Mean residual of all matches if all lie closer to it than `most_px`.

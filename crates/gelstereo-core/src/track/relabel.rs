@@ -30,8 +30,6 @@ impl Relabel {
     pub fn reserve(&mut self, size_px: (usize, usize), most_detections: usize, longest: usize) {
         self.finder.reserve(size_px, most_detections, longest + SPECKS_BEYOND);
         self.found.places.reserve(most_detections);
-        // An outer line is kept only if a quarter of it is there.
-        self.found.detection.reserve(4 * most_detections);
     }
 
     /// Looks for the lattice of a frame; whether there is one.
