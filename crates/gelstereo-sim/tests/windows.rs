@@ -6,7 +6,7 @@ use gelstereo_core::math::{DVec2, DVec3, Pose};
 use gelstereo_core::params::{Background, LabelMethod, Motion, Params, Search, Threshold};
 use gelstereo_core::pipeline::{Frame, Pipeline, Searched};
 use gelstereo_core::track::MarkerState;
-use gelstereo_sim::effects::SensorNoise;
+use gelstereo_sim::effects::{Defocus, SensorNoise};
 use gelstereo_sim::{ContactState, Effects, GelKeyframe, Scene, Shape, Simulator, Truth};
 
 const WINDOWS: [Searched; 2] = [Searched::Windows; 2];
@@ -79,6 +79,25 @@ fn presses_are_followed_in_windows_as_in_the_whole_image() {
             process(&mut resumed, pair, &mut b);
             assert_eq!(b.digest(), digests[n]);
         }
+    }
+}
+
+/// Dots of two pixels across: the rest frame shows all of them, not only those that come after it.
+#[test]
+fn the_finest_print_is_seen_whole_at_rest() {
+    let noise = (Some(SensorNoise::default()), Some(Defocus::default()));
+    let effects = Effects { sensor_noise: noise.0, defocus: noise.1, ..Effects::of_gel() };
+    let scene = Scene { effects, ..Scene::preset("640x480-71").unwrap() };
+    let mut simulator = Simulator::new(&scene, None).unwrap();
+    let (mut truth, mut frame, mut pair) = (Truth::default(), Frame::default(), Pair::default());
+    simulator.truth(None, &mut truth);
+    let [left, right] = &mut pair;
+    simulator.render(&truth, 0, left, right);
+    for preset in ["fast", "balanced", "exact"] {
+        let mut pipeline = Pipeline::new(&scene.rig, &Params::preset(preset).unwrap()).unwrap();
+        assert_eq!(process(&mut pipeline, &pair, &mut frame), WHOLE);
+        let seen = frame.state.iter().filter(|&&state| state == MarkerState::Seen).count();
+        assert_eq!((seen, frame.left.detected, frame.right.detected), (5041, 5041, 5041), "{preset}");
     }
 }
 
