@@ -145,7 +145,7 @@ impl Components {
         }
     }
 
-    /// Components of the rows pushed since [`Self::start`]; later rows may join some.
+    /// Components of the rows so far; later rows may join some.
     #[must_use]
     pub const fn pieces(&self) -> usize {
         self.pieces
