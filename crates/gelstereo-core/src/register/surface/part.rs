@@ -135,7 +135,7 @@ impl Coarse<'_> {
     fn lookup(&self, x_mm: DVec3, press: DVec3) -> Near {
         let (distance_mm, gradient) = self.0.distance(x_mm).unwrap_or((self.0.reach_mm(), press));
         let length_squared = gradient.length_squared();
-        let normal = if length_squared > 1e-6 { gradient / sqrt(length_squared) } else { press };
+        let normal = if length_squared > 1e-6 { gradient * (1.0 / sqrt(length_squared)) } else { press };
         Near { distance_mm, normal, curvature_per_mm: 0.0 }
     }
 
