@@ -69,6 +69,10 @@ impl Ring {
     /// The same of every column.
     #[inline]
     fn sums<const N: usize>(&self, changes: &[[f64; N]]) -> [f64; N] {
+        if self.count as usize == RING {
+            let [a, b, c, d] = self.near.map(|j| &changes[j as usize]);
+            return core::array::from_fn(|i| a[i] + b[i] + c[i] + d[i]);
+        }
         let mut sum = [0.0; N];
         for &j in &self.near[..self.count as usize] {
             let other = &changes[j as usize];
@@ -279,12 +283,13 @@ impl Gel {
                 let mut source = [0.0; N];
                 source[N - 1] = heights_mm[k];
                 let (sum, share) = (ring.sums(changes), shares[ring.count as usize]);
-                let here = &mut changes[k];
+                let mut here = changes[k];
                 for i in 0..N {
                     let step = over * (share * (stiffness * sum[i] + source[i]) - here[i]);
                     largest[i] = larger(step.abs(), largest[i]);
                     here[i] += step;
                 }
+                changes[k] = here;
             }
             let largest = largest.into_iter().fold(0.0, larger);
             if largest < FOLLOWED {

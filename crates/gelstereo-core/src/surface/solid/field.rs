@@ -103,7 +103,8 @@ impl Field {
     pub fn distance(&self, p_mm: DVec3) -> Option<(f64, DVec3)> {
         let at = (p_mm - self.low_mm) * self.per_cell;
         // What is not a number is not within.
-        if !(at.cmpge(DVec3::ZERO).all() && at.cmplt(self.cells).all()) {
+        let is_within = |axis: usize| at[axis] >= 0.0 && at[axis] < self.cells[axis];
+        if !(is_within(0) && is_within(1) && is_within(2)) {
             return None;
         }
         let [x, y, z] = at.to_array().map(|along| along as u32 as usize);
