@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod contact_patch;
+mod problems;
 
 use contact_patch::{Contact, Shape};
 use gelstereo_core::math::random::Stream;
@@ -62,6 +63,31 @@ fn a_second_run_allocates_nothing() {
         registrar.run(&contact.points_mm, &template, &guess).unwrap();
         assert_eq!(ALLOCATIONS.get() - before - first, 0, "{method:?}");
     }
+}
+
+#[test]
+fn what_the_gel_is_asked_allocates_nothing() {
+    let parts = problems::parts::parts();
+    let template = Template::from_mesh(&parts[0].mesh, 0.5, 1).unwrap();
+    let mut random = Stream::new(3, "gel");
+    let decay_mm = problems::gel::SOFT_MM;
+    let problem = problems::Problem::press_into(decay_mm, &parts[0], problems::Sensing::GOOD, &mut random);
+    let contact = Patch { decay_mm, ..problem.contact() };
+    let guess = problem.guess(0.05, 0.5, &mut random);
+    let settings = RegisterParams { method: RegisterMethod::SurfaceSearch, ..Default::default() };
+    let mut registrar = Registrar::new(&settings);
+    let first = registrar.register(&contact, &template, &guess).unwrap();
+    let before = ALLOCATIONS.get();
+    let second = registrar.register(&contact, &template, &guess).unwrap();
+    assert_eq!(ALLOCATIONS.get(), before);
+    assert_eq!(second, first);
+    // A gel at rest within a pitch is not asked, and another answer comes of it.
+    let stiff = Patch { decay_mm: 0.1, ..contact };
+    assert_ne!(registrar.register(&stiff, &template, &guess).unwrap().log_likelihood, first.log_likelihood);
+    // With less work than one of several candidates takes the answer is as valid.
+    let short = RegisterParams { budget: 60_000, ..settings };
+    let short = Registrar::new(&short).register(&contact, &template, &guess).unwrap();
+    assert!(short.covariance().iter().flatten().all(|x| x.is_finite()));
 }
 
 #[test]

