@@ -1,5 +1,4 @@
-//! What a small window around an expected position shows, at a glance: one marker, nothing, or something
-//! else.
+//! What a small window around an expected position shows, at a glance: one marker, nothing, or something else.
 //!
 //! Light, threshold and moments come from the window alone, by loops of fixed length over rows of whole
 //! numbers, which compile to vector code. What is not clearly one marker is left to those who look closer

@@ -120,8 +120,8 @@ enum Start {
 }
 
 /// A step that ends nearer than this to both rays, in units of sqrt(mm · depth), is the last: it leaves pixel residuals
-/// of f (distance / depth)², 4e-6 px, and so less than a thousandth of the standard deviation of centres good to 0.01 px.
-const NEAR: f64 = 3e-4;
+/// of f (distance / depth)², 3e-6 px, and so less than a thousandth of the standard deviation of centres good to 0.01 px.
+const NEAR: f64 = 2.4e-4;
 
 /// One step from the middle of the refracted rays, and the slope of both rays in air. It needs no search for a light
 /// path, because the nearest points of both rays are seen exactly at their pixels.

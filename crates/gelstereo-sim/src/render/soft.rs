@@ -307,13 +307,14 @@ mod tests {
             let found = soft(&ellipse, lens);
             let off = most(&found, &fine(&shapes(&[ellipse]), lens, None));
             prop_assert!(off < TOLERANCE, "{off}");
-            // Shares sum to the area, and their centroid is the ellipse's centre: windows end at whole pixels, so that more of
-            // the lens may be cut off on one side, and as much weighs more the farther out it is.
+            // Shares sum to the area, and their centroid is the ellipse's centre. What lines leave, 4e-5 as far as four sigma to
+            // both sides of the outline, moves it by at most 4 / pi times 4e-5 and 8 sigma, were it of one sign on one half of the
+            // outline and of the other on the other. The lens cut off on one side alone, 1e-5 of it at 4.3 sigma, adds 6e-5 sigma.
             let area: f64 = found.iter().map(|&share| f64::from(share)).sum();
             let share = area / (PI * ellipse.radius_px() * ellipse.radius_px());
             prop_assert!((share - 1.0).abs() < 4.0 * TOLERANCE, "{share}");
             let off = (centroid(&found) - ellipse.centre_px).length();
-            prop_assert!(off < 1e-4 * sigma_px * sigma_px, "{off} px");
+            prop_assert!(off < 4.7e-4 * sigma_px, "{off} px");
         }
 
         /// Anywhere about the image's border, however much of it is seen.
