@@ -36,7 +36,9 @@ fn a_long_shoulder_is_told_from_the_part() {
         }
     }
     println!("with {with}, without {without}");
-    assert!(with.share() >= 0.75 && with.share() > without.share() + 0.1, "with {with}, without {without}");
+    // Twelve contacts cannot tell shares apart that differ by less than a quarter; the middle one's error can.
+    assert!(with.share() >= 0.75 && with.share() >= without.share(), "with {with}, without {without}");
+    assert!(with.median() < without.median(), "with {with}, without {without}");
 }
 
 #[test]
