@@ -269,7 +269,8 @@ impl Matching {
 
     /// Matches places beside matched ones, predicted by their residuals, until nothing new is found; whether anything was.
     fn grow(&mut self, canvas: &mut Canvas, detected_px: &[DVec2], pitch_px: f64) -> bool {
-        for round in 0.. {
+        let mut any = false;
+        loop {
             self.targets.clear();
             for site in (0..canvas.found.len()).filter(|&s| canvas.found[s] == NONE) {
                 if let Some(around) = canvas.suggested(site) {
@@ -277,10 +278,10 @@ impl Matching {
                 }
             }
             if !self.claim(canvas, detected_px, NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px) {
-                return round > 0;
+                return any;
             }
+            any = true;
         }
-        true
     }
 
     /// Drops detections that an empty place wants about as much as the one that has it; whether there are any.
@@ -328,7 +329,8 @@ impl Matching {
         suspects.resize(canvas.found.len(), true);
         // Closer than that nobody is asked how far it may be off.
         let sure_px = (LONE_MOST * canvas.least_step_px()).min(LONE * before.pitch_px);
-        for round in 0.. {
+        let mut any = false;
+        loop {
             self.claimants.clear();
             for (site, &m) in canvas.found.iter().enumerate() {
                 if m != NONE && suspects[site] && stands_alone(canvas, before, site, sure_px) {
@@ -336,8 +338,9 @@ impl Matching {
                 }
             }
             if self.claimants.is_empty() {
-                return round > 0;
+                return any;
             }
+            any = true;
             // What is dropped is missed by those who look at it, at most two places away.
             suspects.fill(false);
             for &(site, m) in &self.claimants {
@@ -348,7 +351,6 @@ impl Matching {
                 }
             }
         }
-        true
     }
 }
 
