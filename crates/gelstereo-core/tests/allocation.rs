@@ -8,7 +8,9 @@ use gelstereo_core::detect::{Detector, Markers};
 use gelstereo_core::label::{FoundLattice, LatticeFinder, anchor, foresight_sort, rest_lattice};
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec2, DVec3};
-use gelstereo_core::params::{Background, Centre, Params, Threshold, TriangulateMethod, TriangulateParams};
+use gelstereo_core::params::{
+    Background, Centre, FindAt, Params, Threshold, TriangulateMethod, TriangulateParams,
+};
 use gelstereo_core::rig::Rig;
 use gelstereo_core::track::{Tracker, Tracks};
 use gelstereo_core::triangulate::{Centres, Triangulator};
@@ -81,6 +83,24 @@ fn detection_allocates_for_the_first_image_only() {
             assert_eq!(later, 0, "{background:?} {threshold:?} {centre:?} {kernel_px}");
         }
     }
+}
+
+/// Also when only the first image shows all of its markers at half its size.
+#[test]
+fn an_image_that_half_its_size_does_not_show_allocates_nothing() {
+    let clear = Dots::new(640, 480, paper_lattice()).render();
+    let mut stream = Stream::new(1, "noise");
+    let noise: Vec<u8> = (0..640 * 480).map(|_| stream.next_u64() as u8).collect();
+    let fine = Dots { radius_px: 2.0, ..Dots::new(640, 480, paper_lattice()) }.render();
+    let (mut detector, mut markers) =
+        (Detector::new(&Params::preset("fast").unwrap().detect), Markers::default());
+    let mut search = |image: &[u8], at: FindAt| {
+        let _ = detector.run(view(image, 640), &mut markers);
+        assert_eq!(detector.found_at(), at);
+    };
+    assert!(allocations(|| search(&clear, FindAt::HalfSize)) > 0);
+    let later = || [&fine, &noise, &fine].into_iter().for_each(|image| search(image, FindAt::FullSize));
+    assert_eq!(allocations(later), 0);
 }
 
 #[test]

@@ -59,6 +59,18 @@ RUNGS = (
     ),
     Rung(
         "detect",
+        "blocks + auto + band at half size",
+        {
+            "detect": {
+                "background": "blocks",
+                "threshold": "auto",
+                "centre": "band",
+                "find_at": "half_size",
+            }
+        },
+    ),
+    Rung(
+        "detect",
         "blocks + auto + matched",
         {"detect": {"background": "blocks", "threshold": "auto", "centre": "matched"}},
     ),

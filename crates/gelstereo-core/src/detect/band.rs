@@ -4,11 +4,14 @@
 //! of their sum in the image's noise and grain. White noise counts by the square of the marker's own contrast; grain is of the
 //! paint, and fades with the light as the contrast does, so that its part is the same for all markers.
 
-use super::fit::{Influence, Noise};
-use super::glance::Eye;
+use super::fit::{CLEARANCE_PX, Influence, Noise};
+use super::glance::{Eye, Eyes, Kind};
+use super::{Detector, Markers, rows_between, searched};
 use crate::image::GrayView;
 use crate::math::DVec2;
 
+/// Rows between those from which noise is measured, over that for weights of a matched step: weights do not follow it.
+const SPARSER: usize = 2;
 /// Markers from whose edges the weights are taken, spread evenly.
 const SAMPLES: usize = 3;
 /// Variance of rounding weights to whole grey levels, as the image's levels are.
@@ -70,5 +73,22 @@ impl BandNoise {
     pub fn variance_px2(&self, band: u8) -> Option<f64> {
         let Learned { white, grain } = self.learned.filter(|_| band > 0)?;
         Some(white / (f64::from(band) * f64::from(band)) + grain + MODEL_PX * MODEL_PX)
+    }
+}
+
+impl Detector {
+    /// Learns how well markers of one kind, and [`Self::bands`], are known in an image, and tells each.
+    pub(super) fn tell_band_noise(&mut self, image: GrayView<'_>, kind: &Kind, out: &mut Markers) {
+        let (eyes, every) = (Eyes::new(*kind, self.flip()), SPARSER * rows_between(image.height()));
+        let Self { segments, half, meter, bands, band_noise: Some(learned), .. } = self else { return };
+        let (segments, scale) = searched(segments, half.as_ref());
+        let cover = |rows, near: &mut [u8]| segments.components.cover(rows, scale, near);
+        let noise = meter.run_rows(image, every, CLEARANCE_PX, cover).unwrap_or_default();
+        eyes.learn(learned, image, &noise, &out.centres_px);
+        for (covariance, &mut band) in out.covariance_px2.iter_mut().zip(bands) {
+            if let Some(variance) = learned.variance_px2(band) {
+                *covariance = [[variance, 0.0], [0.0, variance]];
+            }
+        }
     }
 }

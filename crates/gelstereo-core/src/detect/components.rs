@@ -137,11 +137,13 @@ impl Components {
         (self.rows, self.above, self.pieces) = (0, 0, 0);
     }
 
-    /// Sets the bytes of `row` that some component has in the same column of these rows of the image.
-    pub fn cover(&self, rows: core::ops::RangeInclusive<usize>, row: &mut [u8]) {
-        let first = self.runs.partition_point(|run| (run.y as usize) < *rows.start());
-        for run in self.runs[first..].iter().take_while(|run| run.y as usize <= *rows.end()) {
-            row[run.start as usize..run.end as usize].fill(u8::MAX);
+    /// Sets the bytes of `row` that some component has in the same column of these rows of an image each pixel of whose mask
+    /// has `scale` columns and rows.
+    pub fn cover(&self, rows: core::ops::RangeInclusive<usize>, scale: usize, row: &mut [u8]) {
+        let (start, end) = (*rows.start() / scale, *rows.end() / scale);
+        let first = self.runs.partition_point(|run| (run.y as usize) < start);
+        for run in self.runs[first..].iter().take_while(|run| run.y as usize <= end) {
+            row[run.start as usize * scale..run.end as usize * scale].fill(u8::MAX);
         }
     }
 

@@ -111,6 +111,11 @@ impl Difference {
         }
     }
 
+    /// The thresholds of the surveyed image.
+    pub const fn thresholds(&self) -> &Thresholds {
+        &self.thresholds
+    }
+
     /// Room for an image, which is free until the next survey.
     pub const fn spare(&mut self) -> &mut Vec<u8> {
         &mut self.smoothed

@@ -4,10 +4,12 @@
 //! numbers, which compile to vector code. What is not clearly one marker is left to those who look closer
 //! ([`super::near`]).
 
+mod eyes;
 mod lanes;
 
 use crate::image::GrayView;
 use crate::math::DVec2;
+pub(super) use eyes::Eyes;
 use lanes::{Weights, darkest, moments, products, step_up, sum_columns, weigh};
 
 /// Most rows and columns of a window.
@@ -283,6 +285,13 @@ struct Outline {
     band: u8,
 }
 
+impl Outline {
+    fn spot(&self) -> Spot {
+        let area_px2 = crate::math::round(self.area_px2) as u32;
+        Spot { centre_px: self.centre_px, area_px2, band: self.band }
+    }
+}
+
 impl<const L: usize> Weights<L> {
     fn outline(&self, place: &Place<L>, band: u8) -> Outline {
         let sum: i32 = self.columns.iter().map(|&weight| i32::from(weight)).sum();
@@ -389,17 +398,30 @@ impl<const L: usize> Eye<L> {
         }
     }
 
-    /// Centre of the marker about its component's mean position, if it lies whole in a window around it, and [`Spot::band`].
+    /// The marker about its component's mean position, if it lies whole in a window around it.
     /// None farther than a pixel away: a window upon two markers that nearly touch settles in their middle.
     #[must_use]
-    pub fn centre(&self, image: GrayView<'_>, at_px: DVec2) -> Option<(DVec2, u8)> {
-        match self.settle(&image, at_px, 1) {
+    pub fn centre(&self, image: GrayView<'_>, at_px: DVec2) -> Option<Spot> {
+        self.outline_about(&image, at_px).map(|outline| outline.spot())
+    }
+
+    /// As [`Self::centre`], of the size and shape of one marker.
+    #[must_use]
+    pub fn single(&self, image: GrayView<'_>, at_px: DVec2) -> Option<Spot> {
+        match self.decide(&self.outline_about(&image, at_px)?) {
+            Glance::Marker(spot) => Some(spot),
+            Glance::Nothing | Glance::Unclear => None,
+        }
+    }
+
+    fn outline_about(&self, image: &GrayView<'_>, at_px: DVec2) -> Option<Outline> {
+        match self.settle(image, at_px, 1) {
             Settled::At(gel, outline)
                 if !outline.touches
                     && f64::from(gel.uneven) < MOST_UNEVEN * f64::from(gel.depth)
                     && outline.centre_px.distance_squared(at_px) < MOST_OFF_PX * MOST_OFF_PX =>
             {
-                Some((outline.centre_px, outline.band))
+                Some(outline)
             }
             _ => None,
         }
@@ -415,7 +437,7 @@ impl<const L: usize> Eye<L> {
         mut each: impl FnMut([i32; 2], DVec2),
     ) -> Option<(u8, f64)> {
         let mut room = Room::new();
-        let window = self.window(&image, self.centre(image, at_px)?.0, &mut room)?;
+        let window = self.window(&image, self.centre(image, at_px)?.centre_px, &mut room)?;
         let (place, gel) = (window.place, self.gel(&window));
         let (low, band) = gel.band();
         let (unit, high) = (f64::from(1 << BITS), f64::from(band));
@@ -487,14 +509,14 @@ impl<const L: usize> Eye<L> {
 
     fn decide(&self, outline: &Outline) -> Glance {
         let disc_px2 = outline.area_px2 * (0.5 * core::f64::consts::FRAC_1_PI);
-        let area_px2 = crate::math::round(outline.area_px2) as u32;
+        let Spot { area_px2, .. } = outline.spot();
         let (least_px2, most_px2) = self.kind.area_px2;
         if outline.touches || area_px2 > most_px2 || outline.spread_px2 > MOST_SPREAD * disc_px2 + BLUR_PX2 {
             Glance::Unclear
         } else if area_px2 < least_px2 {
             Glance::Nothing
         } else {
-            Glance::Marker(Spot { centre_px: outline.centre_px, area_px2, band: outline.band })
+            Glance::Marker(outline.spot())
         }
     }
 }

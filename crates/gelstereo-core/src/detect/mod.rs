@@ -10,13 +10,17 @@ mod difference;
 mod error;
 pub mod fit;
 pub mod glance;
+mod half;
 pub mod matched;
 pub mod morphology;
 pub mod near;
 pub mod noise;
 pub mod pieces;
+mod segments;
+mod sieve;
 pub mod smooth;
 pub mod threshold;
+mod whole;
 mod windows;
 
 pub use error::DetectError;
@@ -24,18 +28,16 @@ pub use error::DetectError;
 use crate::image::GrayView;
 use crate::math::DVec2;
 use crate::math::linalg::Symmetric;
-use crate::params::{Centre, DetectParams, Threshold};
+use crate::params::{Centre, DetectParams, FindAt, Threshold};
 use alloc::vec;
 use alloc::vec::Vec;
 use band::BandNoise;
 use centre::GreyCentre;
-use components::{Blob, Components, Most};
-use difference::Difference;
-use fit::{CLEARANCE_PX, DiscFit, NoiseMeter};
-use glance::{Eye, Kind};
+use fit::{DiscFit, NoiseMeter};
+use half::HalfSize;
 use matched::Matched;
-use morphology::Closing;
 use near::Search;
+use segments::Segments;
 use windows::Glances;
 
 /// Markers found in one image, in the raster order of their first pixels.
@@ -103,16 +105,12 @@ pub const MOST_MARKERS: usize = 8192;
 /// Pixels of an image for each of the markers that it may have.
 pub const PIXELS_PER_MARKER: usize = 50;
 
-/// Smaller pieces take no pixels from a marker beside them.
-const LEAST_NEIGHBOUR_PX2: u32 = 3;
-
 /// The detection stage and its scratch.
 #[derive(Clone, Debug)]
 pub struct Detector {
     params: DetectParams,
-    difference: Difference,
-    closing: Closing,
-    components: Components,
+    segments: Segments,
+    half: Option<HalfSize>,
     grey_centre: GreyCentre,
     disc_fit: Option<DiscFit>,
     matched: Matched,
@@ -121,7 +119,6 @@ pub struct Detector {
     bands: Vec<u8>,
     meter: NoiseMeter,
     size_px: (usize, usize),
-    mask: Vec<u8>,
     areas_px2: Vec<u32>,
     near: Search,
     glances: Glances,
@@ -133,9 +130,8 @@ impl Detector {
     pub fn new(params: &DetectParams) -> Self {
         Self {
             params: params.clone(),
-            difference: Difference::new(params),
-            closing: Closing::new(params.morphology_kernel_px),
-            components: Components::keeping(params.min_area_px2.min(LEAST_NEIGHBOUR_PX2)),
+            segments: Segments::new(params),
+            half: HalfSize::new(params),
             grey_centre: GreyCentre::default(),
             disc_fit: (params.centre == Centre::Fit).then(|| DiscFit::new(params)),
             matched: Matched::new(params),
@@ -143,7 +139,6 @@ impl Detector {
             bands: Vec::new(),
             meter: NoiseMeter::default(),
             size_px: (0, 0),
-            mask: Vec::new(),
             areas_px2: Vec::new(),
             near: Search::default(),
             glances: Glances::default(),
@@ -169,116 +164,48 @@ impl Detector {
     pub fn run(&mut self, image: GrayView<'_>, out: &mut Markers) -> Result<(), DetectError> {
         out.clear();
         self.check(image)?;
-        self.find_components(image)?;
-        let flip = self.flip();
-        let Self {
-            params,
-            difference,
-            components,
-            grey_centre,
-            disc_fit,
-            matched,
-            band_noise,
-            bands,
-            meter,
-            areas_px2,
-            ..
-        } = self;
-        let most = most_markers(params, (image.width(), image.height()));
+        self.make_room(image);
+        let most = most_markers(&self.params, self.size_px);
         // Along the border every second pixel at most begins a marker.
         out.reserve(most, most.min(image.width() + image.height()));
-        if let Some(fit) = disc_fit.as_mut() {
-            fit.clear(most);
+        self.areas_px2.clear();
+        self.areas_px2.reserve(most);
+        if self.params.centre == Centre::Band {
+            self.bands.clear();
+            self.bands.reserve(most);
         }
-        areas_px2.clear();
-        areas_px2.reserve(most);
+        if self.run_half(image, out) { Ok(()) } else { self.run_whole(image, out) }
+    }
+
+    /// The first image of a size is looked at in both sizes, so that no later one needs more room.
+    fn make_room(&mut self, image: GrayView<'_>) {
         let size_px = (image.width(), image.height());
-        let markers = components.blobs().iter().filter(|blob| is_marker(blob, params));
-        let found = markers.clone().count();
-        if found > most {
-            return Err(DetectError::TooMany { found, most });
+        if self.half.is_some() && self.size_px != size_px {
+            // Whether it has too many components its search will tell.
+            let _ = self.segments.run(image);
+            self.grey_centre.reserve(image.height());
         }
-        let whole = markers.clone().filter(|blob| blob.sides_reached(size_px) == (false, false));
-        areas_px2.extend(whole.clone().map(|blob| blob.area_px2));
-        let usual_px2 = usual_area_px2(areas_px2);
-        let (least_px2, most_px2) = area_range_px2(params.threshold, usual_px2);
-        let variance = params.centre_sigma_px * params.centre_sigma_px;
-        let in_range = |blob: &&Blob| (least_px2..=most_px2).contains(&blob.area_px2);
-        let kind = Kind::of(usual_px2).filter(|_| params.centre == Centre::Band);
-        let at_a_glance = |at_px| match kind? {
-            kind if kind.is_small() => Eye::<16>::new(kind, flip).centre(image, at_px),
-            kind => Eye::<32>::new(kind, flip).centre(image, at_px),
-        };
-        bands.clear();
-        if kind.is_some() {
-            bands.reserve(most);
+        self.size_px = size_px;
+    }
+
+    /// At which size the markers of the last image were found.
+    #[must_use]
+    pub fn found_at(&self) -> FindAt {
+        match searched(&self.segments, self.half.as_ref()) {
+            (_, half::SCALE) => FindAt::HalfSize,
+            _ => FindAt::FullSize,
         }
-        for blob in whole.clone().filter(in_range) {
-            let mut grey = || grey_centre.run(image, blob, components.runs(blob), params.polarity);
-            let (centre_px, band) = match params.centre {
-                Centre::Binary | Centre::Matched | Centre::Fit => (centre::binary(blob), 0),
-                Centre::Band => at_a_glance(centre::binary(blob)).unwrap_or_else(|| (grey(), 0)),
-                Centre::Grey => (grey(), 0),
-            };
-            if kind.is_some() {
-                bands.push(band);
-            }
-            out.push(centre_px, [[variance, 0.0], [0.0, variance]], blob.area_px2);
-            if let Some(fit) = disc_fit.as_mut() {
-                fit.add(centre_px, blob.spread_px2(components.runs(blob)));
-            }
-        }
-        if let (Some(band_noise), Some(kind)) = (band_noise, kind) {
-            let every = SPARSER * rows_between(size_px.1);
-            let noise = meter.run_rows(image, every, CLEARANCE_PX, |rows, near| components.cover(rows, near));
-            let noise = noise.unwrap_or_default();
-            if kind.is_small() {
-                band_noise.learn(image, &Eye::<16>::new(kind, flip), &noise, &out.centres_px);
-            } else {
-                band_noise.learn(image, &Eye::<32>::new(kind, flip), &noise, &out.centres_px);
-            }
-            for (covariance, &band) in out.covariance_px2.iter_mut().zip(&*bands) {
-                if let Some(variance) = band_noise.variance_px2(band) {
-                    *covariance = [[variance, 0.0], [0.0, variance]];
-                }
-            }
-        }
-        if let Some(fit) = disc_fit {
-            let mask = difference.spare();
-            fill_mask(components, self.size_px, mask);
-            let others = components.blobs().iter().filter(|blob| blob.area_px2 >= LEAST_NEIGHBOUR_PX2);
-            fit.finish(image, mask, others.map(centre::binary), out);
-            grey_centre.reserve(image.height());
-            let mut unfitted = fit.unfitted().peekable();
-            for (k, blob) in whole.clone().filter(in_range).enumerate() {
-                if unfitted.next_if_eq(&k).is_some() {
-                    out.centres_px[k] = grey_centre.run(image, blob, components.runs(blob), params.polarity);
-                }
-            }
-        }
-        if params.centre == Centre::Matched {
-            let every = rows_between(size_px.1);
-            let noise = meter.run_rows(image, every, CLEARANCE_PX, |rows, near| components.cover(rows, near));
-            matched.prepare(image, noise.unwrap_or_default(), out);
-            grey_centre.reserve(image.height());
-            for (k, blob) in whole.filter(in_range).enumerate() {
-                if !matched.replace(image, k, out) {
-                    out.centres_px[k] = grey_centre.run(image, blob, components.runs(blob), params.polarity);
-                }
-            }
-        }
-        for blob in markers.filter(in_range) {
-            let reached = blob.sides_reached(size_px);
-            if reached != (false, false) && is_as_long_as_a_marker(blob, usual_px2) {
-                out.cut.push(cut_marker(blob, reached, usual_px2, variance));
-            }
-        }
-        Ok(())
     }
 
     /// Writes the mask of the last image, 255 where a pixel belongs to a component, row by row.
     pub fn mask(&self, out: &mut Vec<u8>) {
-        fill_mask(&self.components, self.size_px, out);
+        let (segments, scale) = searched(&self.segments, self.half.as_ref());
+        segments.draw_scaled(self.size_px, scale, out);
+    }
+
+    /// Variance of a coordinate for rungs that do not measure their own, px².
+    fn typed_variance_px2(&self) -> f64 {
+        self.params.centre_sigma_px * self.params.centre_sigma_px
     }
 
     fn check(&self, image: GrayView<'_>) -> Result<(), DetectError> {
@@ -297,51 +224,11 @@ impl Detector {
         }
         Ok(())
     }
+}
 
-    /// What differs from its surround, in pieces. Only closing needs the mask as an image.
-    fn find_components(&mut self, image: GrayView<'_>) -> Result<(), DetectError> {
-        let (width, height) = (image.width(), image.height());
-        self.size_px = (width, height);
-        self.difference.survey(image);
-        let closes = self.closes();
-        if closes {
-            self.threshold_all(image);
-        } else {
-            self.mask.resize(width, 0);
-        }
-        let most = Most::of(width, height);
-        self.components.start(width, height);
-        for y in 0..height {
-            if closes {
-                self.components.push(&self.mask[y * width..(y + 1) * width]);
-            } else {
-                self.difference.row(image, y, &mut self.mask);
-                self.components.push(&self.mask);
-            }
-            // Joins below may still make fewer pieces; an image of markers never comes near.
-            let counts =
-                [(self.components.all_runs().len(), most.runs), (self.components.pieces(), most.components)];
-            if let Some((found, most)) = counts.into_iter().find(|(found, most)| found > most) {
-                return Err(DetectError::TooMany { found, most });
-            }
-        }
-        self.components.finish();
-        let found = self.components.kept();
-        if found > most.kept { Err(DetectError::TooMany { found, most: most.kept }) } else { Ok(()) }
-    }
-
-    const fn closes(&self) -> bool {
-        self.params.morphology_kernel_px > 1
-    }
-
-    fn threshold_all(&mut self, image: GrayView<'_>) {
-        let width = image.width();
-        self.mask.resize(width * image.height(), 0);
-        for (y, row) in self.mask.chunks_exact_mut(width).enumerate() {
-            self.difference.row(image, y, row);
-        }
-        self.closing.run(&mut self.mask, width);
-    }
+/// What the last image fell into, and how many of its columns and rows each pixel of that has.
+fn searched<'a>(segments: &'a Segments, half: Option<&'a HalfSize>) -> (&'a Segments, usize) {
+    half.filter(|half| half.is_complete).map_or((segments, 1), |half| (&half.segments, half::SCALE))
 }
 
 /// Most markers of an image of this size (width, height), however small they may be; more are refused.
@@ -359,82 +246,6 @@ pub fn most_markers(params: &DetectParams, size_px: (usize, usize)) -> usize {
 /// Rows from which noise is measured, for the matched step.
 const NOISE_ROWS: usize = 80;
 
-/// Rows between those from which it is measured for the covariance of [`Centre::Band`], over that: weights do not follow it.
-const SPARSER: usize = 2;
-
 const fn rows_between(height: usize) -> usize {
     if height < 2 * NOISE_ROWS { 1 } else { height / NOISE_ROWS }
-}
-
-fn fill_mask(components: &Components, (width, height): (usize, usize), out: &mut Vec<u8>) {
-    out.clear();
-    out.resize(width * height, 0);
-    for run in components.all_runs() {
-        let first = run.y as usize * width;
-        out[first + run.start as usize..first + run.end as usize].fill(u8::MAX);
-    }
-}
-
-/// Shares of the usual marker's area beyond which a component is a speck of paint or noise, or the edge of something.
-const SHARES_OF_AREA: (f64, f64) = (0.4, 2.0);
-
-/// Least and largest area of a marker beside others of a usual area.
-fn area_range_px2(threshold: Threshold, usual_px2: f64) -> (u32, u32) {
-    match threshold {
-        Threshold::Auto if usual_px2 > 0.0 => {
-            ((SHARES_OF_AREA.0 * usual_px2) as u32, (SHARES_OF_AREA.1 * usual_px2) as u32)
-        }
-        Threshold::Fixed | Threshold::Auto => (0, u32::MAX),
-    }
-}
-
-/// The area below which half of all pixels of markers of these areas lie; 0 for none. Specks may outnumber the markers, but
-/// they have few pixels.
-fn usual_area_px2(areas_px2: &mut [u32]) -> f64 {
-    areas_px2.sort_unstable();
-    let all: u64 = areas_px2.iter().map(|&area| u64::from(area)).sum();
-    let mut below = 0;
-    let usual = areas_px2.iter().find(|&&area| {
-        below += u64::from(area);
-        2 * below >= all
-    });
-    usual.map_or(0.0, |&area| f64::from(area))
-}
-
-/// Markers differ in area: one that shows all of the usual one may still lack this share of its own.
-const AREA_SPREAD: f64 = 0.2;
-
-/// Whether what reaches the border may be a part of a marker, not a strip along the border. Without whole markers to compare
-/// with, nothing may.
-fn is_as_long_as_a_marker(blob: &Blob, usual_px2: f64) -> bool {
-    let (width, height) = blob.size();
-    let side = f64::from(width.max(height));
-    // Twice the diameter, since markers need not be round.
-    side * side <= 4.0 * 4.0 * core::f64::consts::FRAC_1_PI * usual_px2
-}
-
-/// What is known of a marker whose component reaches the image's borders across (x, y).
-fn cut_marker(blob: &Blob, reached: (bool, bool), usual_px2: f64, variance: f64) -> CutMarker {
-    let area = f64::from(blob.area_px2);
-    let full = (1.0 + AREA_SPREAD) * usual_px2.max(area);
-    // As long as the border cuts straight, the visible centroid is less than the radius times the hidden share away.
-    let hidden_px = crate::math::sqrt(full * core::f64::consts::FRAC_1_PI) * (1.0 - area / full);
-    let of = |reached: bool| variance + if reached { hidden_px * hidden_px } else { 0.0 };
-    CutMarker {
-        centre_px: centre::binary(blob),
-        covariance_px2: [[of(reached.0), 0.0], [0.0, of(reached.1)]],
-        area_px2: blob.area_px2,
-    }
-}
-
-/// Whether a component is of a plausible size and round enough.
-fn is_marker(blob: &Blob, params: &DetectParams) -> bool {
-    (params.min_area_px2..=params.max_area_px2).contains(&blob.area_px2) && in_shape(blob, params)
-}
-
-/// Whether a component is round enough.
-fn in_shape(blob: &Blob, params: &DetectParams) -> bool {
-    let (width, height) = blob.size();
-    let ellipse_area = core::f64::consts::FRAC_PI_4 * f64::from(width) * f64::from(height);
-    f64::from(blob.area_px2) >= params.min_fill * ellipse_area
 }

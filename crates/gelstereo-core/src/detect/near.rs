@@ -2,7 +2,8 @@
 
 use super::fit::CLEARANCE_PX;
 use super::pieces::Pieces;
-use super::{DetectError, Detector, Markers, area_range_px2, centre, in_shape, rows_between, usual_area_px2};
+use super::sieve::{area_range_px2, in_shape, usual_area_px2};
+use super::{DetectError, Detector, Markers, centre, rows_between};
 use crate::image::GrayView;
 use crate::math::DVec2;
 use crate::math::linalg::Symmetric;
@@ -121,8 +122,7 @@ impl Detector {
         out.markers.clear();
         out.sights.clear();
         self.check(image)?;
-        self.difference.survey(image);
-        self.threshold_all(image);
+        self.segments.mask_all(image);
         self.near.start(expected_px.len());
         out.markers.reserve(expected_px.len(), 0);
         out.sights.resize(expected_px.len(), Sight::Nothing);
@@ -134,11 +134,11 @@ impl Detector {
             };
         }
         self.decide(expected_px, out);
-        if let Self { near, disc_fit: Some(fit), mask, .. } = self {
+        if let Self { near, disc_fit: Some(fit), segments, .. } = self {
             fit.clear(expected_px.len());
             near.candidates.iter().for_each(|c| fit.add(c.centre_px, c.spread_px2));
             let others = near.candidates.iter().map(|c| c.centre_px);
-            fit.finish(image, mask, others, &mut out.markers);
+            fit.finish(image, segments.mask(), others, &mut out.markers);
         }
         if self.params.centre == Centre::Matched {
             self.match_near(image, expected_px, reach_px, &mut out.markers);
@@ -155,7 +155,7 @@ impl Detector {
         markers: &mut Markers,
     ) {
         let size_px = (image.width(), image.height());
-        let noise = self.meter.run(image, &self.mask, rows_between(size_px.1), CLEARANCE_PX);
+        let noise = self.meter.run(image, self.segments.mask(), rows_between(size_px.1), CLEARANCE_PX);
         self.matched.prepare(image, noise.unwrap_or_default(), markers);
         self.grey_centre.reserve(image.height());
         for k in 0..markers.centres_px.len() {
@@ -181,7 +181,7 @@ impl Detector {
     fn load_pieces(&mut self, image: GrayView<'_>, window: &Window) {
         self.near.pieces.start();
         for y in window.first.1..window.end.1 {
-            self.near.pieces.push(&self.mask[y * image.width()..][window.first.0..window.end.0]);
+            self.near.pieces.push(&self.segments.mask()[y * image.width()..][window.first.0..window.end.0]);
         }
     }
 
@@ -195,7 +195,7 @@ impl Detector {
             if blob.area_px2 < params.min_area_px2 {
                 continue;
             }
-            if partial || blob.area_px2 > params.max_area_px2 || !in_shape(&blob, params) {
+            if partial || blob.area_px2 > params.max_area_px2 || !in_shape(&blob, params.min_fill) {
                 sight = Sight::Unclear;
                 continue;
             }

@@ -36,6 +36,7 @@ pub struct Thresholds {
     /// With [`FRACTION_BITS`].
     levels: Vec<u16>,
     cols: usize,
+    feels_noise: bool,
     squares: Vec<u64>,
     cubes: Vec<u64>,
     square_sums: BoxSums,
@@ -46,6 +47,7 @@ impl Thresholds {
     /// The same for all blocks of an image.
     pub fn set_all(&mut self, levels: u8, width: usize, height: usize) {
         self.cols = width.div_ceil(BLOCK_PX);
+        self.feels_noise = false;
         self.levels.clear();
         self.levels.resize(self.cols * height.div_ceil(BLOCK_PX), u16::from(levels) << FRACTION_BITS);
     }
@@ -69,6 +71,7 @@ impl Thresholds {
         let squares = self.square_sums.run(&self.squares, self.cols, near);
         let cubes = self.cube_sums.run(&self.cubes, self.cols, near);
         let floor = (NOISE_SIGMAS * noise_levels).max(f64::from(LEAST_LEVELS));
+        self.feels_noise = floor > SHARE * LEAST_SHARE_OF_IMAGE * whole;
         self.levels.clear();
         self.levels.extend(squares.iter().zip(cubes).map(|(&squares, &cubes)| {
             let near = mean(cubes, squares);
@@ -79,6 +82,12 @@ impl Thresholds {
             };
             (levels.max(floor) * f64::from(1_u32 << FRACTION_BITS)) as u16
         }));
+    }
+
+    /// Whether noise may raise some thresholds above what the markers' contrast asks for.
+    #[must_use]
+    pub const fn feels_noise(&self) -> bool {
+        self.feels_noise
     }
 
     /// Thresholds of all blocks, row by row, with [`FRACTION_BITS`].

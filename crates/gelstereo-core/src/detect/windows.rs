@@ -1,10 +1,11 @@
 //! Markers near predicted positions, each by a window of its own: the rest of the image is not read.
 
+use super::Detector;
 use super::centre;
 use super::glance::{Eye, Glance, Kind, Spot};
 use super::near::{Found, Sight, Window};
 use super::pieces::Pieces;
-use super::{Detector, in_shape};
+use super::sieve::in_shape;
 use crate::image::GrayView;
 use crate::math::DVec2;
 use crate::params::{Centre, Polarity, Threshold};
@@ -181,7 +182,7 @@ impl Detector {
             if blob.area_px2 < params.min_area_px2 {
                 continue;
             }
-            if partial || blob.area_px2 > most_px2 || !in_shape(&blob, params) {
+            if partial || blob.area_px2 > most_px2 || !in_shape(&blob, params.min_fill) {
                 sight = Sight::Unclear;
             } else if blob.area_px2 >= least_px2 {
                 if found.is_some() {
@@ -189,7 +190,8 @@ impl Detector {
                 }
                 let fallback =
                     || (self.grey_centre.run(image, &blob, pieces.runs().iter(), params.polarity), 0);
-                let (centre_px, band) = eye.centre(image, centre::binary(&blob)).unwrap_or_else(fallback);
+                let seen = eye.centre(image, centre::binary(&blob)).map(|spot| (spot.centre_px, spot.band));
+                let (centre_px, band) = seen.unwrap_or_else(fallback);
                 found = Some(Seen { position, centre_px, area_px2: blob.area_px2, band, alive: true });
             }
         }

@@ -78,6 +78,19 @@ pub enum Search {
     Windows,
 }
 
+/// At which size of the image markers are found. They are centred at its own size always.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
+pub enum FindAt {
+    /// The image's own (the paper).
+    #[default]
+    FullSize,
+    /// With `centre` = `band`, half of it in each direction, means of 2 x 2 pixels, where that shows clearly all there is: markers of
+    /// 24 px² and more, each alone and away from the border, and specks. Any other image is searched again at its own size, and so
+    /// is every image with other rungs of `centre`.
+    HalfSize,
+}
+
 /// The model fit, `Centre::Fit`.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
@@ -117,6 +130,8 @@ pub struct DetectParams {
     pub centre: Centre,
     /// Default: `whole`.
     pub search: Search,
+    /// Default: `full_size`.
+    pub find_at: FindAt,
     /// Side of the Gaussian kernel that removes pixel noise, odd. Default: `3` px.
     pub smooth_kernel_px: usize,
     /// Side of the kernel that estimates the surround, odd. Default: `51` px.
@@ -149,6 +164,7 @@ impl Default for DetectParams {
             background: Background::Gaussian,
             centre: Centre::Binary,
             search: Search::Whole,
+            find_at: FindAt::FullSize,
             smooth_kernel_px: 3,
             background_kernel_px: 51,
             threshold: Threshold::Fixed,

@@ -1,8 +1,8 @@
 //! Settings by name.
 
 use super::{
-    Background, Centre, ContactParams, DetectParams, DiscBias, LabelMethod, LabelParams, LatticeParams,
-    Motion, Params, RegisterMethod, RegisterParams, Saliency, Search, Threshold, TrackParams,
+    Background, Centre, ContactParams, DetectParams, DiscBias, FindAt, LabelMethod, LabelParams,
+    LatticeParams, Motion, Params, RegisterMethod, RegisterParams, Saliency, Search, Threshold, TrackParams,
     TriangulateMethod, TriangulateParams,
 };
 
@@ -34,7 +34,7 @@ impl Params {
     fn fast() -> Self {
         let balanced = Self::balanced();
         Self {
-            detect: DetectParams { centre: Centre::Band, ..balanced.detect },
+            detect: DetectParams { centre: Centre::Band, find_at: FindAt::HalfSize, ..balanced.detect },
             contact: ContactParams { saliency: Saliency::PressureQuick, ..balanced.contact },
             register: RegisterParams { method: RegisterMethod::SurfaceClose, ..balanced.register },
             ..balanced

@@ -1,0 +1,137 @@
+//! Markers found in the image at half its size, where that shows them all clearly, and centred at its own size.
+//!
+//! The mean of 2 x 2 pixels halves the noise, as smoothing would, and leaves a quarter of the pixels to look at. What it hides
+//! is small: gaps of two pixels, and what stands within two pixels of the border. The image is searched at its own size, as if it had
+//! not been looked at, unless each component is a marker to [`Eyes::single`], or a speck, and thresholds are shares of the
+//! markers' contrast, the same at both sizes.
+
+use super::centre;
+use super::components::Blob;
+use super::glance::{Eyes, Kind};
+use super::segments::Segments;
+use super::sieve::Sieve;
+use super::{Detector, Markers};
+use crate::image::GrayView;
+use crate::math::DVec2;
+use crate::params::{Centre, DetectParams, FindAt};
+use alloc::vec::Vec;
+
+/// Pixels of the image to one of half its size, in each direction.
+pub(super) const SCALE: usize = 2;
+
+const PIXELS: u32 = (SCALE * SCALE) as u32;
+
+/// Least usual area, pixels of half the size: a disc of so many covers 4 to 7 of them wherever it lies, neither a speck beside
+/// the others nor two of them.
+const LEAST_PX2: f64 = 6.0;
+
+/// Shares of the usual area below which a component is a speck at any size, and between which it is a marker: those of the
+/// sieve with room for areas that are known to a pixel of half the size.
+const SPECK: f64 = 0.25;
+const MARKER: core::ops::RangeInclusive<f64> = 2.0 / 3.0..=1.5;
+
+/// The image at half its size and its components.
+#[derive(Clone, Debug)]
+pub(super) struct HalfSize {
+    /// As for images of that size.
+    params: DetectParams,
+    levels: Vec<u8>,
+    pub segments: Segments,
+    /// Whether it showed all that there is in the last image.
+    pub is_complete: bool,
+}
+
+impl HalfSize {
+    /// `None` for settings that want every image searched at its own size: only the band's centres owe nothing to the outline
+    /// of a component.
+    pub fn new(params: &DetectParams) -> Option<Self> {
+        let wanted = params.find_at == FindAt::HalfSize && params.centre == Centre::Band;
+        let half_kernel = |side_px: usize| (side_px / SCALE) | 1;
+        let params = DetectParams {
+            smooth_kernel_px: half_kernel(params.smooth_kernel_px),
+            background_kernel_px: half_kernel(params.background_kernel_px),
+            morphology_kernel_px: half_kernel(params.morphology_kernel_px),
+            min_area_px2: params.min_area_px2.div_ceil(PIXELS),
+            max_area_px2: (params.max_area_px2 / PIXELS).max(1),
+            ..params.clone()
+        };
+        let segments = Segments::new(&params);
+        wanted.then_some(Self { params, levels: Vec::new(), segments, is_complete: false })
+    }
+
+    /// What markers are like at half size, if all components are markers that lie whole in the image, or specks.
+    fn run(&mut self, image: GrayView<'_>, areas_px2: &mut Vec<u32>) -> Option<Sieve> {
+        let size_px = (image.width() / SCALE, image.height() / SCALE);
+        halve(image, &mut self.levels);
+        let half = GrayView::new(&self.levels, size_px.0, size_px.1, size_px.0).ok()?;
+        self.segments.run(half).ok()?;
+        let blobs = self.segments.components.blobs();
+        let (sieve, _) = Sieve::of(blobs, &self.params, size_px, areas_px2);
+        let is_one_or_a_speck = |blob: &Blob| {
+            let share = f64::from(blob.area_px2) / sieve.usual_px2;
+            share < SPECK || MARKER.contains(&share) && sieve.passes_whole(blob)
+        };
+        let is_clear = sieve.usual_px2 >= LEAST_PX2
+            && !self.segments.feel_noise()
+            && blobs.iter().all(is_one_or_a_speck);
+        is_clear.then_some(sieve)
+    }
+}
+
+impl Detector {
+    /// Finds the markers at half the image's size, if that shows all that there is; else `out` stays empty. It has room for all.
+    pub(super) fn run_half(&mut self, image: GrayView<'_>, out: &mut Markers) -> bool {
+        let kind = self.take_clear(image, out);
+        let Some(half) = &mut self.half else { return false };
+        half.is_complete = kind.is_some();
+        match kind {
+            Some(kind) => self.tell_band_noise(image, &kind, out),
+            None => out.clear(),
+        }
+        kind.is_some()
+    }
+
+    /// Markers of one kind, all of them seen at a glance.
+    fn take_clear(&mut self, image: GrayView<'_>, out: &mut Markers) -> Option<Kind> {
+        let (flip, variance) = (self.flip(), self.typed_variance_px2());
+        let Self { half: Some(half), areas_px2, bands, .. } = self else { return None };
+        let sieve = half.run(image, areas_px2)?;
+        let whole = || half.segments.components.blobs().iter().filter(|blob| sieve.passes_whole(blob));
+        // Their mean: a single area at half size is known to a few pixels.
+        let (count, sum) = whole().fold((0_u32, 0), |(n, sum), blob| (n + 1, sum + PIXELS * blob.area_px2));
+        let kind = Kind::of(f64::from(sum) / f64::from(count))?;
+        let eyes = Eyes::new(kind, flip);
+        for blob in whole() {
+            let spot = eyes.single(image, full_size(centre::binary(blob)))?;
+            bands.push(spot.band);
+            out.push(spot.centre_px, [[variance, 0.0], [0.0, variance]], spot.area_px2);
+        }
+        Some(kind)
+    }
+}
+
+/// The place in the image of one at half its size, whose first pixel covers the columns and rows 0 and 1.
+fn full_size(half_px: DVec2) -> DVec2 {
+    SCALE as f64 * half_px + 0.5
+}
+
+/// Means of 2 x 2 pixels, rounded; an odd last column or row is left out.
+fn halve(image: GrayView<'_>, out: &mut Vec<u8>) {
+    let (width, height) = (image.width() / SCALE, image.height() / SCALE);
+    out.resize(width * height, 0);
+    for (y, out) in (0..).step_by(SCALE).zip(out.chunks_exact_mut(width.max(1))) {
+        halve_rows(image.row(y).as_chunks().0, image.row(y + 1).as_chunks().0, out);
+    }
+}
+
+/// Of two rows. Pairs of levels as numbers of 16 bits: there are instructions for eight of them.
+#[inline(never)]
+fn halve_rows(above: &[[u8; SCALE]], below: &[[u8; SCALE]], out: &mut [u8]) {
+    let sum = |&pair: &[u8; SCALE]| {
+        let both = u16::from_le_bytes(pair);
+        (both & 0xff) + (both >> 8)
+    };
+    for ((out, above), below) in out.iter_mut().zip(above).zip(below) {
+        *out = ((sum(above) + sum(below) + 2) >> 2) as u8;
+    }
+}

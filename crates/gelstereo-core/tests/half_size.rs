@@ -1,0 +1,180 @@
+//! Markers found at half the image's size against those of the search at its own.
+#![allow(clippy::unwrap_used)]
+
+mod support;
+
+use gelstereo_core::detect::{Detector, Markers};
+use gelstereo_core::math::DVec2;
+use gelstereo_core::math::random::Stream;
+use gelstereo_core::params::{DetectParams, FindAt, Params, Polarity};
+use proptest::prelude::*;
+use support::{Dots, lattice, paper_lattice, view};
+
+fn params(find_at: FindAt) -> DetectParams {
+    DetectParams { find_at, ..Params::preset("fast").unwrap().detect }
+}
+
+fn search(params: &DetectParams, image: &[u8], width: usize) -> (Markers, FindAt) {
+    let (mut detector, mut markers) = (Detector::new(params), Markers::default());
+    // What does not find anything finds no markers.
+    let _ = detector.run(view(image, width), &mut markers);
+    (markers, detector.found_at())
+}
+
+/// Both searches of an image, and where the first found its markers.
+fn both(image: &[u8], width: usize) -> (Markers, Markers, FindAt) {
+    let (half, found_at) = search(&params(FindAt::HalfSize), image, width);
+    (half, search(&params(FindAt::FullSize), image, width).0, found_at)
+}
+
+/// Farthest that two centres of one marker may lie apart. Both weigh the same pixels, but their windows may lie a pixel apart, so
+/// that other corners tell the gel's slope: to noise / 20 a pixel, where a corner has 4 pixels and the next is 10 px away. Over an
+/// edge of 2 px that shifts the centre by a tenth of the slope over half the contrast's share of 120 levels: 0.005 px a level of
+/// noise, 0.007 px between two. A largest of some hundred is 3.5 times that; rounding to whole levels adds as much as a level of
+/// noise.
+fn most_apart_px(noise: f64, contrast: f64) -> f64 {
+    3.5 * 0.007 * (noise + 1.0) * 120.0 / contrast
+}
+
+/// Where the corners of windows reach other markers all centres are off; no marker may be taken for another.
+const CORNERS_ON_MARKERS_PX: f64 = 0.5;
+
+/// Each has the other's markers, within a distance.
+fn agree(half: &Markers, full: &Markers, most_px: f64) -> Result<(), TestCaseError> {
+    prop_assert_eq!(half.centres_px.len(), full.centres_px.len());
+    for centre in &half.centres_px {
+        let apart = full.centres_px.iter().map(|c| c.distance(*centre)).fold(f64::INFINITY, f64::min);
+        prop_assert!(apart <= most_px, "{} px apart, at most {}", apart, most_px);
+    }
+    Ok(())
+}
+
+fn dots(side: usize, pitch_px: f64, size_px: (usize, usize)) -> Dots {
+    let middle = DVec2::new(size_px.0 as f64, size_px.1 as f64) * 0.5;
+    let centres = lattice(side, side, pitch_px, middle + DVec2::new(0.3, -0.2), 0.0, 0.0);
+    Dots { noise: 2.0, ..Dots::new(size_px.0, size_px.1, centres) }
+}
+
+#[test]
+fn clear_markers_are_found_at_half_size() {
+    let image = Dots { noise: 2.0, ..Dots::new(640, 480, paper_lattice()) }.render();
+    let (half, full, found_at) = both(&image, 640);
+    assert_eq!((found_at, half.centres_px.len()), (FindAt::HalfSize, 625));
+    agree(&half, &full, most_apart_px(2.0, 120.0)).unwrap();
+    let [of_half_px, of_full_px] = [&half, &full].map(|m| support::errors(&m.centres_px, &paper_lattice()).0);
+    assert!(of_half_px <= 1.03 * of_full_px, "{of_half_px} {of_full_px}");
+    // Bright markers have the bits of dark ones in the negative.
+    let bright: Vec<u8> = image.iter().map(|level| !level).collect();
+    let params = DetectParams { polarity: Polarity::Bright, ..params(FindAt::HalfSize) };
+    let (found, found_at) = search(&params, &bright, 640);
+    assert_eq!(found_at, FindAt::HalfSize);
+    agree(&found, &half, most_apart_px(2.0, 120.0)).unwrap();
+}
+
+/// The mask of an image searched at half size is that of its own, but for edges: a pixel of half the size to each side.
+#[test]
+fn the_mask_has_the_image_s_size() {
+    let image = dots(9, 17.6, (201, 187)).render();
+    let masks = [FindAt::HalfSize, FindAt::FullSize].map(|at| {
+        let (mut detector, mut markers, mut mask) =
+            (Detector::new(&params(at)), Markers::default(), Vec::new());
+        detector.run(view(&image, 201), &mut markers).unwrap();
+        assert_eq!((markers.centres_px.len(), detector.found_at()), (81, at));
+        detector.mask(&mut mask);
+        assert_eq!(mask.len(), image.len());
+        mask
+    });
+    let [half, full] = masks.each_ref().map(|mask| mask.iter().filter(|&&set| set > 0).count() as f64);
+    assert!((half / full - 1.0).abs() < 0.1, "{half} {full}");
+    let differ = masks[0].iter().zip(&masks[1]).filter(|(a, b)| a != b).count() as f64;
+    // An outline of 2 pi r pixels, half of whose pixels may fall to either side.
+    assert!(differ / full < std::f64::consts::PI * 4.3 / 58.0, "{differ} of {full}");
+}
+
+/// What half the size may hide is searched at full size, with the bits of that search.
+#[test]
+fn images_that_half_the_size_may_not_show_are_searched_at_their_own() {
+    let clear = dots(9, 17.6, (200, 200));
+    let mut pair = clear.clone();
+    // 0.8 px of gel between two dots.
+    pair.centres_px[40] = pair.centres_px[41] - DVec2::new(9.4, 0.0);
+    let mut at_border = clear.clone();
+    at_border.centres_px.push(DVec2::new(100.0, 5.6));
+    let cases = [
+        ("fine dots", Dots { radius_px: 2.5, ..clear.clone() }.render()),
+        ("noise", Dots { noise: 18.0, ..clear.clone() }.render()),
+        ("a pair", pair.render()),
+        ("a pixel from the border", at_border.render()),
+        ("the finest print", Dots { radius_px: 1.35, ..dots(41, 4.6, (200, 200)) }.render()),
+    ];
+    for (name, image) in &cases {
+        let (half, full, found_at) = both(image, 200);
+        assert_eq!(found_at, FindAt::FullSize, "{name}");
+        assert_eq!(half, full, "{name}");
+    }
+    assert_eq!(both(&clear.render(), 200).2, FindAt::HalfSize);
+    // Settings with other centres never look at half size.
+    let params = DetectParams { find_at: FindAt::HalfSize, ..Params::preset("balanced").unwrap().detect };
+    assert_eq!(search(&params, &clear.render(), 200).1, FindAt::FullSize);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Whatever the lattice, the light and the noise, both find the same markers; those found at full size have its bits.
+    #[test]
+    fn the_same_markers_are_found_at_both_sizes(
+        (pitch_px, share) in (9.0..26.0_f64, 0.17..0.3_f64),
+        (turn_deg, shear) in (0.0..90.0_f64, -0.2..0.2_f64),
+        (noise, contrast) in (0.0..8.0_f64, 25.0..140.0_f64),
+        slope in (-0.1..0.1_f64, -0.1..0.1_f64),
+        (width, height) in (190..222_usize, 190..222_usize),
+        seed in any::<u64>(),
+    ) {
+        let middle = DVec2::new(width as f64, height as f64) * 0.5;
+        let image = Dots {
+            noise,
+            seed,
+            contrast: -contrast,
+            slope: DVec2::from(slope),
+            radius_px: share * pitch_px,
+            ..Dots::new(width, height, lattice(6, 6, pitch_px, middle, turn_deg, shear))
+        }
+        .render();
+        let (half, full, found_at) = both(&image, width);
+        let radius_px = share * pitch_px;
+        // Half the diagonal of a window, another marker beyond it with its edge, and shear.
+        let apart_px = 0.9 * pitch_px - radius_px - 1.0 - 2.0_f64.sqrt() * (radius_px + 4.0);
+        let most_px = if apart_px > 0.0 { most_apart_px(noise, contrast) } else { CORNERS_ON_MARKERS_PX };
+        match found_at {
+            FindAt::HalfSize => agree(&half, &full, most_px)?,
+            FindAt::FullSize => prop_assert_eq!(half, full),
+        }
+    }
+
+    /// So do they in images of dots of all sizes, anywhere: touching, cut, specks, and scratches.
+    #[test]
+    fn the_same_markers_are_found_in_any_disorder(
+        places in prop::collection::vec((-3.0..163.0_f64, -3.0..123.0_f64, 2.0..6.0_f64), 1..10),
+        specks in prop::collection::vec((0.0..160.0_f64, 0.0..120.0_f64, 0.3..1.5_f64), 0..4),
+        scratch in prop::option::of((0..150_usize, 0..118_usize, 1..40_usize)),
+        seed in any::<u64>(),
+    ) {
+        let mut image = vec![u8::MAX; 160 * 120];
+        let spots = places.iter().chain(&specks);
+        for &(x, y, radius_px) in spots {
+            let one = Dots { radius_px, ..Dots::new(160, 120, vec![DVec2::new(x, y)]) }.render();
+            image.iter_mut().zip(one).for_each(|(level, other)| *level = other.min(*level));
+        }
+        if let Some((x, y, length)) = scratch {
+            image[y * 160 + x..][..length.min(160 - x)].fill(70);
+        }
+        let mut stream = Stream::new(seed, "noise");
+        let image: Vec<u8> = image.iter().map(|&level| (f64::from(level) + 2.0 * stream.normal()) as u8).collect();
+        let (half, full, found_at) = both(&image, 160);
+        match found_at {
+            FindAt::HalfSize => agree(&half, &full, CORNERS_ON_MARKERS_PX)?,
+            FindAt::FullSize => prop_assert_eq!(half, full),
+        }
+    }
+}
