@@ -86,8 +86,9 @@ pub enum FindAt {
     #[default]
     FullSize,
     /// With `centre` = `band`, half of it in each direction, means of 2 x 2 pixels, where that shows clearly all there is: markers of
-    /// 24 px² and more, each alone and away from the border, and specks. Any other image is searched again at its own size, and so
-    /// is every image with other rungs of `centre`.
+    /// 24 px² and more, each alone and away from the border, and specks. Same rms errors within 1 %; 625 markers are found in three
+    /// fifths of the instructions at 640 x 480, in half of them at 1280 x 720. Any other image is searched again at its own size, with
+    /// the bits of that search and a fifth more instructions, and so is every image with other rungs of `centre` at no cost.
     HalfSize,
 }
 
