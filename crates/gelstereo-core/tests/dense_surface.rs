@@ -101,19 +101,39 @@ fn weights_agree_with_counted_areas() {
     assert!(compared > 10);
 }
 
-/// On the exact lattice every cell of markers is cocircular; its hull, its edges and its markers are met exactly.
+/// On the exact lattice every cell of markers is cocircular; its hull, its edges and its markers are met exactly, or but for
+/// round-off where the lattice is turned. Cells reach as far as the markers; their weights are shares, and reproduce the place
+/// to the rounding of areas, 1e2 eps of a cell's, over which coordinates of up to 1e3 mm round as well.
 #[test]
 fn row_13_an_exact_lattice_has_weights_everywhere() {
-    for centre in [DVec2::ZERO, DVec2::new(1e3, -1e3)] {
-        let rest = lattice(25, 25, 1.0, centre, 0.0, 0.0);
-        for step_mm in [0.125, 0.25, 0.5, 1.0, 0.3] {
+    for (centre, turn_deg) in [(DVec2::ZERO, 0.0_f64), (DVec2::new(1e3, -1e3), 0.0), (DVec2::ZERO, 45.0)] {
+        let rest = lattice(25, 25, 1.0, centre, turn_deg, 0.0);
+        let side = |of: fn(&DVec2) -> f64| {
+            let (low, high) =
+                rest.iter().map(of).fold((f64::MAX, f64::MIN), |(l, h), x| (l.min(x), h.max(x)));
+            high - low
+        };
+        for step_mm in [0.125, 0.25, 0.5, 1.0, 0.3, core::f64::consts::FRAC_1_SQRT_2] {
             let surface = DenseSurface::new(&rest, step_mm).unwrap();
+            let reach = |cells: usize| (cells - 1) as f64 * step_mm;
+            for (cells, length) in [(surface.cols(), side(|p| p.x)), (surface.rows(), side(|p| p.y))] {
+                // The last cell stands on the last marker or beyond it, by less than a step.
+                assert!(
+                    (-1e-9..step_mm - 1e-9).contains(&(reach(cells) - length)),
+                    "{cells} {length} {step_mm}"
+                );
+            }
             for cell in 0..surface.rows() * surface.cols() {
-                let at = surface.rest_mm(cell / surface.cols(), cell % surface.cols()) - centre;
-                let inside = at.x.max(at.y) <= 12.0;
-                assert_eq!(surface.is_known(cell), inside, "{at}");
-                let sum: f64 = surface.weights_of(cell).iter().map(|&(_, w)| w).sum();
-                assert!(!inside || (sum - 1.0).abs() < 1e-12, "{at}: {sum}");
+                let at = surface.rest_mm(cell / surface.cols(), cell % surface.cols());
+                let along = DVec2::from_angle(-turn_deg.to_radians()).rotate(at - centre);
+                let outside_mm = along.abs().max_element() - 12.0;
+                let known = surface.is_known(cell);
+                assert!(known == (outside_mm <= 0.0) || turn_deg > 0.0 && outside_mm.abs() < 1e-12, "{at}");
+                let weights = surface.weights_of(cell);
+                assert!(weights.iter().all(|&(_, w)| (-1e-9..=1.0 + 1e-9).contains(&w)), "{at}: {weights:?}");
+                let sum: f64 = weights.iter().map(|&(_, w)| w).sum();
+                let place: DVec2 = weights.iter().map(|&(m, w)| (rest[m as usize] - at) * w).sum();
+                assert!(!known || (sum - 1.0).abs() < 1e-12 && place.length() < 1e-11, "{at}: {sum} {place}");
             }
         }
     }
@@ -143,6 +163,25 @@ fn row_14_input_without_a_dense_surface_is_refused_by_name() {
     let short = surface.run(&points[..7], &mut frame);
     assert_eq!(short, mesh(MarkerMeshError::LengthMismatch { points: 7, markers: 25 }));
     assert_eq!(surface.run(&[DVec3::ZERO; 25], &mut frame), mesh(MarkerMeshError::NoNormal { marker: 0 }));
+    let mut out = Vec::new();
+    assert_eq!(surface.sample(&[0.0; 7], &mut out), short);
+    for bad in [f64::NAN, f64::INFINITY] {
+        let values: Vec<f64> = (0..25).map(|n| if n == 9 { bad } else { 1.0 }).collect();
+        assert_eq!(surface.sample(&values, &mut out), Err(DenseSurfaceError::NotFinite { marker: 9 }));
+        assert!(out.is_empty());
+    }
+}
+
+/// The larger of two triangles folded over the smaller one: every marker has a normal, but midway between the corner of the one
+/// and a corner of both they cancel.
+#[test]
+fn row_14_a_fold_between_markers_is_refused_by_name() {
+    let rest = [DVec2::ZERO, DVec2::X, DVec2::Y, DVec2::splat(1.1)];
+    let (mut surface, mut frame) = (DenseSurface::new(&rest, 0.5).unwrap(), DenseFrame::default());
+    surface.run(&cloud(&rest, |_| 28.7), &mut frame).unwrap();
+    let folded = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::new(-1.0, -1.0, 0.0)];
+    assert_eq!(surface.run(&folded, &mut frame), Err(DenseSurfaceError::NoNormal { cell: 1 }));
+    assert!(frame.points_mm.is_empty() && frame.normals.is_empty());
 }
 
 /// Found by fuzzing: a step of 4e256 mm put all markers on one spot of the grid, and one of 1 mm did so with rows 1e-41 mm
@@ -157,6 +196,6 @@ fn steps_that_leave_nothing_between_the_markers_are_refused() {
         assert!(matches!(refused, Err(DenseSurfaceError::Step { .. })), "{step_mm}");
     }
     assert_eq!(DenseSurface::new(&at(1.0), 1.0).unwrap().rows(), 2);
-    let refused = DenseSurface::new(&at(1e-41), 1.0);
-    assert!(matches!(refused, Err(DenseSurfaceError::Mesh(_))), "{refused:?}");
+    let twice = MarkerMeshError::Duplicate { first: 0, second: 2 };
+    assert_eq!(DenseSurface::new(&at(1e-41), 1.0), Err(DenseSurfaceError::Mesh(twice)));
 }

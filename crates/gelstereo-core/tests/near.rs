@@ -8,7 +8,7 @@ use gelstereo_core::math::DVec2;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::params::{Background, Centre, DetectParams, Threshold};
 use proptest::prelude::*;
-use support::{Dots, lattice, paper_lattice, view};
+use support::{Dots, lattice, one_marker_and_what_is_none, paper_lattice, view};
 
 fn rungs() -> Vec<DetectParams> {
     let mut rungs = Vec::new();
@@ -64,17 +64,8 @@ fn markers_near_expected_positions_have_the_bits_of_the_whole_search() {
 /// image are not found.
 #[test]
 fn what_is_no_single_marker_is_not_found() {
-    let mut centres = lattice(5, 7, 17.0, DVec2::new(80.2, 60.1), 0.0, 0.0);
-    let gone = centres.remove(17);
-    centres[0] = centres[1] - DVec2::new(8.0, 0.0);
-    let (cut, fine) = (DVec2::new(1.0, 100.0), centres[20]);
-    centres.push(cut);
-    let image = Dots { noise: 2.0, ..Dots::new(160, 120, centres.clone()) }.render();
-    let beyond = DVec2::new(144.0, 60.0);
-    let outside = [DVec2::new(-40.0, 3.0), DVec2::NAN, DVec2::new(f64::INFINITY, 5.0)];
+    let (image, at) = one_marker_and_what_is_none();
     for params in rungs() {
-        let mut at = vec![fine, gone, beyond, centres[0], cut];
-        at.extend(outside);
         let (_, found) = both(&params, &image, 160, &at, 8.5);
         let expected = [Sight::Marker(0), Sight::Nothing, Sight::Nothing];
         assert_eq!(found.sights[..3], expected, "{params:?}");

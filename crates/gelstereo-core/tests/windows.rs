@@ -9,7 +9,7 @@ use gelstereo_core::math::DVec2;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::params::{DetectParams, Params, Polarity};
 use proptest::prelude::*;
-use support::{Dots, lattice, paper_lattice, view};
+use support::{Dots, lattice, one_marker_and_what_is_none, paper_lattice, view};
 
 /// Area of the dots of [`Dots::new`], r = 4.3 px.
 const AREA_PX2: f64 = 58.0;
@@ -76,16 +76,7 @@ fn matched_steps_from_windows_are_as_good_as_those_of_the_whole_image() {
 /// outside the image are not found.
 #[test]
 fn what_is_no_single_marker_is_not_found() {
-    let mut centres = lattice(5, 7, 17.0, DVec2::new(80.2, 60.1), 0.0, 0.0);
-    let gone = centres.remove(17);
-    centres[0] = centres[1] - DVec2::new(8.0, 0.0);
-    let (cut, fine) = (DVec2::new(1.0, 100.0), centres[20]);
-    centres.push(cut);
-    let image = Dots { noise: 2.0, ..Dots::new(160, 120, centres.clone()) }.render();
-    let beyond = DVec2::new(144.0, 60.0);
-    let outside = [DVec2::new(-40.0, 3.0), DVec2::NAN, DVec2::new(f64::INFINITY, 5.0)];
-    let mut at = vec![fine, gone, beyond, centres[0], cut];
-    at.extend(outside);
+    let (image, at) = one_marker_and_what_is_none();
     let found = windows(&params(), &image, 160, &at, 8.5);
     assert_eq!(found.sights[..3], [Sight::Marker(0), Sight::Nothing, Sight::Nothing]);
     assert_eq!(found.sights[3..], [Sight::Unclear; 5]);

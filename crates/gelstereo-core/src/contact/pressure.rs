@@ -12,7 +12,7 @@
 //! around contacts, are predicted anew.
 
 use super::kriging::{Covariances, Kriging, REACH, SIDE, WINDOW};
-use super::rule::{self, LEAST_SIGMA_MM, SCREEN, START};
+use super::rule::{self, LEAST_SIGMA_MM, START};
 use super::stencils::{Regions, Stencils};
 use super::{ContactError, RestSurface};
 use crate::math::sqrt;
@@ -123,10 +123,7 @@ impl Pressure {
         self.choose(out);
         self.settle(out);
         let Self { regions, stencils, evidence, .. } = self;
-        regions.drop_unsure(stencils, evidence, out);
-        for (salient, &state) in out.iter_mut().zip(state) {
-            *salient &= state == MarkerState::Seen;
-        }
+        regions.keep_sure(stencils, evidence, state, out);
         Ok(())
     }
 
@@ -223,7 +220,7 @@ impl Pressure {
                 .sum()
         };
         let variance_mm2 = f64::from(filter.variance) * self.variance_mm2[i];
-        value > 0.0 && value * value > SCREEN * SCREEN * variance_mm2
+        rule::stands_out(value, variance_mm2)
     }
 
     /// Changes labels until none gains: in each round those that gain most within their windows, so that no order of

@@ -5,7 +5,7 @@
 //! count as equally noisy, the lattice as even, only the twelve markers whose stencils share a height with the judged one's predict
 //! its noise, and labels change all at once, in a few rounds, where the pressure alone does not settle them.
 
-use super::rule::{self, LEAST_SIGMA_MM, SCREEN, START};
+use super::rule::{self, LEAST_SIGMA_MM, START};
 use super::stencils::{Regions, Stencils};
 use super::{ContactError, RestSurface};
 use crate::math::{abs, sqrt};
@@ -172,10 +172,7 @@ impl QuickPressure {
             }
         }
         let Self { stencils, regions, evidence, .. } = self;
-        regions.drop_unsure(stencils, evidence, out);
-        for (salient, &state) in out.iter_mut().zip(state) {
-            *salient &= state == MarkerState::Seen;
-        }
+        regions.keep_sure(stencils, evidence, state, out);
         Ok(())
     }
 
@@ -261,7 +258,7 @@ impl QuickPressure {
             }
             variance = self.even.left;
         }
-        left > 0.0 && left * left > SCREEN * SCREEN * variance * sigma_mm * sigma_mm
+        rule::stands_out(left, variance * sigma_mm * sigma_mm)
     }
 
     /// Whether a marker is in contact, among these others.

@@ -20,9 +20,14 @@ const ROOT_TWO_PI: f64 = 2.506_628_274_631_000_5;
 pub(super) const START: f64 = 4.0;
 /// Standard deviations of a marker's pressure, as if all around were free, from which one far from any contact is judged:
 /// fewer than a change of its label takes (4), since for this the variances are taken as equal.
-pub(super) const SCREEN: f64 = 3.3;
+const SCREEN: f64 = 3.3;
 /// Standard deviation below which no height is believed to be, mm: a nanometre.
 pub(super) const LEAST_SIGMA_MM: f64 = 1e-6;
+
+/// Whether a pressure, less what those around say of it if all are free, is worth a judgement.
+pub(super) fn stands_out(left_mm: f64, variance_mm2: f64) -> bool {
+    left_mm > 0.0 && left_mm * left_mm > SCREEN * SCREEN * variance_mm2
+}
 
 /// Signed squared standard deviations of a pressure.
 pub(super) fn evidence(pressure_mm: f64, variance_mm2: f64) -> f64 {

@@ -1,6 +1,7 @@
 //! The lattice of markers and the stencils of their pressures.
 
 use super::{ContactError, RestSurface};
+use crate::track::MarkerState;
 use alloc::vec::Vec;
 
 /// Squared standard deviations beyond `WEAK` that a region must show in all; by chance one marker in a million shows 4.75
@@ -118,8 +119,22 @@ impl Regions {
         self.region.reserve(markers);
     }
 
-    /// Takes away the regions that could be chance, given the signed squared standard deviations of every marker's pressure.
-    pub fn drop_unsure(&mut self, lattice: &Stencils, evidence: &[f64], contact: &mut [bool]) {
+    /// Takes away the regions that could be chance, given the signed squared standard deviations of every marker's pressure, and
+    /// then the markers that are not seen.
+    pub fn keep_sure(
+        &mut self,
+        lattice: &Stencils,
+        evidence: &[f64],
+        state: &[MarkerState],
+        contact: &mut [bool],
+    ) {
+        self.drop_unsure(lattice, evidence, contact);
+        for (contact, &state) in contact.iter_mut().zip(state) {
+            *contact &= state == MarkerState::Seen;
+        }
+    }
+
+    fn drop_unsure(&mut self, lattice: &Stencils, evidence: &[f64], contact: &mut [bool]) {
         self.reserve(contact.len());
         let Self { seen, region } = self;
         seen.resize(contact.len(), false);

@@ -8,7 +8,7 @@ use super::fit::{CLEARANCE_PX, Influence, Noise};
 use super::glance::{Eye, Eyes, Kind};
 use super::{Detector, Markers, rows_between, searched};
 use crate::image::GrayView;
-use crate::math::DVec2;
+use crate::math::{DVec2, sqrt};
 
 /// Rows between those from which noise is measured, over that for weights of a matched step: weights do not follow it.
 const SPARSER: usize = 2;
@@ -16,6 +16,12 @@ const SPARSER: usize = 2;
 const SAMPLES: usize = 3;
 /// Variance of rounding weights to whole grey levels, as the image's levels are.
 const ROUNDING_LEVELS2: f64 = 1.0 / 12.0;
+/// What noise s does to a weight that grows over a band b, against s / b as within the band, is 1 - CLAMPED s / b: a weight is kept
+/// to the band's ends. Over an edge, whose levels are spread evenly, weights of two levels that differ by d have the mean square
+/// difference (d / b)² (1 - d / (3 b)), and the mean |d|³ of two levels' noise is 8 s³ / sqrt(pi); so this is 4 / (3 sqrt(pi)).
+const CLAMPED: f64 = 2.0 / 3.0 * core::f64::consts::FRAC_2_SQRT_PI;
+/// It holds while two levels' noise seldom differs by more than the band.
+const MOST_NOISE_OVER_BAND: f64 = 0.5;
 /// Standard deviation of a coordinate without any noise: dots of 4 to 5 px on a pixel grid, behind 0.8 px of defocus, in light
 /// that falls off by a quarter over the image (simulated).
 const MODEL_PX: f64 = 0.009;
@@ -61,7 +67,9 @@ impl BandNoise {
             if let (Some((band, gel_level)), Some(variances)) = (found, variances) {
                 let band2 = f64::from(band) * f64::from(band);
                 // Of both coordinates together.
-                sum.white += 0.5 * variances.white * band2 * (noise.white_levels2 + ROUNDING_LEVELS2);
+                let white_levels2 = noise.white_levels2 + ROUNDING_LEVELS2;
+                let clamped = 1.0 - CLAMPED * sqrt(white_levels2 / band2).min(MOST_NOISE_OVER_BAND);
+                sum.white += 0.5 * variances.white * band2 * white_levels2 * clamped;
                 sum.grain += 0.5 * variances.grain * noise.grain_levels2 * noise.grain_share(gel_level);
                 count += 1.0;
             }

@@ -3,6 +3,7 @@
 use super::{MarkerMesh, MarkerMeshError};
 use crate::math::{DVec2, DVec3, ceil};
 use alloc::vec::Vec;
+use spade::handles::FixedVertexHandle;
 use spade::{DelaunayTriangulation, FloatTriangulation, Point2, Triangulation};
 
 /// The largest grid.
@@ -238,10 +239,17 @@ impl DenseSurface {
                 let cell = DVec2::new(col as f64, row as f64);
                 natural.get_weights(Point2::new(cell.x, cell.y), &mut found);
                 // Within round-off of the hull Voronoi regions are endless or empty: there the triangle's own weights,
-                // to which Sibson's tend, take their place.
-                let sound = |found: &[(_, f64)]| {
-                    let sum: f64 = found.iter().map(|&(_, w)| w).sum();
-                    (sum - 1.0).abs() < 1e-9 && found.iter().all(|&(_, w)| (-1e-9..=1.0 + 1e-9).contains(&w))
+                // to which Sibson's tend, take their place. Shares that add up to 1 may still be of endless regions, and then
+                // do not reproduce the place.
+                let sound = |found: &[(FixedVertexHandle, f64)]| {
+                    let (mut sum, mut off, mut reach) = (0.0, DVec2::ZERO, 0.0);
+                    for &(vertex, weight) in found {
+                        let away = place(rest_mm[vertex.index()]) - cell;
+                        (sum, off, reach) = (sum + weight, off + away * weight, away.length().max(reach));
+                    }
+                    (sum - 1.0).abs() < 1e-9
+                        && off.length() <= 1e-9 * reach
+                        && found.iter().all(|&(_, w)| (-1e-9..=1.0 + 1e-9).contains(&w))
                 };
                 if !found.is_empty() && !sound(&found) {
                     flat.get_weights(Point2::new(cell.x, cell.y), &mut found);

@@ -110,6 +110,19 @@ pub fn paper_lattice() -> Vec<DVec2> {
     lattice(25, 25, 17.56, DVec2::new(330.3, 240.7), 0.0, 0.0)
 }
 
+/// Image of 160 x 120 and positions in it: a marker; gel where one is gone, and beyond the lattice; two markers that touch, one
+/// that the border cuts, and three places outside the image.
+pub fn one_marker_and_what_is_none() -> (Vec<u8>, [DVec2; 8]) {
+    let mut centres = lattice(5, 7, 17.0, DVec2::new(80.2, 60.1), 0.0, 0.0);
+    let gone = centres.remove(17);
+    centres[0] = centres[1] - DVec2::new(8.0, 0.0);
+    let (cut, fine, touching) = (DVec2::new(1.0, 100.0), centres[20], centres[0]);
+    centres.push(cut);
+    let [beyond, outside] = [DVec2::new(144.0, 60.0), DVec2::new(-40.0, 3.0)];
+    let at = [fine, gone, beyond, touching, cut, outside, DVec2::NAN, DVec2::new(f64::INFINITY, 5.0)];
+    (Dots { noise: 2.0, ..Dots::new(160, 120, centres) }.render(), at)
+}
+
 #[expect(clippy::unwrap_used, reason = "a test that asks for another shape is wrong")]
 pub fn view(bytes: &[u8], width: usize) -> GrayView<'_> {
     GrayView::new(bytes, width, bytes.len() / width, width).unwrap()
