@@ -7,7 +7,6 @@ mod every_effect;
 use counting::ALLOCATIONS;
 use every_effect::{names, switched_off, with, without};
 use gelstereo_sim::{Scene, Simulator, Truth};
-use std::sync::atomic::Ordering;
 
 /// As seen by cameras of a quarter of the size, which take less time.
 fn small(scene: Scene) -> Scene {
@@ -41,14 +40,14 @@ fn run(scene: &Scene) -> Run {
     let mut simulator = Simulator::new(scene, None).unwrap();
     let built = state(&simulator);
     let mut frames = Vec::new();
-    let before = ALLOCATIONS.load(Ordering::Relaxed);
+    let before = ALLOCATIONS.get();
     for frame in 0..simulator.delivered().max(3) as u64 {
         let (mut truth, mut left, mut right) = (Truth::default(), Vec::new(), Vec::new());
         simulator.moment(simulator.contact(0).as_ref(), frame, &mut truth);
         simulator.render(&truth, frame, &mut left, &mut right);
         frames.push((truth, left, right));
     }
-    let allocations = ALLOCATIONS.load(Ordering::Relaxed) - before;
+    let allocations = ALLOCATIONS.get() - before;
     Run { frames, built, left: state(&simulator), allocations }
 }
 

@@ -9,7 +9,6 @@ use counting::ALLOCATIONS;
 use gelstereo_core::math::{DVec2, DVec3};
 use gelstereo_sim::effects::{ElasticLayer, LargeStrain, Relaxation};
 use gelstereo_sim::{ContactState, Effects, Keyframe, Shape, Truth};
-use std::sync::atomic::Ordering;
 
 #[test]
 fn row_35_frames_on_a_layer_allocate_nothing_after_the_first() {
@@ -33,10 +32,10 @@ fn row_35_frames_on_a_layer_allocate_nothing_after_the_first() {
     let mut truth = Truth::default();
     // Nothing touches in the first frame.
     simulator.moment(simulator.contact(0).as_ref(), 0, &mut truth);
-    let before = ALLOCATIONS.load(Ordering::Relaxed);
+    let before = ALLOCATIONS.get();
     for frame in 1..simulator.frames() {
         let contact = simulator.contact(frame);
         simulator.moment(contact.as_ref(), frame as u64, &mut truth);
     }
-    assert_eq!(ALLOCATIONS.load(Ordering::Relaxed), before);
+    assert_eq!(ALLOCATIONS.get(), before);
 }

@@ -1,28 +1,31 @@
-//! An allocator that counts; a test file that has this module may hold one test only, since others would count too.
+//! An allocator that counts what each thread asks for: neither other tests nor the harness, which prints when a test is slow,
+//! change a count.
 
 use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::cell::Cell;
 
 struct Counting;
 
-/// Allocations so far, of the whole program.
-pub static ALLOCATIONS: AtomicUsize = AtomicUsize::new(0);
-/// Bytes held now.
-pub static HELD: AtomicUsize = AtomicUsize::new(0);
-/// Most bytes held since this was last set.
-pub static PEAK: AtomicUsize = AtomicUsize::new(0);
+thread_local! {
+    /// Allocations of this thread so far.
+    pub static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
+    /// Bytes that it asked for, less those that it gave back: below 0 where another thread had asked for them.
+    pub static HELD: Cell<isize> = const { Cell::new(0) };
+    /// Most of them since this was last set.
+    pub static PEAK: Cell<isize> = const { Cell::new(0) };
+}
 
 // SAFETY: every call goes to the system's allocator unchanged. What is not written here is made of `alloc`.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        let held = HELD.fetch_add(layout.size(), Ordering::Relaxed) + layout.size();
-        PEAK.fetch_max(held, Ordering::Relaxed);
+        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
+        HELD.set(HELD.get() + layout.size() as isize);
+        PEAK.set(PEAK.get().max(HELD.get()));
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        HELD.fetch_sub(layout.size(), Ordering::Relaxed);
+        HELD.set(HELD.get() - layout.size() as isize);
         unsafe { System.dealloc(pointer, layout) }
     }
 }
