@@ -97,6 +97,19 @@ def test_a_plan_can_be_json() -> None:
     assert dropped["on"] and dropped["bound_px"] is None
 
 
+def test_the_command_writes_points_where_points_are_asked(tmp_path: Path) -> None:
+    scene = Scene.load(REPOSITORY / "scenes" / "press_sphere.toml")
+    scene.replace(asked={"kind": "points", "tolerance_um": 0.0}).save(tmp_path / "scene.toml")
+    out = tmp_path / "out"
+    assert main(["simulate", str(tmp_path / "scene.toml"), "--output", str(out), "--frames", "20"]) == 0
+    with np.load(out / "truth.npz") as truth:
+        assert set(truth) == {
+            "index", "time_s", "points_mm", "indentation_mm", "in_contact", "t_sensor_object",
+        }  # fmt: skip
+        np.testing.assert_array_equal(truth["points_mm"][0], simulate(scene)[20].points_mm)
+    assert not (out / "left").exists()
+
+
 def test_switches_are_checked() -> None:
     with pytest.raises(SceneError, match="nothing is asked"):
         simulate({"effects": {"grain": {}}, "switches": {"grain": "auto"}})
@@ -113,5 +126,9 @@ def test_the_command_prints_and_writes_the_plan(tmp_path: Path, capsys: pytest.C
     assert re.search(r"grain +0 px +off", text)
     record = json.loads((tmp_path / "plan.json").read_text(encoding="utf-8"))
     assert [effect["on"] for effect in record["effects"] if effect["name"] == "grain"] == [False]
-    # What was rendered had no distortion, and the rig beside the images says so.
+    # It asks for positions: no images.
+    assert not (tmp_path / "left").exists()
+    with np.load(tmp_path / "truth.npz") as truth:
+        np.testing.assert_array_equal(truth["left_px"][0], simulate(path)[0].left_px)
+    # What was simulated had no distortion, and the rig beside it says so.
     assert "distortion = [0.0, 0.0, 0.0, 0.0, 0.0]" in (tmp_path / "rig.toml").read_text(encoding="utf-8")

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
 import gelstereo
 import numpy as np
 import numpy.typing as npt
 import pytest
-from gelstereo import Scene, SceneError, Sight, Simulator
+from gelstereo import Scene, SceneError, Sight, SimulatedFrame, Simulator
 
 Array = npt.NDArray[np.float64]
 
@@ -104,6 +108,60 @@ def test_dropped_frames_are_missing_from_the_sequence() -> None:
     assert frames[1].points_mm[0, 0] - frames[0].points_mm[0, 0] == pytest.approx(0.5)
     with pytest.raises(IndexError, match="the scene has 5"):
         Simulator(scene)[5]
+
+
+@pytest.mark.parametrize("effect", ["misprint", "elastic_layer", "motion_blur"])
+def test_what_is_read_late_is_what_was_there(effect: str) -> None:
+    gel_motion = [{"time_s": 0.0}, {"time_s": 1.0, "shift_mm": [1.0, 0.5], "rotation_rad": 0.1}]
+    settings = {"exposure_s": 0.01} if effect == "motion_blur" else {}
+    effects = {effect: settings, "sensor_noise": {}, "specks": {"count": 3}}
+    scene = REFRACTION.replace({**PRESS, "effects": effects, "gel_motion": gel_motion})
+    seen = ("points_mm", "left_px", "right_px", "normals", "left", "right")
+    dots = ("centres_px", "half_px", "radii_px", "contrast_levels", "sight", "specks_px", "motion_px")
+
+    def all_of(frame: SimulatedFrame) -> list[Array]:
+        looks = [getattr(view, name) for view in (frame.left_dots, frame.right_dots) for name in dots]
+        return [*(getattr(frame, name) for name in seen), *looks]
+
+    simulator, late = Simulator(scene), Simulator(scene)
+    at_once = [all_of(simulator[index]) for index in (0, 12, 24)]
+    frames = [late[index] for index in (0, 12, 24)]
+    # Images first, the last frame first: neither order plays a part.
+    images = [frame.right for frame in reversed(frames)]
+    assert len(images) == 3
+    for expected, frame in zip(at_once, frames, strict=True):
+        for before, after in zip(expected, all_of(frame), strict=True):
+            np.testing.assert_array_equal(before, after)
+    assert not np.array_equal(at_once[0][0], at_once[2][0])
+    assert frames[0].left is frames[0].left
+    moves = np.abs(frames[1].left_dots.motion_px).max()
+    assert moves > 0.05 if effect == "motion_blur" else moves == 0.0
+
+
+def test_a_frame_may_be_read_by_many_threads() -> None:
+    simulator = Simulator(Scene().replace(PRESS))
+    frame = simulator[0]
+    with ThreadPoolExecutor(8) as threads:
+        images = list(threads.map(lambda _: frame.left.tobytes(), range(32)))
+    assert set(images) == {simulator[0].left.tobytes()}
+
+
+def test_points_alone_are_not_paid_for_as_images_are() -> None:
+    simulator, pose = Simulator(Scene().replace(PRESS)), np.eye(4)
+    pose[:3, 3] = (4.0, 0.0, 31.5)
+
+    def least_s(read: Callable[[SimulatedFrame], object]) -> float:
+        times = []
+        for _ in range(20):
+            start = time.perf_counter()
+            read(simulator.press(pose))
+            times.append(time.perf_counter() - start)
+        return min(times)
+
+    points = least_s(lambda frame: frame.points_mm)
+    # It is a hundredth and a quarter; machines under load measure badly.
+    assert points < 0.1 * least_s(lambda frame: frame.left)
+    assert points < 0.7 * least_s(lambda frame: frame.left_px)
 
 
 def test_sights_are_told_apart() -> None:

@@ -249,7 +249,7 @@ fn simulate_scene(scene: &Path, folder: &Path) -> Result<bool, CliError> {
     bar.finish_and_clear();
     let Simulated { frames, plan } = simulated.map_err(CliError::Simulate)?;
     say(plan.to_string().trim_end())?;
-    say(format_args!("{frames} pairs with truth in {}", folder.display()))?;
+    say(format_args!("{frames} frames with truth in {}", folder.display()))?;
     Ok(!stop.load(Ordering::Relaxed))
 }
 

@@ -1,6 +1,7 @@
 //! A scene made into a folder of image pairs with its truth.
 
 use crate::part::{Part, PartError};
+use gelstereo_core::rig::Rig;
 use gelstereo_sim::{Plan, Scene, SceneError, Shape, Simulator, Truth};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -62,7 +63,8 @@ pub struct Simulated {
 /// `scene.toml`, and the rig as `rig.toml`. Frames that the scene drops are left out; the others keep their numbers.
 ///
 /// The truth has a row per marker, `row * cols + col`: x_mm, y_mm, z_mm (sensor frame), indentation_mm, in_contact,
-/// left_x_px, left_y_px, right_x_px, right_y_px.
+/// left_x_px, left_y_px, right_x_px, right_y_px. A scene that asks for positions gives no images, and one that asks for
+/// points no pixels either: neither is computed.
 ///
 /// # Errors
 /// [`SimulateError`].
@@ -96,27 +98,41 @@ pub fn simulate(
             text.map_err(|error| SimulateError::Write { path: path.clone(), message: error.to_string() })?;
         write(&path, text.as_bytes())?;
     }
-    let sizes = [&scene.rig.left, &scene.rig.right].map(|c| (c.width_px as u32, c.height_px as u32));
     let plan = simulator.plan().clone();
-    let (mut truth, mut views) = (Truth::default(), [Vec::new(), Vec::new()]);
+    let (views, images) = plan.asked.map_or((true, true), |asked| (asked.views(), asked.images()));
+    let (mut truth, mut pixels) = (Truth::default(), [Vec::new(), Vec::new()]);
     let frames = simulator.delivered();
     for arrived in 0..frames {
         let Some(frame) = simulator.frame_of(arrived).filter(|_| !stop.load(Ordering::Relaxed)) else {
             return Ok(Simulated { frames: arrived, plan });
         };
         let contact = simulator.contact(frame);
-        simulator.moment(contact.as_ref(), frame as u64, &mut truth);
-        let [left, right] = &mut views;
-        simulator.render(&truth, frame as u64, left, right);
-        for ((name, pixels), (width, height)) in ["left", "right"].into_iter().zip(&views).zip(sizes) {
-            let path = folder.join(format!("{name}_{frame:05}.png"));
-            image::save_buffer(&path, pixels, width, height, image::ExtendedColorType::L8)
-                .map_err(|error| SimulateError::Write { path: path.clone(), message: error.to_string() })?;
+        if views {
+            simulator.moment(contact.as_ref(), frame as u64, &mut truth);
+        } else {
+            simulator.field(contact.as_ref(), frame as u64, &mut truth);
+        }
+        if images {
+            let [left, right] = &mut pixels;
+            simulator.render(&truth, frame as u64, left, right);
+            save(folder, frame, &pixels, &scene.rig)?;
         }
         write(&folder.join(format!("truth_{frame:05}.csv")), table(&truth).as_bytes())?;
         progress(arrived + 1, frames);
     }
     Ok(Simulated { frames, plan })
+}
+
+/// Both images of a frame.
+fn save(folder: &Path, frame: usize, images: &[Vec<u8>; 2], rig: &Rig) -> Result<(), SimulateError> {
+    let views = [("left", &rig.left), ("right", &rig.right)];
+    for ((name, camera), pixels) in views.into_iter().zip(images) {
+        let path = folder.join(format!("{name}_{frame:05}.png"));
+        let (width, height) = (camera.width_px as u32, camera.height_px as u32);
+        image::save_buffer(&path, pixels, width, height, image::ExtendedColorType::L8)
+            .map_err(|error| SimulateError::Write { path, message: error.to_string() })?;
+    }
+    Ok(())
 }
 
 fn create_folder(folder: &Path) -> Result<(), SimulateError> {
@@ -129,23 +145,19 @@ fn write(path: &Path, bytes: &[u8]) -> Result<(), SimulateError> {
         .map_err(|error| SimulateError::Write { path: path.to_owned(), message: error.to_string() })
 }
 
+/// The markers, with their pixels where the cameras were looked through.
 fn table(truth: &Truth) -> String {
-    let mut text =
-        String::from("x_mm,y_mm,z_mm,indentation_mm,in_contact,left_x_px,left_y_px,right_x_px,right_y_px\n");
+    let seen = truth.left_px.len() == truth.points_mm.len();
+    let mut text = String::from("x_mm,y_mm,z_mm,indentation_mm,in_contact");
+    text += if seen { ",left_x_px,left_y_px,right_x_px,right_y_px\n" } else { "\n" };
     for (i, p) in truth.points_mm.iter().enumerate() {
-        let (left, right) = (truth.left_px[i], truth.right_px[i]);
-        text += &format!(
-            "{},{},{},{},{},{},{},{},{}\n",
-            p.x,
-            p.y,
-            p.z,
-            truth.indentation_mm[i],
-            u8::from(truth.in_contact[i]),
-            left.x,
-            left.y,
-            right.x,
-            right.y
-        );
+        let touched = u8::from(truth.in_contact[i]);
+        text += &format!("{},{},{},{},{touched}", p.x, p.y, p.z, truth.indentation_mm[i]);
+        if seen {
+            let (left, right) = (truth.left_px[i], truth.right_px[i]);
+            text += &format!(",{},{},{},{}", left.x, left.y, right.x, right.y);
+        }
+        text.push('\n');
     }
     text
 }

@@ -63,6 +63,34 @@ fn faults_of_a_folder_are_named() {
     assert!(message().contains("are images of the same view and number"), "{}", message());
 }
 
+/// What nobody asks for is not written: the same markers without pixels, or without images.
+#[test]
+fn a_folder_has_what_the_scene_asks_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = folder.path().join("scene.toml");
+    let made = |asked: &str| {
+        let text = format!(
+            "{asked}\nindenter = {{ kind = \"sphere\", radius_mm = 6 }}\n\
+             trajectory = [{{ time_s = 0, position_mm = [4, 0, 33.5] }}]\n"
+        );
+        std::fs::write(&scene, text).unwrap();
+        let out = tempfile::tempdir_in(folder.path()).unwrap();
+        simulate(&scene, out.path(), &AtomicBool::new(false), &mut |_, _| {}).unwrap();
+        let image = out.path().join("left_00000.png").exists();
+        let text = std::fs::read_to_string(out.path().join("truth_00000.csv")).unwrap();
+        let rows: Vec<Vec<String>> =
+            text.lines().map(|line| line.split(',').map(str::to_owned).collect()).collect();
+        (image, rows)
+    };
+    let (image, whole) = made("");
+    assert!(image && whole[0].len() == 9);
+    assert_eq!(made("asked = { kind = \"positions\", tolerance_px = 0 }"), (false, whole.clone()));
+    let (image, points) = made("asked = { kind = \"points\", tolerance_um = 0 }");
+    let cut: Vec<Vec<String>> = whole.iter().map(|row| row[..5].to_vec()).collect();
+    assert!(!image && points == cut);
+    assert!(points.iter().any(|row| row[4] == "1"), "the ball touches");
+}
+
 /// A scene made into a folder, and the job on that folder: it ends where the images do.
 #[test]
 fn the_job_runs_on_image_pairs_as_far_as_they_go() {

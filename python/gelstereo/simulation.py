@@ -11,7 +11,7 @@ from gelstereo._native import Plan, Scene, Simulator
 
 
 def simulate(scene: Scene | str | Path | Mapping[str, Any]) -> Simulator:
-    """Make a scene ready to run; its frames are rendered when they are asked for.
+    """Make a scene ready to run; what of its frames is read is computed, and nothing else.
 
     Parameters
     ----------
@@ -22,7 +22,8 @@ def simulate(scene: Scene | str | Path | Mapping[str, Any]) -> Simulator:
     Returns
     -------
     Simulator
-        A sequence of `SimulatedFrame`: both images and the truth behind them.
+        A sequence of `SimulatedFrame`: both images and the truth behind them. Markers in space are worked out with the
+        frame, what the cameras see of them when any of it is read, and images when one of the two is.
 
     Raises
     ------

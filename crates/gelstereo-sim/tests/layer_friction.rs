@@ -1,7 +1,7 @@
 //! Friction on the layer: closed forms where it is thick, and Coulomb's law anywhere.
 #![allow(clippy::unwrap_used)]
 
-use gelstereo_core::math::{hypot, sqrt};
+use gelstereo_core::math::{DVec2, DVec3, hypot, sqrt};
 use gelstereo_sim::layer::closed::{CattaneoMindlin, FlatPunch, HalfSpace, Hertz};
 use gelstereo_sim::layer::{Grid, Layer, LayerContact, Part, Start};
 use proptest::prelude::*;
@@ -119,6 +119,42 @@ fn row_27_no_friction_and_very_much() {
     assert!(found.converged, "{found:?}");
     let [stuck, slips] = coulomb(&mut sticky, [&along, &across], 1e4, 3e-6);
     assert!(stuck > 50 && slips == 0, "everything sticks: {stuck} {slips}");
+}
+
+/// One cell that is pressed, and pressed and pulled: from eight cells on it is a point, whose square is seen as
+/// (cell / r)² / 8 < 0.2 % of the motion.
+#[test]
+fn a_cell_far_away_is_boussinesqs_and_cerrutis_point() {
+    let (cell, middle) = (0.1, CELLS / 2 * CELLS + CELLS / 2);
+    let half_space = HalfSpace { poisson_ratio: 0.3 };
+    let heights: Vec<f64> = (0..CELLS * CELLS).map(|i| if i == middle { 0.1 } else { NOTHING }).collect();
+    for pull_mm in [0.0, 0.05] {
+        let mut layer = contact((4000.0, half_space.poisson_ratio), cell, 1e4);
+        let none = vec![0.0; CELLS * CELLS];
+        let rest = Part { heights_mm: &heights, carried_mm: Some([&none, &none]) };
+        assert!(layer.press(rest, 1e-8, Start::Afresh).unwrap().converged);
+        let along = vec![pull_mm; CELLS * CELLS];
+        let pulled = Part { heights_mm: &heights, carried_mm: Some([&along, &none]) };
+        assert!(layer.press(pulled, 1e-8, Start::Last).unwrap().converged);
+        let force = layer.pressure()[middle] * cell * cell;
+        let [pull, aside] = layer.traction().map(|traction| traction[middle] * cell * cell);
+        assert!(force > 0.0 && aside.abs() < 1e-6 * force && (pull > 0.1 * force) == (pull_mm > 0.0));
+        let (mut into, mut moved) = (Vec::new(), [Vec::new(), Vec::new()]);
+        layer.surface_mm(&mut into, &mut moved);
+        let [x0, y0] = at(middle, cell);
+        for i in 0..CELLS * CELLS {
+            let from = DVec2::from_array(at(i, cell)) - DVec2::new(x0, y0);
+            let r = from.length();
+            if r < 8.0 * cell {
+                continue;
+            }
+            let [sink, out] = half_space.boussinesq_mm(r).map(|motion| motion * force);
+            let [x, y, z] = half_space.cerruti_mm(from).map(|motion| motion * pull);
+            let exact = (from * (out / r)).extend(sink) + DVec3::new(x, y, z);
+            let found = DVec3::new(moved[0][i], moved[1][i], into[i]);
+            assert!((found - exact).length() < 0.01 * exact.length(), "{from}: {found} {exact}");
+        }
+    }
 }
 
 /// A disc of cells is none, and tractions are infinite at its rim: torque is off in proportion to the cells. What is

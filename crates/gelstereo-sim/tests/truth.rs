@@ -5,8 +5,8 @@ mod common;
 
 use common::{press, rest, rigid, simulator, truth, with_effects};
 use gelstereo_core::math::{DVec2, DVec3, sqrt};
-use gelstereo_sim::effects::ElasticLayer;
-use gelstereo_sim::{ContactState, Effects, Scene, Shape, Truth};
+use gelstereo_sim::effects::{ElasticLayer, Misprint, Relaxation, Specks, UnevenLight, Wear};
+use gelstereo_sim::{ContactState, Effects, GelKeyframe, Scene, Shape, Truth};
 use proptest::prelude::*;
 
 const SPHERE: Shape = Shape::Sphere { radius_mm: 4.0 };
@@ -175,4 +175,38 @@ fn a_field_is_the_moment_without_its_views() {
         };
         assert!(field == expected && expected.in_contact.contains(&true));
     }
+}
+
+/// What the cameras see may be worked out later, when the simulator has long gone on.
+#[test]
+fn who_looks_at_a_field_sees_the_moment() {
+    let effects = Effects {
+        misprint: Some(Misprint::default()),
+        wear: Some(Wear::default()),
+        specks: Some(Specks { count: 9, ..Specks::default() }),
+        uneven_light: Some(UnevenLight::default()),
+        ..Effects::of_gel()
+    };
+    let (elastic_layer, relaxation) = (Some(ElasticLayer::default()), Some(Relaxation::default()));
+    let soft = Effects { elastic_layer, relaxation, ..Effects::default() };
+    for scene in [with_effects(SPHERE, effects), with_effects(SPHERE, soft)] {
+        let gel_at = |time_s| GelKeyframe { time_s, shift_mm: [time_s, 0.2], rotation_rad: 0.05 };
+        let gel_motion = vec![gel_at(0.0), gel_at(1.0)];
+        let scene = Scene { gel_motion, ..scene };
+        let (mut whole, mut lazy) = (simulator(&scene), simulator(&scene));
+        let contact = press(&scene, DVec3::ZERO, DVec2::ZERO, 1.2);
+        let mut moments = vec![Truth::default(); 3];
+        let mut fields = moments.clone();
+        for (frame, (moment, field)) in moments.iter_mut().zip(&mut fields).enumerate() {
+            whole.moment(Some(&contact), 5 * frame as u64, moment);
+            lazy.field(Some(&contact), 5 * frame as u64, field);
+        }
+        assert_ne!(moments[0].points_mm, moments[2].points_mm, "time plays no part");
+        for (frame, (moment, field)) in moments.iter().zip(&mut fields).enumerate() {
+            lazy.look(5 * frame as u64, field).unwrap();
+            assert!(field == moment, "frame {frame}");
+        }
+    }
+    let error = simulator(&rigid(SPHERE)).look(0, &mut Truth::default()).unwrap_err();
+    assert_eq!(error.to_string(), "number of points_mm is 0; valid is gel.rows * gel.cols");
 }

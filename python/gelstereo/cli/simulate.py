@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gelstereo import Error, SimulatedFrame, Simulator, simulate
+from gelstereo import Error, SimulatedFrame, simulate
 from gelstereo.cli.files import write_image
 from gelstereo.cli.progress import progress
 from gelstereo.simulation import plan_record
@@ -28,7 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--output",
         type=Path,
         required=True,
-        help="folder for left/NNNN.png, right/NNNN.png, truth.npz, rig.toml, scene.toml, plan.json",
+        help="folder for left/NNNN.png, right/NNNN.png, truth.npz, rig.toml, scene.toml, plan.json; only for what the "
+        "scene asks, if it says so",
     )
     parser.add_argument(
         "--frames",
@@ -40,17 +41,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Render the scene; the exit code."""
+    """Simulate the scene; the exit code."""
     simulator = simulate(arguments.scene)
     wanted = _wanted(arguments.frames, len(simulator))
     print(simulator.plan, end="")
-    frames = [_render(simulator, index, arguments.output) for index in progress(wanted, "rendering")]
-    _write_truth(arguments.output / "truth.npz", frames)
+    asked = simulator.scene.to_dict().get("asked")
+    kind = "images" if asked is None else asked["kind"]
+    arguments.output.mkdir(parents=True, exist_ok=True)
+    frames = []
+    for index in progress(wanted, "rendering" if kind == "images" else "simulating"):
+        frames.append(simulator[index])
+        if kind == "images":
+            _write_images(frames[-1], arguments.output)
+    _write_truth(arguments.output / "truth.npz", frames, views=kind != "points")
     simulator.plan.scene.rig.save(arguments.output / "rig.toml")
     record = json.dumps(plan_record(simulator.plan), indent=1)
     (arguments.output / "plan.json").write_text(record + "\n", encoding="utf-8")
     simulator.scene.save(arguments.output / "scene.toml")
-    print(f"wrote {len(frames)} stereo frames and their truth to {arguments.output}")
+    written = {
+        "images": "stereo frames and their truth",
+        "positions": "frames' markers, in space and in both images",
+    }
+    what = written.get(kind, "frames' markers in space")
+    print(f"wrote {len(frames)} {what} to {arguments.output}")
     return 0
 
 
@@ -62,15 +75,15 @@ def _wanted(frames: Sequence[int] | None, count: int) -> Sequence[int]:
     return range(count) if frames is None else frames
 
 
-def _render(simulator: Simulator, index: int, folder: Path) -> SimulatedFrame:
-    frame = simulator[index]
+def _write_images(frame: SimulatedFrame, folder: Path) -> None:
     write_image(folder / "left" / f"{frame.index:04d}.png", frame.left)
     write_image(folder / "right" / f"{frame.index:04d}.png", frame.right)
-    return frame
 
 
-def _write_truth(path: Path, frames: list[SimulatedFrame]) -> None:
-    names = ["index", "time_s", "points_mm", "normals", "indentation_mm", "in_contact", "left_px", "right_px"]
+def _write_truth(path: Path, frames: list[SimulatedFrame], *, views: bool) -> None:
+    names = ["index", "time_s", "points_mm", "indentation_mm", "in_contact"]
+    if views:
+        names += ["normals", "left_px", "right_px"]
     if all(frame.t_sensor_object is not None for frame in frames):
         names.append("t_sensor_object")
     arrays: dict[str, Any] = {name: np.stack([getattr(frame, name) for frame in frames]) for name in names}

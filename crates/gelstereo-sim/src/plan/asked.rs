@@ -53,6 +53,18 @@ impl Asked {
         }
     }
 
+    /// Whether it takes the cameras: dots where they are seen, or images.
+    #[must_use]
+    pub const fn views(&self) -> bool {
+        !matches!(self, Self::Points { .. })
+    }
+
+    /// Whether it takes images.
+    #[must_use]
+    pub const fn images(&self) -> bool {
+        matches!(self, Self::Images { .. })
+    }
+
     /// The bound of what is asked.
     #[must_use]
     pub const fn of(&self, bound: &Bound) -> f64 {

@@ -239,12 +239,25 @@ impl Simulator {
     }
 
     /// [`Self::moment`] of the markers in space alone, for who asks for a point cloud: neither where the cameras see
-    /// them nor how dots look is worked out, and those lists are left empty.
+    /// them nor how dots look is worked out, and those lists are left empty. [`Self::look`] fills them in.
     pub fn field(&mut self, contact: Option<&ContactState>, frame: u64, out: &mut Truth) {
         let contact = contact.filter(|contact| self.part.is_some() && contact.validate().is_ok());
         self.stand(contact, frame, self.time_s(frame));
         self.write_field(out);
         out.forget_views();
+    }
+
+    /// Adds to a [`Self::field`] of a frame what both cameras see of it, for a scene without motion blur: it is then
+    /// [`Self::moment`]. How far dots move while the shutter is open is nowhere in a field: nothing moves.
+    ///
+    /// # Errors
+    /// [`SceneError::Invalid`] if there are more or fewer points than the gel has markers.
+    pub fn look(&mut self, frame: u64, out: &mut Truth) -> Result<(), SceneError> {
+        let (found, markers) = (out.points_mm.len(), self.rest.len());
+        SceneError::check(found == markers, "number of points_mm", found as f64, "gel.rows * gel.cols")?;
+        self.scratch.ends_mm.iter_mut().for_each(Vec::clear);
+        self.write_views(self.time_s(frame), out);
+        Ok(())
     }
 
     /// Leaves the markers of a moment in the scratch; a gel with a memory remembers what was before the frame.

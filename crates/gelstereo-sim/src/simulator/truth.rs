@@ -139,19 +139,17 @@ impl Simulator {
         for x in points_mm.iter().flat_map(|point| point.to_array()) {
             SceneError::check(x.abs() <= 1e4, "points_mm", x, "-10000 to 10000 mm")?;
         }
-        self.scratch.ends_mm.iter_mut().for_each(Vec::clear);
         out.points_mm.clear();
         out.points_mm.extend_from_slice(points_mm);
         out.indentation_mm.clear();
         out.indentation_mm.extend(points_mm.iter().map(|point| self.surface_mm - point.z));
         out.in_contact.clear();
         out.in_contact.resize(markers, false);
-        self.write_views(self.time_s(frame), out);
-        Ok(())
+        self.look(frame, out)
     }
 
     /// What both cameras see of `out.points_mm`.
-    fn write_views(&mut self, time_s: f64, out: &mut Truth) {
+    pub(super) fn write_views(&mut self, time_s: f64, out: &mut Truth) {
         out.left_px.clear();
         out.right_px.clear();
         for &point in &out.points_mm {

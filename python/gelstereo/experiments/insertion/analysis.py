@@ -50,6 +50,7 @@ class Verdict:
     found: Array
     taught: tuple[Array, Array]
     room_mm: float
+    #: Predicted; 0 of a method that predicts nothing.
     chance: float
     #: Directions that the contact's faces leave free and that keep the part out of its hole.
     matters: tuple[str, ...]
@@ -90,7 +91,7 @@ def _verdict(part: str, method: str, record: Record, result: dict[str, Any]) -> 
         )
     taught = np.array(result["taught"][0]), np.array(result["taught"][1])
     found = np.array(result["t_sensor_object"])
-    room, chance, matters = result["room_mm"], result["chance"], tuple(result["matters"])
+    room, chance, matters = result["room_mm"], result.get("chance", 0.0), tuple(result["matters"])
     weakest = result["weakest"]
     return Verdict(part, method, record["hold"], truth, None, found, taught, room, chance, matters, weakest)
 

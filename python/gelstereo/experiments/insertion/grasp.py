@@ -64,13 +64,17 @@ def _turns(first_rad: float, count: int) -> tuple[float, ...]:
     return tuple(first_rad + 2.0 * np.pi * k / count for k in range(count))
 
 
+#: An irregular cap lies on two of its lobes where its height over a plane is least; on one it would roll.
+_ON_LOBES = 2.4
+
+
 #: The paper's pegs; its clearances are below 0.3 mm.
 GRASPED = {
     part.letter: part
     for part in (
         Grasped("peg_round", "a", parts.peg_round, (22.0, 28.0), (0.0,), np.pi, 10.0, 0.25),
         Grasped("peg_square", "b", parts.peg_square, (22.0, 28.0), _turns(0.0, 4), _SEATED, 10.0, 0.25),
-        Grasped("peg_irregular", "c", parts.peg_irregular, (28.0, 32.0), (0.0,), 0.3, 10.0, 0.28),
+        Grasped("peg_irregular", "c", parts.peg_irregular, (28.0, 32.0), (_ON_LOBES,), _SEATED, 10.0, 0.28),
         Grasped(
             "peg_hexagonal", "d", parts.peg_hexagonal, (22.0, 28.0), _turns(_FLAT, 6), _SEATED, 10.0, 0.25
         ),

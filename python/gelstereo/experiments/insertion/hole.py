@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import ConvexHull
 
 from gelstereo import Error
 
@@ -26,6 +27,8 @@ Array = npt.NDArray[np.float64]
 
 #: What is farther from the walls of its own hole meets them last.
 _NEAR_MM = 0.75
+#: Walls whose normals agree within this are one: a section has points along its edges, and round-off bends these.
+_SAME_WALL_RAD = 1e-4
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,7 @@ class Hole:
         area = float(np.sum(hull[:, 0] * along[:, 1] - hull[:, 1] * along[:, 0]))
         normals = np.sign(area) * np.column_stack([along[:, 1], -along[:, 0]])
         normals /= np.linalg.norm(normals, axis=1)[:, None]
+        normals = normals[np.linalg.norm(normals - np.roll(normals, 1, axis=0), axis=1) > _SAME_WALL_RAD]
         offsets = np.max(section @ normals.T, axis=0) + 0.5 * clearance_mm
         return cls(normals, offsets, tip_mm, tip_mm - depth_mm)
 
@@ -112,9 +116,12 @@ class Hole:
         points = end.below(self.mouth_mm, np.eye(4))
         room = np.min(self.offsets_mm - points[:, :2] @ self.normals.T, axis=1)
         near = points[room < _NEAR_MM]
-        moved = np.einsum("sij,nj->sni", motions[:, :2, :3], near) + motions[:, None, :2, 3]
-        rooms = [
-            offset - np.max(moved @ normal, axis=1)
-            for normal, offset in zip(self.normals, self.offsets_mm, strict=True)
-        ]
-        return np.asarray(np.min(rooms, axis=0))
+        # What is farthest along a wall's normal is a corner of the points' hull, however they are moved.
+        near = near[ConvexHull(near).vertices]
+        x, y = (near @ motions[:, axis, :3].T + motions[:, axis, 3] for axis in (0, 1))
+        rooms, along, across = np.full(len(motions), np.inf), np.empty_like(x), np.empty_like(x)
+        for (nx, ny), offset in zip(self.normals, self.offsets_mm, strict=True):
+            np.multiply(x, nx, out=along)
+            along += np.multiply(y, ny, out=across)
+            np.minimum(rooms, offset - np.max(along, axis=0), out=rooms)
+        return rooms

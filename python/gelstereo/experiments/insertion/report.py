@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from gelstereo.experiments.insertion.analysis import LEAST_CHANCE, PAPER_SHARE, 
 from gelstereo.experiments.insertion.grasp import GRASPED, Fit, fit_of
 from gelstereo.experiments.insertion.robot import RobotErrors
 from gelstereo.experiments.insertion.sense import METHODS
-from gelstereo.experiments.insertion.trial import RANGES
+from gelstereo.experiments.insertion.trial import PRIOR, RANGES, workplace
 from gelstereo.experiments.report import Report
 from gelstereo.experiments.store import Record
 from gelstereo.frontier.scenes import CONDITIONS
@@ -49,6 +50,7 @@ def insertion_report(trials: Sequence[Trial], records: Sequence[Record], inputs:
     findings: list[Block] = [
         *_success(found, fits),
         *_chances(ours, fits),
+        *_bounds(trials, records, fits),
         *_ranges(found, fits),
         *_robots(ours, fits),
         *_failures(found, fits),
@@ -144,6 +146,75 @@ def _chances(ours: Sequence[Verdict], fits: Mapping[str, Fit]) -> list[Block]:
             "svg",
         ),
     ]
+
+
+def _bounds(trials: Sequence[Trial], records: Sequence[Record], fits: Mapping[str, Fit]) -> list[Block]:
+    """What contacts can tell, against what the holes allow."""
+    by_part: dict[str, list[Record]] = {letter: [] for letter in fits}
+    for trial, record in zip(trials, records, strict=True):
+        by_part[trial.configuration["part"]].append(record["bound"])
+    rows = [
+        [
+            _name(letter),
+            _spread([bound["aside_mm"] for bound in bounds], 3),
+            f"{0.5 * GRASPED[letter].clearance_mm:.3f}",
+            _spread([np.rad2deg(bound["spin_rad"]) for bound in bounds], 2),
+            f"{100 * np.mean([bound['chance'] for bound in bounds]):.0f}",
+        ]
+        for letter, bounds in by_part.items()
+    ]
+    head = ["part", "aside mm", "the hole leaves mm", "about its axis deg", "goes in by heights alone, %"]
+    caption = (
+        "What the heights of the markers in contact tell at best of the part in the hole, the grasps over the hole "
+        "included: standard deviation, median (least to largest) over grasps"
+    )
+    return [
+        Heading("What a contact can tell", 3),
+        Paragraph(
+            "The Cramér-Rao bound: no unbiased registration of the heights of the markers that touch knows the part "
+            f"better, joined with {PRIOR.shift_mm} mm and {PRIOR.rotation_rad} rad that are known before. Beside a "
+            "flat face heights leave open what only edges tell, by which markers they pass; a part that is smooth "
+            "where it is held has no edges, and what its heights leave open stays so."
+        ),
+        Grid(caption, head, rows),
+        *_sides(fits),
+    ]
+
+
+def _sides(fits: Mapping[str, Fit]) -> list[Block]:
+    """How what can be told of the irregular part depends on the side that lies on the gel."""
+    if "c" not in fits:
+        return []
+    place = workplace("c")
+    (own,) = GRASPED["c"].faces_rad
+    rows = []
+    for turn in range(_SIDES):
+        spin_rad = own + 2.0 * np.pi * turn / _SIDES
+        touching, bound = place.told(replace(place.nominal, spin_rad=spin_rad), _MARKER_SIGMA_MM)
+        rows.append(
+            [
+                f"{360 * turn / _SIDES:.0f}",
+                str(touching),
+                f"{bound.aside_mm:.3f}",
+                f"{np.rad2deg(bound.spin_rad):.2f}",
+                f"{100 * bound.chance:.0f}",
+            ]
+        )
+    caption = (
+        f"{_name('c')}: the same of one grasp by the side that lies on the gel, turned from that of the grasps; "
+        f"nominal press, markers known to {1e3 * _MARKER_SIGMA_MM} um"
+    )
+    head = ["turned by deg", "markers that touch", "aside mm", "about its axis deg", "goes in, %"]
+    return [Grid(caption, head, rows)]
+
+
+#: Sides of the irregular part that are looked at, and what a marker is known to along the gel's normal.
+_SIDES, _MARKER_SIGMA_MM = 16, 0.0055
+
+
+def _spread(values: Sequence[float], digits: int) -> str:
+    middle, low, high = np.median(values), np.min(values), np.max(values)
+    return f"{middle:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
 
 
 def reason(verdict: Verdict) -> str:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from gelstereo import Frame, RegisterError, Scene, SimulatedFrame, Simulator, Template
 from gelstereo.experiments.batch import Configuration
 from gelstereo.experiments.insertion.belief import Belief, believed, drawn
+from gelstereo.experiments.insertion.bound import Bound, SmoothSurface, least_covariance
 from gelstereo.experiments.insertion.chance import SAMPLES, Prior, chance, matters, weakest
 from gelstereo.experiments.insertion.grasp import GraspRanges, Hold, fit_of, guesses, lie
 from gelstereo.experiments.insertion.robot import over_hole
@@ -20,6 +21,7 @@ from gelstereo.experiments.insertion.sense import METHODS, Found, Method, Regist
 from gelstereo.experiments.store import Record
 from gelstereo.frontier.scenes import VGA
 from gelstereo.geometry import se3_exp, se3_log
+from gelstereo.states import MarkerState
 
 __all__ = ["PRIOR", "RANGES", "Workplace", "run", "sensor_scene", "workplace"]
 
@@ -48,6 +50,8 @@ class Taught:
     beliefs: tuple[Belief, ...]
     #: By how much the poses found differ from the true ones, a motion in the part's frame: their mean.
     error: Array
+    #: The least covariance of that, (6, 6), if heights are all that is read.
+    least: Array
 
     @property
     def pair(self) -> tuple[Array, Array]:
@@ -71,6 +75,7 @@ class Workplace:
             indenter = {"kind": "mesh", "path": str(path), "units": "mm"}
             self.simulator = Simulator(scene.replace({"indenter": indenter}))
         self.senses = Senses(self.simulator, {method.preset for method in METHODS})
+        self.surface = SmoothSurface(self.fit.mesh)
         self.nominal = Hold.nominal(self.part, RANGES)
         self._taught: dict[str, Taught] = {}
 
@@ -103,6 +108,23 @@ class Workplace:
             return tried[0], Belief.normal(tried[0], PRIOR)
         return tried[0], believed(tried, registering.held, PRIOR, seed)
 
+    def least(self, t_sensor_object: Array, contact: SimulatedFrame, frame: Frame) -> Array:
+        """Least covariance of the part's pose, in its own frame, (6, 6), from the heights of markers that touch."""
+        seen = np.asarray(contact.in_contact) & (np.asarray(frame.state) == MarkerState.SEEN)
+        return least_covariance(
+            self.surface, t_sensor_object, contact.points_mm[seen], frame.covariance_mm2[seen], PRIOR
+        )
+
+    def told(self, hold: Hold, sigma_mm: float) -> tuple[int, Bound]:
+        """How many markers touch a part that is held so, and what their heights tell, each known to `sigma_mm`."""
+        t_sensor_object = self.lie(hold)
+        contact = self.simulator.press(t_sensor_object)
+        points_mm = contact.points_mm[contact.in_contact]
+        covariance = np.tile(sigma_mm**2 * np.eye(3), (len(points_mm), 1, 1))
+        least = least_covariance(self.surface, t_sensor_object, points_mm, covariance, PRIOR)
+        bound = Bound.of(self.hole, self.fit.end, least, np.random.default_rng(_TAUGHT))
+        return len(points_mm), bound
+
     def taught(self, method: Method) -> Taught:
         """Teach a method the hole: the part is held in the middle, stands ideally over it, and is found by it.
 
@@ -110,16 +132,22 @@ class Workplace:
         of them is known to a pitch only.
         """
         if method.name not in self._taught:
-            errors, beliefs = [], []
+            errors, beliefs, least = [], [], []
             for turn_rad in method.taught_rad:
                 hold = replace(self.nominal, pitch_rad=turn_rad)
                 t_sensor_object = self.lie(hold)
                 grasp = self.grasp(t_sensor_object, hold.press_mm, _TAUGHT)
-                belief = self.find(method, self.senses.sense(method.preset, grasp), _TAUGHT)[1]
+                frame = self.senses.sense(method.preset, grasp)
+                belief = self.find(method, frame, _TAUGHT)[1]
+                least.append(self.least(t_sensor_object, grasp[-1], frame))
                 errors.append(np.asarray(se3_log(np.linalg.inv(t_sensor_object) @ belief.t_sensor_object)))
                 beliefs.append(belief)
-            taught = Taught(self.lie(self.nominal), tuple(beliefs), np.mean(errors, axis=0))
-            self._taught[method.name] = taught
+            self._taught[method.name] = Taught(
+                self.lie(self.nominal),
+                tuple(beliefs),
+                np.mean(errors, axis=0),
+                np.sum(least, axis=0) / len(least) ** 2,
+            )
         return self._taught[method.name]
 
 
@@ -136,9 +164,10 @@ def workplace(letter: str) -> Workplace:
 def run(configuration: Configuration, seed: int) -> Record:
     """Grasp a part somewhere, find it by every method, and see whether it would go in.
 
-    The record holds the grasp, the true pose, and by method the pose that is acted on, ``room_mm`` between part and
-    walls (below 0 it does not go in), the ``chance`` predicted from what is believed and of how many ``poses`` that is
-    made, the directions that the contact's faces leave ``free`` and which of them ``matters``, and the ``weakest``
+    The record holds the grasp, the true pose, the ``bound`` of what the heights of the markers tell, and by method the
+    pose that is acted on, ``room_mm`` between part and walls (below 0 it does not go in), the ``chance`` predicted from
+    what is believed and of how many ``poses`` that is made (of a method that weighs poses; others predict nothing), the
+    directions that the contact's faces leave ``free`` and which of them ``matters``, and the ``weakest``
     motion over the hole, all told; or ``refused``, why there is no pose.
     """
     place = workplace(configuration["part"])
@@ -146,10 +175,14 @@ def run(configuration: Configuration, seed: int) -> Record:
     t_sensor_object = place.lie(hold)
     grasp = place.grasp(t_sensor_object, hold.press_mm, _FIRST + seed)
     frames = {preset: place.senses.sense(preset, grasp) for preset in {m.preset for m in METHODS}}
+    ours = METHODS[-1]
+    least = place.least(t_sensor_object, grasp[-1], frames[ours.preset]) + place.taught(ours).least
+    random = np.random.default_rng([seed, 73])
     return {
         "hold": asdict(hold),
         "touching": int(np.count_nonzero(grasp[-1].in_contact)),
         "t_sensor_object": t_sensor_object.tolist(),
+        "bound": asdict(Bound.of(place.hole, place.fit.end, least, random)),
         "methods": {
             method.name: _judged(place, method, frames[method.preset], t_sensor_object, seed)
             for method in METHODS
@@ -165,16 +198,18 @@ def _judged(place: Workplace, method: Method, frame: Frame, t_sensor_object: Arr
     except RegisterError as error:
         return {"refused": str(error)}
     t_hole_object = over_hole(t_sensor_object, belief.t_sensor_object, taught.pair)
-    random = np.random.default_rng([seed, 71])
-    motions = belief.draw(random, SAMPLES) - drawn(taught.beliefs, random, SAMPLES)
     covariance = belief.covariance + sum(b.covariance for b in taught.beliefs) / len(taught.beliefs) ** 2
+    predicted = {}
+    if method.tries_all:
+        random = np.random.default_rng([seed, 71])
+        motions = belief.draw(random, SAMPLES) - drawn(taught.beliefs, random, SAMPLES)
+        predicted = {"chance": chance(place.hole, place.fit.end, motions), "poses": len(belief.weights)}
     return {
+        **predicted,
         "t_sensor_object": belief.t_sensor_object.tolist(),
         "taught": [pose.tolist() for pose in taught.pair],
         "error": np.asarray(se3_log(t_hole_object)).tolist(),
         "room_mm": place.fit.room_mm(t_hole_object),
-        "chance": chance(place.hole, place.fit.end, motions),
-        "poses": len(belief.weights),
         "converged": found.converged,
         "free": [str(free) for free in found.free],
         "matters": [str(free) for free in found.free if matters(place.hole, place.fit.end, free)],

@@ -1,0 +1,216 @@
+//! One moment of a scene.
+
+use super::Simulator;
+use crate::arrays::{self, Array1, Matrix};
+use crate::errors::raise;
+use gelstereo_core::math::DVec2;
+use gelstereo_sim as sim;
+use numpy::{PyArray2, PyArray3};
+use pyo3::prelude::*;
+use std::sync::OnceLock;
+
+type Image = Py<PyArray2<u8>>;
+
+/// One moment of a scene: both images and the truth behind them.
+///
+/// What the cameras see is worked out when it is first read, and so are the images: who reads points alone pays for these
+/// alone.
+#[pyclass(frozen, module = "gelstereo")]
+pub struct SimulatedFrame {
+    /// Which frame of the trajectory; it keys the noise, and jumps where frames were dropped.
+    #[pyo3(get)]
+    index: u64,
+    /// When it was taken, seconds on the keyframes' clock.
+    #[pyo3(get)]
+    time_s: f64,
+    /// (N, 3) true marker positions, sensor frame.
+    #[pyo3(get)]
+    points_mm: Matrix,
+    /// (N,) true height above the rest surface.
+    #[pyo3(get)]
+    indentation_mm: Array1<f64>,
+    /// (N,) bool, whether the indenter touches the gel at this marker.
+    #[pyo3(get)]
+    in_contact: Array1<bool>,
+    /// (4, 4) true pose of the indenter, or None when there is none.
+    #[pyo3(get)]
+    t_sensor_object: Option<Matrix>,
+    simulator: Py<Simulator>,
+    /// The markers in space at least.
+    truth: sim::Truth,
+    seen: OnceLock<sim::Truth>,
+    views: OnceLock<Views>,
+    images: OnceLock<[Image; 2]>,
+}
+
+/// What the cameras see, as arrays.
+struct Views {
+    pixels: [Matrix; 2],
+    normals: Matrix,
+    dots: [Py<SimulatedDots>; 2],
+}
+
+impl SimulatedFrame {
+    /// Of a field, or a moment.
+    pub(super) fn new(
+        simulator: &Bound<'_, Simulator>,
+        index: u64,
+        contact: Option<&sim::ContactState>,
+        truth: sim::Truth,
+    ) -> PyResult<Self> {
+        let (py, stage) = (simulator.py(), simulator.get());
+        Ok(Self {
+            index,
+            time_s: py.detach(|| stage.lock().time_s(index)),
+            points_mm: arrays::rows::<_, 3>(py, truth.points_mm.clone())?,
+            indentation_mm: arrays::list(py, truth.indentation_mm.clone()),
+            in_contact: arrays::list(py, truth.in_contact.clone()),
+            t_sensor_object: contact.map(|c| arrays::pose_matrix(py, &c.t_sensor_object)).transpose()?,
+            simulator: simulator.clone().unbind(),
+            truth,
+            seen: OnceLock::new(),
+            views: OnceLock::new(),
+            images: OnceLock::new(),
+        })
+    }
+
+    /// The whole truth. Two threads that ask at once both work it out, and find the same.
+    fn seen(&self, py: Python<'_>) -> PyResult<&sim::Truth> {
+        if self.truth.left_px.len() == self.truth.points_mm.len() {
+            return Ok(&self.truth);
+        }
+        if let Some(seen) = self.seen.get() {
+            return Ok(seen);
+        }
+        let (simulator, index, mut truth) = (self.simulator.get(), self.index, self.truth.clone());
+        let seen = py.detach(|| {
+            simulator.lock().look(index, &mut truth)?;
+            Ok::<_, sim::SceneError>(truth)
+        });
+        let seen = seen.map_err(raise)?;
+        Ok(self.seen.get_or_init(|| seen))
+    }
+
+    fn views(&self, py: Python<'_>) -> PyResult<&Views> {
+        if let Some(views) = self.views.get() {
+            return Ok(views);
+        }
+        let truth = self.seen(py)?;
+        let pixels = |px: &[DVec2]| arrays::rows::<_, 2>(py, px.to_vec());
+        let views = Views {
+            pixels: [pixels(&truth.left_px)?, pixels(&truth.right_px)?],
+            normals: arrays::rows::<_, 3>(py, truth.normals.clone())?,
+            dots: [
+                SimulatedDots::new(py, &truth.left_dots, &truth.left_specks, &truth.left_motion_px)?,
+                SimulatedDots::new(py, &truth.right_dots, &truth.right_specks, &truth.right_motion_px)?,
+            ],
+        };
+        Ok(self.views.get_or_init(|| views))
+    }
+
+    fn images(&self, py: Python<'_>) -> PyResult<&[Image; 2]> {
+        if let Some(images) = self.images.get() {
+            return Ok(images);
+        }
+        let (truth, simulator, index) = (self.seen(py)?, self.simulator.get(), self.index);
+        let [left, right] = py.detach(|| {
+            let (mut left, mut right) = (Vec::new(), Vec::new());
+            simulator.lock().render(truth, index, &mut left, &mut right);
+            [left, right]
+        });
+        let rig = simulator.rig();
+        let images = [
+            arrays::shaped(py, left, (rig.left.height_px, rig.left.width_px))?,
+            arrays::shaped(py, right, (rig.right.height_px, rig.right.width_px))?,
+        ];
+        Ok(self.images.get_or_init(|| images))
+    }
+}
+
+#[pymethods]
+impl SimulatedFrame {
+    /// (H, W) uint8 left image.
+    #[getter]
+    fn left(&self, py: Python<'_>) -> PyResult<Image> {
+        Ok(self.images(py)?[0].clone_ref(py))
+    }
+
+    /// (H, W) uint8 right image.
+    #[getter]
+    fn right(&self, py: Python<'_>) -> PyResult<Image> {
+        Ok(self.images(py)?[1].clone_ref(py))
+    }
+
+    /// (N, 2) true centres in the left image.
+    #[getter]
+    fn left_px(&self, py: Python<'_>) -> PyResult<Matrix> {
+        Ok(self.views(py)?.pixels[0].clone_ref(py))
+    }
+
+    /// (N, 2) true centres in the right image.
+    #[getter]
+    fn right_px(&self, py: Python<'_>) -> PyResult<Matrix> {
+        Ok(self.views(py)?.pixels[1].clone_ref(py))
+    }
+
+    /// (N, 3) true unit normals of the surface at the markers, towards the cameras.
+    #[getter]
+    fn normals(&self, py: Python<'_>) -> PyResult<Matrix> {
+        Ok(self.views(py)?.normals.clone_ref(py))
+    }
+
+    /// How the markers look in the left image.
+    #[getter]
+    fn left_dots(&self, py: Python<'_>) -> PyResult<Py<SimulatedDots>> {
+        Ok(self.views(py)?.dots[0].clone_ref(py))
+    }
+
+    /// How the markers look in the right image.
+    #[getter]
+    fn right_dots(&self, py: Python<'_>) -> PyResult<Py<SimulatedDots>> {
+        Ok(self.views(py)?.dots[1].clone_ref(py))
+    }
+}
+
+/// How the markers' dots look in one image, N markers and S specks.
+#[pyclass(frozen, get_all, module = "gelstereo")]
+pub struct SimulatedDots {
+    /// (N, 2) centroids of the dots' images, which are not the images of the dots' centres.
+    centres_px: Matrix,
+    /// (N, 2, 2) two conjugate half diameters of each dot's elliptical image.
+    half_px: Py<PyArray3<f64>>,
+    /// (N,) radius of the circle of the same area.
+    radii_px: Array1<f64>,
+    /// (N,) difference between dot and gel there, before the lens blurs it, grey levels.
+    contrast_levels: Array1<f64>,
+    /// (N,) uint8, what there is to see of each dot, see `Sight`.
+    sight: Array1<u8>,
+    /// (S, 2) centroids of specks, which are no markers.
+    specks_px: Matrix,
+    /// (N, 2) how far each dot's image moves while the shutter is open; 0 where the scene has no motion blur.
+    motion_px: Matrix,
+}
+
+impl SimulatedDots {
+    fn new(
+        py: Python<'_>,
+        dots: &[sim::DotImage],
+        specks: &[sim::Ellipse],
+        motion_px: &[DVec2],
+    ) -> PyResult<Py<Self>> {
+        // Those of the specks follow; none are known when nothing is known to move.
+        let mut motion_px = motion_px.to_vec();
+        motion_px.resize(dots.len(), DVec2::ZERO);
+        let half_px = dots.iter().flat_map(|dot| dot.outline.half_px).flat_map(|half| half.to_array());
+        let dots_px = Self {
+            centres_px: arrays::rows::<_, 2>(py, dots.iter().map(|dot| dot.outline.centre_px).collect())?,
+            half_px: arrays::shaped(py, half_px.collect(), (dots.len(), 2, 2))?,
+            radii_px: arrays::list(py, dots.iter().map(|dot| dot.outline.radius_px()).collect()),
+            contrast_levels: arrays::list(py, dots.iter().map(|dot| dot.contrast_levels).collect()),
+            sight: arrays::list(py, dots.iter().map(|dot| dot.sight as u8).collect()),
+            specks_px: arrays::rows::<_, 2>(py, specks.iter().map(|speck| speck.centre_px).collect())?,
+            motion_px: arrays::rows::<_, 2>(py, motion_px)?,
+        };
+        Py::new(py, dots_px)
+    }
+}
