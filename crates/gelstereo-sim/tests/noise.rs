@@ -36,9 +36,9 @@ fn moments_are_the_normal_distributions() {
         assert!(moment(1).abs() < 5.0 / n.sqrt());
         assert!((moment(2) - 1.0 - 1.0 / 12.0 / (SIGMA * SIGMA)).abs() < 5.0 * (2.0 / n).sqrt());
         assert!(moment(3).abs() < 5.0 * (15.0 / n).sqrt());
-        // 4096 quantiles end at 3.7 and so have a fourth moment of 2.988.
+        // 4096 quantiles end at 3.7 and so have a fourth moment of 2.988; of a sum of two half of the excess is left.
         let kurtosis = moment(4) / moment(2).powi(2);
-        assert!((kurtosis - 2.988).abs() < 5.0 * (96.0 / n).sqrt(), "{kurtosis}");
+        assert!((kurtosis - 2.994).abs() < 5.0 * (96.0 / n).sqrt(), "{kurtosis}");
     }
 }
 
@@ -63,14 +63,15 @@ fn pixels_views_and_frames_are_independent() {
     let correlation =
         |a: &[f64], b: &[f64]| mean(a.iter().zip(b).map(|(a, b)| a * b)) * (a.len() as f64).sqrt();
     for image in &images {
-        // Neighbours, those that one random number serves, rows above each other and diagonals.
-        for apart in [1, 2, 3, 4, 5, 10, 639, 640, 641, 1280] {
-            let found = correlation(&image[apart..], &image[..image.len() - apart]);
-            assert!(found.abs() < 5.0, "{apart} apart: {found} standard errors");
-        }
-        // And their squares, which a generator with a memory would show.
+        // And of their squares, which a generator with a memory would show.
         let squares: Vec<f64> = image.iter().map(|v| (v * v - 1.0) / 2.0_f64.sqrt()).collect();
-        assert!(correlation(&squares[1..], &squares[..squares.len() - 1]).abs() < 5.0);
+        for values in [image, &squares] {
+            // Neighbours, those that one random number serves, rows above each other and diagonals.
+            for apart in (1..=16).chain([639, 640, 641, 1280]) {
+                let found = correlation(&values[apart..], &values[..values.len() - apart]);
+                assert!(found.abs() < 5.0, "{apart} apart: {found} standard errors");
+            }
+        }
     }
     for (i, a) in images.iter().enumerate() {
         for b in &images[..i] {

@@ -395,7 +395,7 @@ fn bounds_are_of_use() {
         ("smears", LEVELS, 2.0),
         ("motion_blur", LEVELS, 6.0),
         ("defocus", LEVELS, 7.0),
-        ("sensor_noise", LEVELS, 1.0),
+        ("sensor_noise", LEVELS, 1.2),
         ("refraction", PX, 1.5),
         ("lens_distortion", PX, 4.0),
         ("ellipse_bias", PX, 700.0),

@@ -43,8 +43,10 @@ impl Effect for Defocus {
         let dot_px = facts.dot_radius_mm() * facts.optics.lateral_px_per_mm;
         let lines = 2.0 + 2.2 * dot_px / self.sigma_px;
         let reach_px = self.lens().reach_px();
-        // Of every line so many rows of so many columns are added up, four at once.
-        2.0 * facts.markers() * lines * (80.0 + 2.0 * reach_px * (1.0 + 0.6 * (dot_px + reach_px)))
+        // Of every line so many rows of so many columns are added up, four at once. Sharp dots take eight lines to a pixel.
+        let soft = lines * (100.0 + 2.0 * reach_px * (1.0 + 0.6 * (dot_px + reach_px)));
+        let sharp = 2.0 * 8.0 * dot_px * 19.5;
+        2.0 * facts.markers() * (soft - sharp).max(0.0)
     }
 }
 

@@ -112,12 +112,15 @@ impl Gain {
         }
     }
 
-    /// Of the pixels of a row.
-    pub(crate) fn of_row(&self, y: usize) -> impl Iterator<Item = f32> {
-        let row = self.rows[y];
-        self.columns.iter().map(move |column| {
-            let gain = column + row;
-            if gain > 0.0 { gain } else { 0.0 }
-        })
+    /// The share of a row, and those of the columns.
+    pub(crate) fn of_row(&self, y: usize) -> (f32, &[f32]) {
+        (self.rows[y], &self.columns)
+    }
+
+    /// Of a pixel with these shares.
+    #[inline(always)]
+    pub(crate) fn of(row: f32, column: f32) -> f32 {
+        let gain = column + row;
+        if gain > 0.0 { gain } else { 0.0 }
     }
 }

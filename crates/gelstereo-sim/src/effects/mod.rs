@@ -51,7 +51,7 @@ pub(crate) use grain::Texture;
 pub(crate) use jpeg::Codec;
 pub(crate) use light::Gain;
 pub(crate) use misprint::{Bridge, Print};
-pub(crate) use noise::Noise;
+pub(crate) use noise::{Noise, RUN};
 pub(crate) use optics::{Optics, ellipse_bias_px};
 pub(crate) use shot::Shots;
 pub(crate) use smear::SmearsOfView;

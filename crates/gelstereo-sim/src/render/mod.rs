@@ -120,7 +120,6 @@ impl Renderer {
                 smears: smears.map(|s| SmearsOfView::new(s, scene, index, camera, [start_s, end_s])),
             }
         };
-        let rows = scene.rig.left.height_px.max(scene.rig.right.height_px);
         let specks = effects.specks.as_ref().map_or(0, |specks| specks.count);
         let regions = printed.len() + bridges.len() + specks;
         Self {
@@ -133,7 +132,7 @@ impl Renderer {
             lens,
             pen: match (lens, scene.images) {
                 (None, _) => Pen::Sharp,
-                (Some(lens), Images::Fast) => Pen::Soft(Soft::new(lens, rows, regions)),
+                (Some(lens), Images::Fast) => Pen::Soft(Soft::new(lens, regions)),
                 (Some(lens), Images::Exact) => Pen::Fine(Fine::new(lens)),
             },
             shutter: effects.motion_blur.as_ref().map(|_| Shutter::new(lens.map(|lens| lens.sigma_px))),

@@ -28,7 +28,9 @@ pub(crate) struct Profile {
 /// The function about one place.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct About<'a> {
-    rows: [&'a [f32]; 2],
+    /// Two rows, of `taps` each, and what follows them.
+    rows: &'a [f32],
+    taps: usize,
     /// Of the second row.
     share: f32,
 }
@@ -57,32 +59,32 @@ impl Profile {
         let below = shifted.to_bits() as i32;
         let share = ((x - (shifted - WHOLE_STEPS)) * STEPS as f64) as f32;
         let (whole, step) = (below >> LOG_STEPS, below as usize & (STEPS - 1));
-        let (before, after) = self.values[step * self.taps..][..2 * self.taps].split_at(self.taps);
-        (About { rows: [before, after], share }, whole + 1 - self.reach as i32)
+        let rows = &self.values[step * self.taps..];
+        (About { rows, taps: self.taps, share }, whole + 1 - self.reach as i32)
     }
 }
 
-impl<'a> About<'a> {
-    /// The values from the `first` on, in whole blocks; `None` when there are not so many.
+impl About<'_> {
+    /// The values from the `first` on, in whole blocks, of which there must be as many.
     #[inline(always)]
-    pub(crate) fn blocks<const BLOCKS: usize>(self, first: usize) -> Option<[Block; BLOCKS]> {
-        let [before, after] =
-            self.rows.map(|row| row.get(first..)?.as_chunks::<BLOCK>().0.first_chunk::<BLOCKS>());
-        let (before, after) = (before?, after?);
-        let mut values = *before;
-        for (values, (before, after)) in values.iter_mut().zip(before.iter().zip(after)) {
+    pub(crate) fn blocks<const BLOCKS: usize>(self, first: usize) -> [Block; BLOCKS] {
+        let mut values = [Block::default(); BLOCKS];
+        let before = &self.rows[first..][..BLOCKS * BLOCK];
+        let after = &self.rows[first + self.taps..][..BLOCKS * BLOCK];
+        let rows = before.as_chunks::<BLOCK>().0.iter().zip(after.as_chunks::<BLOCK>().0);
+        for (values, (before, after)) in values.iter_mut().zip(rows) {
             for (value, (a, b)) in values.iter_mut().zip(before.iter().zip(after)) {
                 *value = a + self.share * (b - a);
             }
         }
-        Some(values)
+        values
     }
 
     /// All values, times `scale`; `out` has room for them in whole blocks.
     #[inline]
-    pub(crate) fn weigh(self, scale: f32, out: &mut [Block]) {
-        let [before, after] = self.rows.map(|row| row.as_chunks::<BLOCK>().0);
-        for (out, (before, after)) in out.iter_mut().zip(before.iter().zip(after)) {
+    pub(crate) fn weigh(self, scale: f32, out: &mut [f32]) {
+        let [before, after] = [0, self.taps].map(|start| self.rows[start..].as_chunks::<BLOCK>().0);
+        for (out, (before, after)) in out.as_chunks_mut().0.iter_mut().zip(before.iter().zip(after)) {
             let mut weights = *before; // by value: nothing that is written is read again
             for (weight, next) in weights.iter_mut().zip(after) {
                 *weight = scale * (*weight + self.share * (next - *weight));

@@ -11,6 +11,7 @@ use super::Ellipse;
 use super::lens::Lens;
 use super::profile::{BLOCK, Block, Profile};
 use super::shape::{Shape, each_interval};
+use alloc::boxed::Box;
 use alloc::vec::Vec;
 use core::f64::consts::PI;
 use gelstereo_core::math::{DVec2, ceil, cos, sin};
@@ -29,6 +30,9 @@ const DENSE_LINES: f64 = 32.0;
 /// Most columns of a window; wider ones are drawn in parts.
 const MOST_COLUMNS: usize = 32;
 
+/// Lines that are summed at once: those of a dot, and more are drawn in parts.
+const MOST_AT_ONCE: usize = 24;
+
 /// Draws blurred ink.
 #[derive(Clone, Debug)]
 pub(crate) struct Soft {
@@ -39,12 +43,23 @@ pub(crate) struct Soft {
     half_steps: Vec<(f64, f64)>,
     /// How far a pixel sees, in whole pixels.
     reach: usize,
-    /// A line's weight for the rows about it.
-    weights: Vec<Block>,
-    /// What the window's pixels see, row by row.
-    tile: Vec<Block>,
+    sheaf: Box<Sheaf>,
     /// Heights between which a region is smooth.
     breaks: Vec<f64>,
+}
+
+/// Lines across a window, from its top downwards.
+#[derive(Clone, Debug)]
+struct Sheaf {
+    lines: usize,
+    heights: [f64; MOST_AT_ONCE],
+    thickness: [f32; MOST_AT_ONCE],
+    /// Each line's share of the columns, in as many blocks as the window has.
+    shares: Vec<Block>,
+    /// Each line's weights for the rows about it.
+    weights: Vec<f32>,
+    /// The row of each line's first weight, counted from the window's top.
+    first_rows: [i32; MOST_AT_ONCE],
 }
 
 /// A part of the image: pixels that see anything of a region.
@@ -57,8 +72,8 @@ struct Window {
 }
 
 impl Soft {
-    /// For images of at most so many rows and so many regions that overlap.
-    pub(crate) fn new(lens: Lens, rows: usize, regions: usize) -> Self {
+    /// For images of at most so many regions that overlap.
+    pub(crate) fn new(lens: Lens, regions: usize) -> Self {
         let half_step = |lines: usize| {
             let angle = 0.5 * PI / lines.max(1) as f64;
             (sin(angle), cos(angle))
@@ -71,9 +86,8 @@ impl Soft {
             edges: Profile::new(reach + MOST_COLUMNS, |x| lens.edge(x)),
             reach,
             half_steps: (0..=MOST_LINES).map(half_step).collect(),
-            weights: alloc::vec![Block::default(); points.taps() / BLOCK],
+            sheaf: Box::new(Sheaf::new(points.taps())),
             points,
-            tile: Vec::with_capacity(rows * MOST_COLUMNS.div_ceil(BLOCK)),
             breaks: Vec::with_capacity(2 * regions),
         }
     }
@@ -122,13 +136,13 @@ impl Soft {
         let (end, heights) = (whole.left + whole.columns, corners.map(|corner| corner.y));
         for left in (whole.left..end).step_by(MOST_COLUMNS) {
             let window = Window { left, columns: MOST_COLUMNS.min(end - left), ..whole };
+            let image = (&mut *canvas, width);
             match window.columns.div_ceil(BLOCK) {
-                1..=4 => self.cut::<4>(window, shapes, heights, lines),
-                5 => self.cut::<5>(window, shapes, heights, lines),
-                6 => self.cut::<6>(window, shapes, heights, lines),
-                _ => self.cut::<8>(window, shapes, heights, lines),
+                1..=4 => self.cut::<4>(window, shapes, heights, lines, image),
+                5 => self.cut::<5>(window, shapes, heights, lines, image),
+                6 => self.cut::<6>(window, shapes, heights, lines, image),
+                _ => self.cut::<8>(window, shapes, heights, lines, image),
             }
-            self.add(window, canvas, width);
         }
     }
 
@@ -146,93 +160,152 @@ impl Soft {
         })
     }
 
-    /// Fills the tile. Lines crowd towards both heights: y = middle + half sin t.
+    /// Draws a window. Lines crowd towards both heights: y = middle + half sin t.
     fn cut<const BLOCKS: usize>(
         &mut self,
-        window: Window,
+        mut window: Window,
         shapes: &[Shape],
         [from, to]: [f64; 2],
         (lines, share): (usize, f64),
+        (canvas, width): (&mut [f32], usize),
     ) {
-        self.tile.clear();
-        self.tile.resize(window.rows * BLOCKS, Block::default());
+        // Whole blocks, as far as the image goes.
+        window.columns = (width - window.left).min(BLOCKS * BLOCK);
         let (middle, half) = (0.5 * (from + to), 0.5 * (to - from));
         let angle = 0.5 * PI / lines as f64;
         let (s, c) = self.half_steps.get(lines).copied().unwrap_or_else(|| (sin(angle), cos(angle)));
         // From -π/2 + half a step, turned on by whole steps.
         let (turn_sin, turn_cos) = (2.0 * s * c, c * c - s * s);
         let (mut sin_t, mut cos_t) = (-c, s);
-        for _ in 0..lines {
-            let y = middle + half * sin_t;
-            let line: [Block; BLOCKS] = self.share(window, shapes, y);
-            self.lay(window, y, (2.0 * angle * half * cos_t * share) as f32, line);
-            (sin_t, cos_t) = (sin_t * turn_cos + cos_t * turn_sin, cos_t * turn_cos - sin_t * turn_sin);
+        let thickest = 2.0 * angle * half * share;
+        for first in (0..lines).step_by(MOST_AT_ONCE) {
+            self.sheaf.lines = MOST_AT_ONCE.min(lines - first);
+            let places = self.sheaf.heights.iter_mut().zip(&mut self.sheaf.thickness);
+            for (y, thickness) in places.take(lines - first) {
+                (*y, *thickness) = (middle + half * sin_t, (thickest * cos_t) as f32);
+                (sin_t, cos_t) = (sin_t * turn_cos + cos_t * turn_sin, cos_t * turn_cos - sin_t * turn_sin);
+            }
+            self.sheaf.share::<BLOCKS>(&self.edges, Span::of(window, self.reach), shapes);
+            self.sheaf.weigh(&self.points, window.top);
+            self.sheaf.add::<BLOCKS>((self.points.taps(), self.lens.reach_px()), window, canvas, width);
         }
     }
+}
 
-    /// A line's share of the window's columns.
+/// Columns of a window: where its first one is, and from there where the first and the last are that any sees.
+#[derive(Clone, Copy, Debug)]
+struct Span {
+    left: f64,
+    first: f64,
+    last: f64,
+}
+
+impl Span {
+    fn of(window: Window, reach: usize) -> Self {
+        let (reach, columns) = (reach as f64, window.columns as f64);
+        Self { left: window.left as f64, first: -reach, last: columns - 1.0 + reach }
+    }
+
+    /// From the first column; beyond the ends no column sees a difference.
     #[inline]
-    fn share<const BLOCKS: usize>(&self, window: Window, shapes: &[Shape], y: f64) -> [Block; BLOCKS] {
-        if let [shape] = shapes {
-            return self.between(window, shape.cut(y)); // nothing to add up
-        }
-        let mut line = [Block::default(); BLOCKS];
-        each_interval(shapes, y, |ends| {
-            let interval = self.between::<BLOCKS>(window, ends);
-            let sums = line.as_flattened_mut().iter_mut().zip(interval.as_flattened());
-            sums.for_each(|(sum, share)| *sum += share);
-        });
-        line
+    fn within(self, x: f64) -> f64 {
+        // (`f64::clamp` keeps a NaN, which nobody hands over, and takes longer.)
+        let x = x - self.left;
+        let x = if x > self.first { x } else { self.first };
+        if x < self.last { x } else { self.last }
     }
 
     /// An interval's share of every column.
-    #[inline]
-    fn between<const BLOCKS: usize>(&self, window: Window, (from, to): (f64, f64)) -> [Block; BLOCKS] {
-        // Beyond so far no column sees a difference.
-        let (reach, left) = (self.reach as f64, window.left as f64);
-        let end = window.columns as f64 - 1.0 + reach;
-        // (`f64::clamp` keeps a NaN, which nobody hands over, and takes longer.)
-        let within = |x: f64| {
-            let x = if x > -reach { x } else { -reach };
-            if x < end { x } else { end }
-        };
-        let (from, first) = self.edges.about(within(from - left));
-        let (to, last) = self.edges.about(within(to - left));
+    #[inline(always)]
+    fn between<const BLOCKS: usize>(self, edges: &Profile, (from, to): (f64, f64)) -> [Block; BLOCKS] {
+        let (from, first) = edges.about(self.within(from));
+        let (to, last) = edges.about(self.within(to));
         // The columns begin at 0.
-        let (from, to) = (from.blocks::<BLOCKS>(-first as usize), to.blocks::<BLOCKS>(-last as usize));
-        let (Some(mut line), Some(to)) = (from, to) else { return [Block::default(); BLOCKS] };
+        let (mut line, to) = (from.blocks::<BLOCKS>(-first as usize), to.blocks::<BLOCKS>(-last as usize));
         for (shares, to) in line.iter_mut().zip(&to) {
-            for (share, to) in shares.iter_mut().zip(to) {
-                *share -= to;
-            }
+            shares.iter_mut().zip(to).for_each(|(share, to)| *share -= to);
         }
         line
     }
+}
 
-    /// Adds the line at `y` to the rows that see it.
-    fn lay<const BLOCKS: usize>(&mut self, window: Window, y: f64, weight: f32, line: [Block; BLOCKS]) {
-        let (weights, first) = self.points.about(y - window.top as f64);
-        // The first row of those that there are, and the first weight that has a row.
-        let (row, skipped) = (first.max(0) as usize, first.min(0).unsigned_abs() as usize);
-        weights.weigh(weight, &mut self.weights);
-        let rows = self.tile.as_chunks_mut::<BLOCKS>().0.get_mut(row..).unwrap_or_default();
-        for (row, &weight) in rows.iter_mut().zip(self.weights.as_flattened().iter().skip(skipped)) {
-            let mut sums = *row; // by value: kept in registers
-            for (sums, shares) in sums.iter_mut().zip(&line) {
-                for (sum, share) in sums.iter_mut().zip(shares) {
-                    *sum += weight * share;
-                }
-            }
-            *row = sums;
+impl Sheaf {
+    fn new(taps: usize) -> Self {
+        Self {
+            lines: 0,
+            heights: [0.0; MOST_AT_ONCE],
+            thickness: [0.0; MOST_AT_ONCE],
+            shares: alloc::vec![Block::default(); MOST_AT_ONCE * MOST_COLUMNS.div_ceil(BLOCK)],
+            weights: alloc::vec![0.0; MOST_AT_ONCE * taps],
+            first_rows: [0; MOST_AT_ONCE],
         }
     }
 
-    fn add(&self, window: Window, canvas: &mut [f32], width: usize) {
-        let rows = canvas[window.top * width..].chunks_exact_mut(width);
-        let drawn = self.tile.as_flattened().chunks_exact(4 * self.tile.len() / window.rows);
-        for (row, drawn) in rows.zip(drawn) {
+    /// The lines' shares of the columns.
+    fn share<const BLOCKS: usize>(&mut self, edges: &Profile, span: Span, shapes: &[Shape]) {
+        let lines = self.shares.as_chunks_mut::<BLOCKS>().0.iter_mut().zip(&self.heights[..self.lines]);
+        if let [shape] = shapes {
+            return lines.for_each(|(line, &y)| *line = span.between(edges, shape.cut(y))); // nothing to add up
+        }
+        for (line, &y) in lines {
+            *line = [Block::default(); BLOCKS];
+            each_interval(shapes, y, |ends| {
+                let interval = span.between::<BLOCKS>(edges, ends);
+                let sums = line.as_flattened_mut().iter_mut().zip(interval.as_flattened());
+                sums.for_each(|(sum, share)| *sum += share);
+            });
+        }
+    }
+
+    /// The lines' weights for the rows.
+    fn weigh(&mut self, points: &Profile, top: usize) {
+        let lines = self.heights[..self.lines].iter().zip(&self.thickness).zip(&mut self.first_rows);
+        let top = top as f64;
+        for (((&y, &thickness), first_row), weights) in
+            lines.zip(self.weights.chunks_exact_mut(points.taps()))
+        {
+            let (about, first) = points.about(y - top);
+            *first_row = first;
+            about.weigh(thickness, weights);
+        }
+    }
+
+    /// Adds to every row of the window what it sees of the lines within reach.
+    fn add<const BLOCKS: usize>(
+        &mut self,
+        (taps, reach_px): (usize, f64),
+        window: Window,
+        canvas: &mut [f32],
+        width: usize,
+    ) {
+        let lines = &self.shares.as_chunks::<BLOCKS>().0[..self.lines];
+        let heights = &self.heights[..self.lines];
+        let first_weights = &mut self.first_rows[..self.lines];
+        first_weights.iter_mut().zip(0_i32..).for_each(|(row, line)| *row = line * taps as i32 - *row);
+        let (mut seen, mut begun) = (0, 0);
+        let rows = canvas[window.top * width..].chunks_exact_mut(width).take(window.rows);
+        for (row, y) in rows.zip(0_i32..) {
+            // From top to bottom lines begin and end in their order.
+            let above = (window.top as i32 + y) as f64 - reach_px;
+            let below = above + 2.0 * reach_px;
+            begun += heights[begun..].iter().take_while(|&&height| height <= below).count();
+            seen += heights[seen..begun].iter().take_while(|&&height| height < above).count();
+            let mut sums = [Block::default(); BLOCKS];
+            for (line, &first_weight) in lines[seen..begun].iter().zip(&first_weights[seen..begun]) {
+                let weight = self.weights[(first_weight + y) as usize];
+                for (sums, shares) in sums.iter_mut().zip(line) {
+                    sums.iter_mut().zip(shares).for_each(|(sum, share)| *sum += weight * share);
+                }
+            }
             let row = &mut row[window.left..][..window.columns];
-            row.iter_mut().zip(drawn).for_each(|(pixel, seen)| *pixel += seen);
+            match row.as_chunks_mut::<BLOCK>().0.first_chunk_mut::<BLOCKS>() {
+                Some(row) => {
+                    for (pixels, sums) in row.iter_mut().zip(&sums) {
+                        pixels.iter_mut().zip(sums).for_each(|(pixel, sum)| *pixel += sum);
+                    }
+                }
+                None => row.iter_mut().zip(sums.as_flattened()).for_each(|(pixel, sum)| *pixel += sum),
+            }
         }
     }
 }
@@ -271,13 +344,13 @@ mod tests {
 
     fn soft(ellipse: &Ellipse, lens: Lens) -> Vec<f32> {
         let mut canvas = alloc::vec![0.0; SIDE * SIDE];
-        Soft::new(lens, SIDE, 9).ellipse(ellipse, 1.0, &mut canvas, SIDE);
+        Soft::new(lens, 9).ellipse(ellipse, 1.0, &mut canvas, SIDE);
         canvas
     }
 
     fn union(shapes: &[Shape], lens: Lens) -> Vec<f32> {
         let mut canvas = alloc::vec![0.0; SIDE * SIDE];
-        Soft::new(lens, SIDE, 9).union(shapes, 1.0, &mut canvas, SIDE);
+        Soft::new(lens, 9).union(shapes, 1.0, &mut canvas, SIDE);
         canvas
     }
 
