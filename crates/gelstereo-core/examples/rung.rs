@@ -6,13 +6,17 @@
 //! rung frames   params.toml rig.toml left0.pgm right0.pgm left1.pgm right1.pgm ...
 //! rung afresh   params.toml rig.toml left0.pgm right0.pgm
 //! rung register params.toml template.txt patch.txt guess.txt
+//! rung localize params.toml part.txt contact.txt ...
 //! ```
 //!
 //! All input but the last piece warms up; only the last runs inside [`measured`], which `--toggle-collect` names. `frames`
 //! measures all frames but the first, there and back twice, one by one: `--dump-after` gives each its own count. `afresh`
 //! measures a frame of which nothing is known.
 //! Text files hold numbers separated by white space: x y z nx ny nz per template point after one line with the
-//! spacing, x y z per patch point, and the rows of the guess.
+//! spacing, x y z per patch point, and the rows of the guess. `localize` measures every contact on a part's surface with
+//! all its markers: the part is a count of vertices, their x y z, and the corners of the triangles; a contact the rows of
+//! the guess, a count of salient points, x y z and xx yy zz xy xz yz of the covariance of each, and x y z of the others.
+//! It prints the digest, microseconds, and rows of the pose for each.
 #![allow(clippy::print_stdout, reason = "it is a program")]
 
 #[path = "support/pgm.rs"]
@@ -23,15 +27,17 @@ use gelstereo_core::image::GrayView;
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::params::Params;
 use gelstereo_core::pipeline::{Frame, Pipeline};
-use gelstereo_core::register::{Registrar, Template};
+use gelstereo_core::register::{Contact, Registrar, Template};
 use gelstereo_core::rig::Rig;
+use gelstereo_core::surface::TriangleMesh;
 use pgm::{Outcome, Pgm};
 use std::fs;
+use std::time::Instant;
 
 fn main() -> Outcome<()> {
     let words: Vec<String> = std::env::args().skip(1).collect();
     let [stage, params, files @ ..] = words.as_slice() else {
-        return Err("usage: rung detect|frame|frames|afresh|register params.toml FILES".into());
+        return Err("usage: rung detect|frame|frames|afresh|register|localize params.toml FILES".into());
     };
     let params: Params = toml::from_str(&fs::read_to_string(params)?)?;
     let outcome = match stage.as_str() {
@@ -40,6 +46,7 @@ fn main() -> Outcome<()> {
         "frames" => frames(&params, files)?,
         "afresh" => afresh(&params, files)?,
         "register" => register(&params, files)?,
+        "localize" => localize(&params, files)?,
         other => return Err(format!("no stage {other}").into()),
     };
     println!("{outcome}");
@@ -118,14 +125,70 @@ fn register(params: &Params, files: &[String]) -> Outcome<String> {
     let normals: Vec<DVec3> = rows.chunks_exact(6).map(|row| DVec3::new(row[3], row[4], row[5])).collect();
     let template = Template::new(&points, &normals, *spacing_mm)?;
     let patch: Vec<DVec3> = patch.chunks_exact(3).map(DVec3::from_slice).collect();
-    if guess.len() != 16 {
-        return Err("a guess has 16 numbers".into());
-    }
-    let guess = Pose::from_rows(&std::array::from_fn(|i| std::array::from_fn(|j| guess[4 * i + j])))?;
+    let guess = pose(&guess)?;
     let mut registrar = Registrar::new(&params.register);
     registrar.run(&patch, &template, &guess)?;
     let found = measured(|| registrar.run(&patch, &template, &guess))?;
     Ok(format!("digest {:016x}", found.digest()))
+}
+
+fn localize(params: &Params, files: &[String]) -> Outcome<String> {
+    let (part, contacts) = files.split_first().ok_or("no part")?;
+    let template = Template::from_mesh(&mesh(&numbers(part)?)?, Template::DEFAULT_SPACING_MM, 1)?;
+    let mut registrar = Registrar::new(&params.register);
+    let mut lines = Vec::new();
+    for path in contacts {
+        let numbers = numbers(path)?;
+        let (guess, rest) = numbers.split_at_checked(16).ok_or("no guess")?;
+        let (&salient, rest) = rest.split_first().ok_or("no count of salient points")?;
+        let (salient, others) =
+            rest.split_at_checked(9 * salient as usize).ok_or("too few salient points")?;
+        let points_mm: Vec<DVec3> = salient.chunks_exact(9).map(DVec3::from_slice).collect();
+        let covariance_mm2: Vec<_> = salient
+            .chunks_exact(9)
+            .map(|row| {
+                let [xx, yy, zz, xy, xz, yz] = std::array::from_fn(|k| row[3 + k]);
+                [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
+            })
+            .collect();
+        let unpressed_mm: Vec<DVec3> = others.chunks_exact(3).map(DVec3::from_slice).collect();
+        let contact = Contact {
+            covariance_mm2: Some(&covariance_mm2),
+            unpressed_mm: &unpressed_mm,
+            decay_mm: params.contact.decay_mm,
+            ..Contact::new(&points_mm)
+        };
+        let guess = pose(guess)?;
+        let start = Instant::now();
+        let found = measured(|| registrar.register(&contact, &template, &guess));
+        let us = start.elapsed().as_nanos() as f64 * 1e-3;
+        lines.push(match found {
+            Ok(found) => {
+                let rows = found.t_sensor_object.to_rows();
+                let rows: Vec<String> = rows.iter().flatten().map(|x| format!("{x:e}")).collect();
+                format!("digest {:016x} {us:.1} us {}", found.digest(), rows.join(" "))
+            }
+            Err(error) => format!("refused {us:.1} us {error}"),
+        });
+    }
+    Ok(lines.join("\n"))
+}
+
+/// Of a count of vertices, their coordinates, and the corners of triangles.
+fn mesh(numbers: &[f64]) -> Outcome<TriangleMesh> {
+    let (&count, rest) = numbers.split_first().ok_or("the part is empty")?;
+    let (vertices, corners) = rest.split_at_checked(3 * count as usize).ok_or("too few vertices")?;
+    let corners: Vec<u32> = corners.iter().map(|&k| k as u32).collect();
+    let triangles = corners.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect();
+    Ok(TriangleMesh::new(vertices.chunks_exact(3).map(DVec3::from_slice).collect(), triangles)?)
+}
+
+/// Of its rows.
+fn pose(rows: &[f64]) -> Outcome<Pose> {
+    if rows.len() != 16 {
+        return Err("a pose has 16 numbers".into());
+    }
+    Ok(Pose::from_rows(&std::array::from_fn(|i| std::array::from_fn(|j| rows[4 * i + j])))?)
 }
 
 fn numbers(path: &str) -> Outcome<Vec<f64>> {
