@@ -4,7 +4,7 @@ mod disturbed;
 mod support;
 
 use disturbed::{MIDDLE, PITCH, SIZE, Scene};
-use gelstereo_core::label::{Anchor, FoundLattice, LabelError, LatticeFinder, Place, anchor, rest_lattice};
+use gelstereo_core::label::{FoundLattice, LabelError, LatticeFinder, anchor, rest_lattice};
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec2, cos, sin};
 use gelstereo_core::params::LatticeParams;
@@ -178,14 +178,6 @@ fn large_lattices() {
     });
 }
 
-/// Labels of an anchor against those of the scene.
-fn wrong_labels(scene: &Scene, found: &FoundLattice, anchor: &Anchor) -> usize {
-    let label = |place: &Option<Place>| place.and_then(|p| anchor.label(p, scene.rows, scene.cols));
-    let differs =
-        |(place, truth): &(&Option<Place>, &Option<usize>)| truth.is_some() && label(place) != **truth;
-    found.places.iter().zip(&scene.labels).filter(differs).filter(|(place, _)| place.is_some()).count()
-}
-
 /// The whole lattice in view is anchored whatever the motion; the prediction only tells the turn.
 #[test]
 fn row_15_extents_anchor_a_frame_that_moved_by_more_than_half_a_pitch() {
@@ -201,7 +193,7 @@ fn row_15_extents_anchor_a_frame_that_moved_by_more_than_half_a_pitch() {
             panic!("{seed}: {:?} {} x {}", found.sides, found.rows, found.cols);
         };
         assert!(anchored.evidence.by_extents);
-        assert_eq!(wrong_labels(&scene, &found, &anchored), 0, "{seed}");
+        assert_eq!(scene.wrong_labels(&found, &anchored), 0, "{seed}");
     }
 }
 
@@ -220,14 +212,14 @@ fn row_15_all_markers_anchor_a_frame_whose_border_is_out_of_sight() {
         finder.run(&scene.points, Some(SIZE), &mut found).unwrap();
         assert!(found.sides.iter().any(|side| !side.ends), "{:?}", found.sides);
         let anchored = anchor(&found, &scene.points, 25, 25, &before.truth).unwrap();
-        assert_eq!(wrong_labels(&scene, &found, &anchored), 0, "{seed}");
+        assert_eq!(scene.wrong_labels(&found, &anchored), 0, "{seed}");
         let mut hidden = scene;
         let m = (s.uniform() * 625.0) as usize;
         hidden.points.remove(m);
         hidden.labels.remove(m);
         finder.run(&hidden.points, Some(SIZE), &mut found).unwrap();
         if let Some(anchored) = anchor(&found, &hidden.points, 25, 25, &before.truth) {
-            assert_eq!(wrong_labels(&hidden, &found, &anchored), 0, "{seed}");
+            assert_eq!(hidden.wrong_labels(&found, &anchored), 0, "{seed}");
         }
     }
 }
@@ -255,7 +247,7 @@ proptest! {
             let few = scene.points.len() < 200;
             prop_assert!(anchored.is_some() || motion > 0.3 || few || misled, "{:?}", found.sides);
             if let Some(anchored) = anchored {
-                prop_assert_eq!(wrong_labels(&scene, &found, &anchored), 0);
+                prop_assert_eq!(scene.wrong_labels(&found, &anchored), 0);
             }
         }
     }

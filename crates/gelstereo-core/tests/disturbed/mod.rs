@@ -1,8 +1,8 @@
 //! Lattices as a frame may show them: bent, thinned out, merged, specked; with the label of each detection.
-
+#![allow(dead_code, reason = "each test crate uses its own part of this")]
 use crate::support::lattice;
 use gelstereo_core::detect::Markers;
-use gelstereo_core::label::{FoundLattice, Place};
+use gelstereo_core::label::{Anchor, FoundLattice, Place};
 use gelstereo_core::math::DVec2;
 use gelstereo_core::math::random::Stream;
 
@@ -165,5 +165,12 @@ impl Scene {
             .unwrap_or(0);
         let placed = found.places.iter().flatten().count();
         (placed - best, best, self.labels.iter().flatten().count() - best)
+    }
+    /// Markers that an anchor gives another label than their own, or none.
+    pub fn wrong_labels(&self, found: &FoundLattice, anchor: &Anchor) -> usize {
+        let wrong = |(place, truth): &(&Option<Place>, &Option<usize>)| {
+            truth.is_some() && place.is_some_and(|p| anchor.label(p, self.rows, self.cols) != **truth)
+        };
+        found.places.iter().zip(&self.labels).filter(wrong).count()
     }
 }
