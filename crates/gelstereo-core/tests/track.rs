@@ -128,6 +128,15 @@ fn row_35_positions_do_not_drift_while_markers_flicker() {
     }
     let no_longer_printed = tracks.state.iter().filter(|&&s| s == MarkerState::Lost).count();
     assert_eq!(no_longer_printed, 0);
+    // The same two frames, the second without some markers, say the same as on the first day.
+    let (mut fresh, mut fresh_tracks, _) = start(&[0]);
+    for without in [vec![0], (0..625).filter(|n| n % 7 == 0).collect()] {
+        let detected = frame(&truth, &without, |p| p * 1.003);
+        tracker.run(&detected, &mut tracks);
+        fresh.run(&detected, &mut fresh_tracks);
+    }
+    assert_eq!(tracks.state, fresh_tracks.state);
+    assert_eq!(tracks.positions_px, fresh_tracks.positions_px);
 }
 
 proptest! {
