@@ -13,7 +13,7 @@ use gelstereo_core::math::sqrt;
 
 /// How far nodes are from where they would end, at most: a nanometre is 2e-5 px on the default rig.
 const LEFT_MM: f64 = 1e-6;
-/// About 10 sweeps are needed for every pitch of decay length: enough for 400 pitches.
+/// About 11 sweeps are needed for every pitch of decay length: enough for 350 pitches.
 const MAX_SWEEPS: usize = 4000;
 /// Nodes that are balanced at once.
 const LANES: usize = 4;

@@ -46,8 +46,8 @@ impl Effect for Drag {
     }
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
-        // Both components at once.
-        1.2 * facts.relaxation_ns(self.decay_thicknesses)
+        // Both components, and where the part is before it drags and where it twists about.
+        2.0 * facts.relaxation_ns(self.decay_thicknesses) + 64.0 * facts.markers()
     }
 
     /// Each component is between those of the markers that stick.
