@@ -18,6 +18,7 @@ mod membrane;
 pub mod plan;
 mod render;
 pub mod scene;
+mod screened;
 pub mod shapes;
 pub mod simulator;
 mod trajectory;

@@ -4,8 +4,8 @@ use super::check_decay;
 use crate::lattice::Lattice;
 use crate::plan::{Bound, Effect, Facts};
 use crate::scene::{Gel, SceneError};
+use crate::screened::Screened;
 use crate::simulator::ContactState;
-use alloc::vec::Vec;
 use gelstereo_core::math::{DVec2, cos, sin};
 
 /// The surface follows the part's shear and twist: it sticks in the contact and decays beside it.
@@ -46,8 +46,8 @@ impl Effect for Drag {
     }
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
-        // Both components at once.
-        1.2 * facts.relaxation_ns(self.decay_thicknesses)
+        // Both components, and where the part is before it drags and where it twists about.
+        2.0 * facts.relaxation_ns(self.decay_thicknesses) + 64.0 * facts.markers()
     }
 
     /// Each component is between those of the markers that stick.
@@ -56,23 +56,24 @@ impl Effect for Drag {
     }
 }
 
-impl Drag {
-    /// Adds the motion of every marker when those `stuck` move with the part; the two fields are scratch.
-    pub(crate) fn pull(
-        &self,
-        lattice: &Lattice,
-        grip: &Grip,
-        (rest, stuck): (&[DVec2], &[bool]),
-        [held, field]: [&mut Vec<DVec2>; 2],
-        motion: &mut [DVec2],
-    ) {
-        let with_part = |(&rest, &stuck)| if stuck { grip.motion_mm(rest) } else { DVec2::ZERO };
-        held.clear();
-        held.extend(rest.iter().zip(stuck).map(with_part));
-        field.clone_from(held);
-        let length_mm = self.decay_thicknesses * lattice.thickness_mm;
-        lattice.relax(length_mm, field, |_| DVec2::ZERO, |i, u| if stuck[i] { held[i] } else { u });
-        motion.iter_mut().zip(field).for_each(|(u, along)| *u += *along);
+/// The effect on a lattice.
+#[derive(Clone, Debug)]
+pub(crate) struct Pull(Screened);
+
+impl Pull {
+    pub(crate) fn new(drag: &Drag, lattice: &Lattice) -> Self {
+        Self(Screened::new(lattice, drag.decay_thicknesses * lattice.thickness_mm))
+    }
+
+    /// Adds the motion of every marker when those `stuck` move with the part.
+    pub(crate) fn pull(&mut self, grip: &Grip, (rest, stuck): (&[DVec2], &[bool]), motion: &mut [DVec2]) {
+        let Self(membrane) = self;
+        membrane.hold(|i| if stuck[i] { 0.0 } else { 1.0 });
+        for axis in 0..2 {
+            membrane.start(|i| if stuck[i] { grip.motion_mm(rest[i])[axis] } else { 0.0 });
+            membrane.settle_beside();
+            motion.iter_mut().zip(membrane.values()).for_each(|(u, along)| u[axis] += along);
+        }
     }
 }
 

@@ -46,7 +46,7 @@ pub use spread::Spread;
 pub use wear::Wear;
 
 pub(crate) use blur::Blur;
-pub(crate) use drag::Grip;
+pub(crate) use drag::{Grip, Pull};
 pub(crate) use grain::Texture;
 pub(crate) use jpeg::Codec;
 pub(crate) use light::Gain;
@@ -54,6 +54,7 @@ pub(crate) use misprint::{Bridge, Print};
 pub(crate) use noise::{Noise, RUN};
 pub(crate) use optics::{Optics, ellipse_bias_px};
 pub(crate) use shot::Shots;
+pub(crate) use shoulder::Sag;
 pub(crate) use smear::SmearsOfView;
 pub(crate) use specks::Speck;
 pub(crate) use spread::Spreading;

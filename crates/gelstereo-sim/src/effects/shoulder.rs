@@ -4,6 +4,7 @@ use super::check_decay;
 use crate::lattice::Lattice;
 use crate::plan::{Bound, Effect, Facts};
 use crate::scene::{Gel, SceneError};
+use crate::screened::Screened;
 use alloc::vec::Vec;
 
 /// The gel sags softly beside the contact instead of ending at the part's silhouette.
@@ -53,12 +54,23 @@ impl Effect for Shoulder {
     }
 }
 
-impl Shoulder {
+/// The effect on a lattice.
+#[derive(Clone, Debug)]
+pub(crate) struct Sag(Screened);
+
+impl Sag {
+    pub(crate) fn new(shoulder: &Shoulder, lattice: &Lattice) -> Self {
+        Self(Screened::new(lattice, shoulder.decay_thicknesses * lattice.thickness_mm))
+    }
+
     /// Heights of the settled surface over the part's heights (`obstacle`, negative where it does not
     /// protrude).
-    pub(crate) fn settle(&self, lattice: &Lattice, obstacle: &[f64], out: &mut Vec<f64>) {
+    pub(crate) fn settle(&mut self, obstacle: &[f64], out: &mut Vec<f64>) {
+        let Self(membrane) = self;
+        membrane.start(|i| obstacle[i].max(0.0));
+        membrane.hold(|i| obstacle[i]);
+        membrane.settle_above();
         out.clear();
-        out.extend(obstacle.iter().map(|&h| h.max(0.0)));
-        lattice.relax(self.decay_thicknesses * lattice.thickness_mm, out, |_| 0.0, |i, h| h.max(obstacle[i]));
+        out.extend(membrane.values());
     }
 }

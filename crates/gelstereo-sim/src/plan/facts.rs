@@ -77,14 +77,16 @@ impl<'a> Facts<'a> {
         [left, right].map(|camera| (camera.width_px * camera.height_px) as f64).iter().sum()
     }
 
-    /// Time to relax a field over the lattice: about 13 sweeps for every pitch of decay length.
+    /// Time to relax a field over the lattice: about 11 sweeps for every pitch of decay length, besides what a field is put
+    /// in order for.
     pub(crate) fn relaxation_ns(&self, decay_thicknesses: f64) -> f64 {
-        const PER_MARKER_NS: f64 = 15.0;
+        const PER_MARKER_NS: f64 = 20.0;
+        const PER_SWEEP_NS: f64 = 3.1;
         if !(self.touch.depth_mm > 0.0) {
-            return PER_MARKER_NS * self.markers();
+            return (PER_MARKER_NS + PER_SWEEP_NS) * self.markers();
         }
         let reach = decay_thicknesses * self.scene.gel.thickness_mm / self.scene.gel.pitch_mm;
-        PER_MARKER_NS * self.markers() * 13.0 * reach.max(1.0)
+        (PER_MARKER_NS + PER_SWEEP_NS * 11.0 * reach.max(1.0)) * self.markers()
     }
 
     /// How far a marker moves sideways, at most, when the contact changes for any reason: from all that the gel does one

@@ -9,7 +9,7 @@ mod truth;
 use layered::Layered;
 pub use truth::{DotImage, OUT_OF_SIGHT_PX, Sight, Truth};
 
-use crate::effects::{Bridge, Drag, Print, Shoulder, Speck, Spreading, Worn};
+use crate::effects::{Bridge, Print, Pull, Sag, Speck, Spreading, Worn};
 use crate::lattice::Lattice;
 use crate::plan::{Plan, Switch};
 use crate::render::{Dot, Exposure, Renderer};
@@ -79,9 +79,9 @@ pub struct Simulator {
     worn: Option<Worn>,
     specks: Vec<Speck>,
     part: Option<Part>,
-    shoulder: Option<Shoulder>,
+    shoulder: Option<Sag>,
     spread: Option<Spreading>,
-    drag: Option<Drag>,
+    drag: Option<Pull>,
     layered: Option<Box<Layered>>,
     /// Whether a disc's image has its centroid beside its centre's image.
     ellipse_bias: bool,
@@ -110,7 +110,6 @@ struct Scratch {
     heights: Vec<f64>,
     stuck: Vec<bool>,
     fields: [Vec<f64>; 2],
-    pulled: [Vec<DVec2>; 2],
     dots: Vec<Dot>,
     /// Markers when the shutter opens and when it closes; empty when nothing is known to move.
     ends_mm: [Vec<DVec3>; 2],
@@ -150,9 +149,9 @@ impl Simulator {
             worn: effects.wear.as_ref().map(|wear| Worn::new(wear, seed, gel.rows * gel.cols)),
             specks: effects.specks.as_ref().map_or_else(Vec::new, |specks| Speck::all(specks, seed, gel)),
             part,
-            shoulder: effects.shoulder.clone(),
+            shoulder: effects.shoulder.as_ref().map(|shoulder| Sag::new(shoulder, &lattice)),
             spread: effects.spread.as_ref().map(|spread| Spreading::new(spread, &lattice)),
-            drag: effects.drag.clone(),
+            drag: effects.drag.as_ref().map(|drag| Pull::new(drag, &lattice)),
             layered: Layered::of(scene)?.map(Box::new),
             delivered: effects
                 .dropped_frames

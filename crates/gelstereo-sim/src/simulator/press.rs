@@ -19,8 +19,7 @@ impl Simulator {
         self.imprint(contact);
         let Self { drag, spread, scratch, lattice, rest, .. } = self;
         if let (Some(drag), Some(grip)) = (drag, grip) {
-            let [held, field] = &mut scratch.pulled;
-            drag.pull(lattice, &grip, (rest, &scratch.stuck), [held, field], &mut scratch.motion);
+            drag.pull(&grip, (rest, &scratch.stuck), &mut scratch.motion);
         }
         if let Some(spread) = spread {
             let [first, second] = &mut scratch.fields;
@@ -83,10 +82,10 @@ impl Simulator {
     /// Heights of the markers at their places, and which of them the part touches.
     fn imprint(&mut self, contact: &ContactState) {
         self.touch(contact);
-        let Self { scratch, shoulder, lattice, .. } = self;
+        let Self { scratch, shoulder, .. } = self;
         match shoulder {
             Some(shoulder) => {
-                shoulder.settle(lattice, &scratch.obstacle, &mut scratch.heights);
+                shoulder.settle(&scratch.obstacle, &mut scratch.heights);
             }
             None => {
                 scratch.heights.clear();
