@@ -29,8 +29,8 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-#: The robot inserts when success is at least so probable.
-LEAST_CHANCE = 0.95
+#: The robot inserts when success is at least so probable: as often as it is meant to succeed.
+LEAST_CHANCE = 0.99
 #: What the paper reports over all its trials (section VI-B).
 PAPER_SHARE = 0.8571
 
