@@ -50,8 +50,12 @@ impl<'a> Contact<'a> {
         }
         // Not more negative than rounding makes a singular one.
         let good = |c: &Symmetric<3>| {
-            let values = eigen(c).values;
-            c.iter().flatten().all(|x| x.is_finite()) && values[2] > 0.0 && values[0] >= -1e-9 * values[2]
+            let is_finite = c.iter().flatten().all(|x| x.is_finite());
+            is_finite
+                && (is_positive(c) || {
+                    let values = eigen(c).values;
+                    values[2] > 0.0 && values[0] >= -1e-9 * values[2]
+                })
         };
         match all.iter().position(|c| !good(c)) {
             Some(index) => Err(RegisterError::BadCovariance { index }),
@@ -60,14 +64,31 @@ impl<'a> Contact<'a> {
     }
 }
 
+/// Whether a matrix is positive definite beyond doubt, by the pivots of its elimination: no asking for eigenvalues.
+fn is_positive(c: &Symmetric<3>) -> bool {
+    let doubt = 1e-6 * (c[0][0] + c[1][1] + c[2][2]);
+    let (first, y, z) = (c[0][0], c[0][1] / c[0][0], c[0][2] / c[0][0]);
+    let (second, across) = (c[1][1] - c[0][1] * y, c[1][2] - c[0][1] * z);
+    let third = c[2][2] - c[0][2] * z - across * across / second;
+    doubt > 0.0 && first > doubt && second > doubt && third > doubt
+}
+
 /// The markers that are not among the salient ones, for [`Contact::unpressed_mm`]: those at other places, bit for bit.
 #[must_use]
 pub fn unpressed(all_mm: &[DVec3], salient_mm: &[DVec3]) -> Vec<DVec3> {
-    let order =
-        |a: &DVec3, b: &DVec3| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)).then(a.z.total_cmp(&b.z));
+    let order = |a: &DVec3, b: &DVec3| {
+        a.x.total_cmp(&b.x).then_with(|| a.y.total_cmp(&b.y)).then_with(|| a.z.total_cmp(&b.z))
+    };
     let mut salient = salient_mm.to_vec();
     salient.sort_unstable_by(order);
-    all_mm.iter().filter(|p| salient.binary_search_by(|s| order(s, p)).is_err()).copied().collect()
+    // Most markers are not even near. What is not a number leaves the bounds, and is not told by them.
+    let bounds = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    let (low, high) = salient.iter().fold(bounds, |(low, high), p| (p.min(low), p.max(high)));
+    let is_beside = |p: &DVec3| p.cmplt(low).any() || p.cmpgt(high).any();
+    let is_salient = |p: &DVec3| !is_beside(p) && salient.binary_search_by(|s| order(s, p)).is_ok();
+    let mut unpressed = Vec::with_capacity(all_mm.len());
+    unpressed.extend(all_mm.iter().filter(|p| !is_salient(p)));
+    unpressed
 }
 
 /// A point about the patch's centroid, with its covariance.
@@ -356,5 +377,50 @@ impl Samples {
         for k in 1..self.coarse_unpressed {
             self.unpressed.swap(k, k * second / self.coarse_unpressed);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::random::Stream;
+
+    #[test]
+    fn unpressed_are_the_markers_at_no_salient_place_bit_for_bit() {
+        let mut random = Stream::new(1, "unpressed");
+        let mut place = || DVec3::new(random.uniform(), random.uniform(), random.uniform());
+        let mut all: Vec<DVec3> = (0..200).map(|_| place() * 9.0).collect();
+        all.extend([all[3], DVec3::new(0.0, 4.0, 4.0), DVec3::new(-0.0, 4.0, 4.0), DVec3::NAN]);
+        all.push(DVec3::new(5.0, f64::NAN, 5.0));
+        let mut salient: Vec<DVec3> = all.iter().copied().filter(|p| p.x > 3.0 && p.y < 7.0).collect();
+        salient.extend([all[3], DVec3::new(-0.0, 4.0, 4.0), DVec3::NAN, DVec3::new(5.0, f64::NAN, 5.0)]);
+        let bits = |p: &DVec3| p.to_array().map(f64::to_bits);
+        let slow = all.iter().filter(|p| salient.iter().all(|s| bits(s) != bits(p)));
+        let found = unpressed(&all, &salient);
+        assert!(found.iter().map(bits).eq(slow.map(bits)));
+        assert!(found.len() > 50 && found.iter().all(|p| !p.is_nan()));
+    }
+
+    #[test]
+    fn what_is_positive_by_its_pivots_has_positive_eigenvalues_only() {
+        let mut random = Stream::new(1, "pivots");
+        let mut seen = [0; 2];
+        for _ in 0..2000 {
+            let scale = crate::math::exp(20.0 * random.uniform() - 10.0);
+            let mut c = [[0.0; 3]; 3];
+            for i in 0..3 {
+                c[i][i] = scale * (random.uniform() - 0.1);
+                for k in 0..i {
+                    c[i][k] = scale * (random.uniform() - 0.5);
+                    c[k][i] = c[i][k];
+                }
+            }
+            let values = eigen(&c).values;
+            seen[usize::from(is_positive(&c))] += 1;
+            // Least eigenvalue over trace: a pivot is at least the least eigenvalue, and no less doubtful.
+            assert!(!is_positive(&c) || values[0] > 0.0, "{c:?} {values:?}");
+            assert!(is_positive(&c) || values[0] < 2e-6 * (c[0][0] + c[1][1] + c[2][2]).abs(), "{c:?}");
+        }
+        assert!(seen[0] > 200 && seen[1] > 200, "{seen:?}");
     }
 }

@@ -35,7 +35,7 @@ pub(super) fn log_odds(samples: &Samples, readings: &Readings, touches: &[f64], 
         share = (touching + 1.0) / (count + 2.0);
     }
     let within = others.iter().filter(|r| r.distance_mm < 0.0);
-    let deviations = |r: &Reading| r.distance_mm / r.sigma_mm();
+    let deviations = |r: &Reading| r.distance_mm / r.sigma_mm;
     salient + within.map(|r| ln(good * exp(-0.5 * deviations(r) * deviations(r)) + stray)).sum::<f64>()
 }
 

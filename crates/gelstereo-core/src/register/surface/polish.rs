@@ -43,16 +43,22 @@ pub(super) struct Reading {
     pub distance_mm: f64,
     pub normal: DVec3,
     pub variance_mm2: f64,
+    pub sigma_mm: f64,
     pub curvature_per_mm: f64,
+    /// A marker whose foot on the part lies below where saliency begins is not asked, salient or not: asking those
+    /// alone that noise has raised over it would raise the part.
+    can_touch: bool,
 }
 
 impl Reading {
-    const NOTHING: Self =
-        Self { distance_mm: 0.0, normal: DVec3::ZERO, variance_mm2: 1.0, curvature_per_mm: 0.0 };
-
-    pub fn sigma_mm(&self) -> f64 {
-        sqrt(self.variance_mm2)
-    }
+    const NOTHING: Self = Self {
+        distance_mm: 0.0,
+        normal: DVec3::ZERO,
+        variance_mm2: 1.0,
+        sigma_mm: 1.0,
+        curvature_per_mm: 0.0,
+        can_touch: false,
+    };
 }
 
 /// What was read at one placement, salient points first.
@@ -108,13 +114,13 @@ impl<D: Distances> Polish<'_, D> {
             let now = self.system(scratch, &scratch.here, &candidate.placement);
             let Some((omega, v)) = now.solve(self.view.radius_mm, LONGEST_MM) else { break };
             let full_mm = sqrt((omega * self.view.radius_mm).length_squared() + v.length_squared());
-            let tolerance_mm = self.params.step_tolerance * scratch.here.all[0].sigma_mm();
+            let tolerance_mm = self.params.step_tolerance * scratch.here.all[0].sigma_mm;
             let mut share = 1.0;
             let mut accepted = false;
             for _ in 0..=HALVINGS {
                 let next = candidate.placement.moved(omega * share, v * share);
                 end.work += self.read(&next, &mut scratch.there);
-                if self.system(scratch, &scratch.there, &next).cost < now.cost {
+                if self.cost(scratch, &scratch.there, &next) < now.cost {
                     candidate.placement = next;
                     core::mem::swap(&mut scratch.here, &mut scratch.there);
                     accepted = true;
@@ -136,11 +142,11 @@ impl<D: Distances> Polish<'_, D> {
     pub fn compare(&self, placement: &Placement, scratch: &mut PolishScratch) -> (f64, u64) {
         let work = self.start(placement, scratch);
         for k in 0..scratch.before.len() {
-            if !self.can_touch(k, &scratch.here.all[k]) {
+            if !scratch.here.all[k].can_touch {
                 scratch.before[k] = 0.0;
             }
         }
-        let cost = self.system(scratch, &scratch.here, placement).cost;
+        let cost = self.cost(scratch, &scratch.here, placement);
         self.believe(scratch);
         (cost, work)
     }
@@ -175,6 +181,7 @@ impl<D: Distances> Polish<'_, D> {
     /// Looks up all distances; returns what that cost.
     fn read(&self, placement: &Placement, out: &mut Readings) -> u64 {
         let press = press_in_object(placement, self.view.press_direction);
+        let toward = self.view.press_direction;
         let model = self.params.surface_sigma_mm * self.params.surface_sigma_mm;
         let samples = self.view.pressed.iter().chain(self.view.unpressed);
         let mut lookups = 0;
@@ -186,7 +193,16 @@ impl<D: Distances> Polish<'_, D> {
                 self.part.at(placement.object_point(sample.p_mm), press, hint);
             let normal = placement.sensor_direction(normal);
             let variance_mm2 = sample.variance(normal) + model;
-            *reading = Reading { distance_mm, normal, variance_mm2, curvature_per_mm };
+            let foot_mm = sample.p_mm - normal * distance_mm;
+            *reading = Reading {
+                distance_mm,
+                normal,
+                variance_mm2,
+                sigma_mm: sqrt(variance_mm2),
+                curvature_per_mm,
+                can_touch: normal.dot(toward) >= STEEP_COSINE
+                    && foot_mm.dot(toward) >= self.samples.salient_from_mm,
+            };
             lookups += 1;
         }
         lookups * D::WORK
@@ -201,7 +217,7 @@ impl<D: Distances> Polish<'_, D> {
         for (k, r) in here.all.iter().enumerate() {
             let reach_mm = if k < pressed { SHOULDER_MM } else { FREE_MM };
             let mixture = Mixture::new(before[k].max(0.01), self.params.outlier_share, reach_mm);
-            touches[k] = if self.can_touch(k, r) { mixture.at(r.distance_mm, r.sigma_mm()).0 } else { 0.0 };
+            touches[k] = if r.can_touch { mixture.at(r.distance_mm, r.sigma_mm).0 } else { 0.0 };
             if k < pressed {
                 total += touches[k];
             }
@@ -211,7 +227,7 @@ impl<D: Distances> Polish<'_, D> {
         for (k, r) in here.all.iter().enumerate() {
             let hangs = k < pressed && self.view.pressed[k].hangs;
             before[k] = match self.samples.neighbours.get(k) {
-                _ if !self.can_touch(k, r) => 0.0,
+                _ if !r.can_touch => 0.0,
                 _ if hangs => HANGING,
                 Some(near) => {
                     let others = near.iter().map(|&j| j as usize).filter(|&j| j != k);
@@ -225,19 +241,22 @@ impl<D: Distances> Polish<'_, D> {
         }
     }
 
-    /// A marker whose foot on the part lies below where saliency begins is not asked, salient or not: asking those alone
-    /// that noise has raised over it would raise the part.
-    fn can_touch(&self, k: usize, r: &Reading) -> bool {
-        let press = self.view.press_direction;
-        let p_mm = match self.view.pressed.get(k) {
-            Some(sample) => sample.p_mm,
-            None => self.view.unpressed[k - self.view.pressed.len()].p_mm,
-        };
-        r.normal.dot(press) >= STEEP_COSINE
-            && (p_mm - r.normal * r.distance_mm).dot(press) >= self.samples.salient_from_mm
+    /// What a placement costs, as [`Self::system`] says.
+    fn cost(&self, scratch: &PolishScratch, readings: &Readings, placement: &Placement) -> f64 {
+        self.sum::<false>(scratch, readings, placement).cost
     }
 
     fn system(&self, scratch: &PolishScratch, readings: &Readings, placement: &Placement) -> Normal {
+        self.sum::<true>(scratch, readings, placement)
+    }
+
+    /// The linear system with what it costs, or that alone.
+    fn sum<const WHOLE: bool>(
+        &self,
+        scratch: &PolishScratch,
+        readings: &Readings,
+        placement: &Placement,
+    ) -> Normal {
         let outliers = self.params.outlier_share;
         let pressed = self.view.pressed.len();
         let mut sum = Normal::ZERO;
@@ -251,15 +270,17 @@ impl<D: Distances> Polish<'_, D> {
             let (reach_mm, far) = if k < pressed { (SHOULDER_MM, 0.0) } else { (FREE_MM, ln(FREE_MM)) };
             let mixture = Mixture::new(before, outliers, reach_mm);
             let (d_mm, (weight, cost)) = if before > 0.0 {
-                (r.distance_mm, mixture.at(r.distance_mm, r.sigma_mm()))
+                (r.distance_mm, mixture.at(r.distance_mm, r.sigma_mm))
             } else {
-                let d_mm = r.distance_mm + SLACK * r.sigma_mm();
+                let d_mm = r.distance_mm + SLACK * r.sigma_mm;
                 let hangs = r.distance_mm > reach_mm;
                 let stray = Mixture::new(0.0, 1.0, reach_mm);
-                (d_mm.min(0.0), if hangs { stray.free(d_mm, 1.0) } else { mixture.free(d_mm, r.sigma_mm()) })
+                (d_mm.min(0.0), if hangs { stray.free(d_mm, 1.0) } else { mixture.free(d_mm, r.sigma_mm) })
             };
             sum.cost -= far;
-            sum.add(sample.p_mm, r.normal, d_mm, weight / r.variance_mm2, per_radius);
+            if WHOLE {
+                sum.add(sample.p_mm, r.normal, d_mm, weight / r.variance_mm2, per_radius);
+            }
             sum.cost += cost;
         }
         sum.add_prior(&self.prior, placement, self.view.radius_mm, 1.0);
