@@ -65,20 +65,24 @@ impl Edge {
 /// A triangle in its own frame: x along its longest edge from `origin_mm`, y across it towards the third corner, z
 /// along the normal. On the longest edge even a sliver's frame and regions are known to rounding, where barycentric
 /// coordinates lose all digits.
+///
+/// It fills two lines of a cache: one tells the plane and the names, the other what only a point near the plane needs.
 #[derive(Clone, Copy, Debug)]
+#[repr(C, align(128))]
 pub(super) struct Face {
     pub origin_mm: DVec3,
-    along: DVec3,
-    across: DVec3,
     pub normal: DVec3,
+    /// Edges, the longest first.
+    edges: [u32; 3],
+    pub triangle: u32,
+    along: DVec3,
     length_mm: f64,
     /// Inward unit normals (x, y) of the second and third edge.
     second: [f64; 2],
     third: [f64; 2],
-    /// Edges, the longest first.
-    edges: [u32; 3],
-    pub triangle: u32,
 }
+
+const _: () = assert!(size_of::<Face>() == 128);
 
 impl Face {
     /// Of a triangle with an area and this unit normal.
@@ -97,14 +101,13 @@ impl Face {
         };
         Self {
             origin_mm: a,
-            along,
-            across,
             normal,
+            edges: [0, 1, 2].map(|k| welded.edges_of[triangle][turn(k)]),
+            triangle: triangle as u32,
+            along,
             length_mm,
             second: inward(x - length_mm, y),
             third: inward(-x, -y),
-            edges: [0, 1, 2].map(|k| welded.edges_of[triangle][turn(k)]),
-            triangle: triangle as u32,
         }
     }
 
@@ -129,7 +132,7 @@ impl Face {
         if z_squared > limit_mm2 {
             return None;
         }
-        let (x, y) = (self.along.dot(q), self.across.dot(q));
+        let (x, y) = (self.along.dot(q), self.normal.cross(self.along).dot(q));
         let beyond = x - self.length_mm;
         let inside = [y, self.second[0] * beyond + self.second[1] * y, self.third[0] * x + self.third[1] * y];
         let outside = smaller(smaller(inside[0], inside[1]), inside[2]);
