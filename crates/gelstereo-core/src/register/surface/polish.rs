@@ -21,7 +21,7 @@ const FREE_MM: f64 = 4.0;
 /// Markers that are not salient and this far over the part say nothing.
 const FAR_MM: f64 = 0.5;
 /// Those this far over it at the start are not looked at again: polishing does not move the part as far.
-const OUT_OF_REACH_MM: f64 = 1.2;
+pub(super) const OUT_OF_REACH_MM: f64 = 1.2;
 /// Halvings of a step before it is given up.
 const HALVINGS: u32 = 4;
 /// Steps of expectation for one of maximisation: they cost no lookups.
@@ -91,6 +91,8 @@ pub(super) struct Polish<'a, D> {
     pub field: Coarse<'a>,
     pub part: D,
     pub prior: Prior,
+    /// Markers this far over the part at the start that are not salient are not looked at.
+    pub reach_mm: f64,
 }
 
 /// Where it ended.
@@ -137,10 +139,39 @@ impl<D: Distances> Polish<'_, D> {
         end
     }
 
+    /// At most `most` steps, each as far as it says, and none once `budget` of work is spent: the field has no creases for
+    /// steps to go back and forth between, and what a step would cost takes as long to ask as the next one to do.
+    pub fn slide(
+        &self,
+        candidate: &mut Candidate,
+        most: u32,
+        budget: u64,
+        scratch: &mut PolishScratch,
+    ) -> End {
+        let mut end =
+            End { converged: false, iterations: 0, work: self.start(&candidate.placement, scratch) };
+        while end.iterations < most && !end.converged && end.work < budget {
+            end.iterations += 1;
+            self.believe(scratch);
+            let now = self.system(scratch, &scratch.here, &candidate.placement);
+            let Some((omega, v)) = now.solve(self.view.radius_mm, LONGEST_MM) else { break };
+            candidate.placement = candidate.placement.moved(omega, v);
+            end.work += self.read(&candidate.placement, &mut scratch.here);
+            let moved_mm = sqrt((omega * self.view.radius_mm).length_squared() + v.length_squared());
+            end.converged = moved_mm < 10.0 * self.params.step_tolerance * scratch.here.all[0].sigma_mm;
+        }
+        end
+    }
+
     /// The likelihood's negative logarithm, with the same probabilities of contact for all candidates. Leaves what it
     /// read in the scratch, and what is believed of it.
     pub fn compare(&self, placement: &Placement, scratch: &mut PolishScratch) -> (f64, u64) {
         let work = self.start(placement, scratch);
+        (self.judge(placement, scratch), work)
+    }
+
+    /// The same from what was read there.
+    fn judge(&self, placement: &Placement, scratch: &mut PolishScratch) -> f64 {
         for k in 0..scratch.before.len() {
             if !scratch.here.all[k].can_touch {
                 scratch.before[k] = 0.0;
@@ -148,7 +179,13 @@ impl<D: Distances> Polish<'_, D> {
         }
         let cost = self.cost(scratch, &scratch.here, placement);
         self.believe(scratch);
-        (cost, work)
+        cost
+    }
+
+    /// As [`Self::compare`], where a run has just ended.
+    pub fn compare_ended(&self, placement: &Placement, scratch: &mut PolishScratch) -> f64 {
+        self.forget(scratch);
+        self.judge(placement, scratch)
     }
 
     /// Reads the first placement, and leaves out the markers that are far from the part.
@@ -163,19 +200,24 @@ impl<D: Distances> Polish<'_, D> {
         let press = press_in_object(placement, self.view.press_direction);
         for (k, sample) in self.view.unpressed.iter().enumerate() {
             let near = self.field.at(placement.object_point(sample.p_mm), press, &mut 0);
-            if near.distance_mm > OUT_OF_REACH_MM {
+            if near.distance_mm > self.reach_mm {
                 for readings in [&mut scratch.here, &mut scratch.there] {
                     readings.all[pressed + k].distance_mm = near.distance_mm;
                     readings.hints[pressed + k] = SKIP;
                 }
             }
         }
+        self.forget(scratch);
+        self.view.unpressed.len() as u64 + self.read(placement, &mut scratch.here)
+    }
+
+    /// Believes again what is believed before anything is known.
+    fn forget(&self, scratch: &mut PolishScratch) {
         for beliefs in [&mut scratch.before, &mut scratch.touches] {
             beliefs.clear();
             beliefs.extend(self.view.pressed.iter().map(|s| if s.hangs { HANGING } else { FIRST[0] }));
-            beliefs.resize(count, FIRST[1]);
+            beliefs.resize(self.view.len() as usize, FIRST[1]);
         }
-        self.view.unpressed.len() as u64 + self.read(placement, &mut scratch.here)
     }
 
     /// Looks up all distances; returns what that cost.

@@ -3,7 +3,7 @@
 use super::contact::{COARSE, MEDIUM, Samples};
 use super::fit::View;
 use super::part::{Coarse, Distances, Exact};
-use super::polish::{End, Polish, PolishScratch};
+use super::polish::{End, OUT_OF_REACH_MM, Polish, PolishScratch};
 use super::settled::{Rest, Settled, SettledScratch};
 use super::starts::start;
 use super::step::{Placement, Prior};
@@ -41,8 +41,16 @@ struct Round {
 const FIRST: Round = Round { pressed: COARSE, widths_mm: &[1.5, 0.8, 0.4, 0.3], keeps: 32, same_mm: 0.0 };
 const SECOND: Round =
     Round { pressed: MEDIUM, widths_mm: &[0.6, 0.3, 0.2, 0.12, 0.1], keeps: 8, same_mm: 0.1 };
-/// From a guess that is close.
+/// From a guess that is close: coarse looks, and steps on the field that are not checked. A step on the exact surface costs
+/// several of them.
 const CLOSE: &[f64] = &[0.5, 0.25, 0.15];
+const SLIDES: u32 = 8;
+/// Other markers this far over the part are not looked at: they count up to half a millimetre, and by then the part hardly
+/// moves.
+const SLIDE_REACH_MM: f64 = 1.0;
+const CLOSE_REACH_MM: f64 = 0.7;
+/// Steps on the field of a part that is followed.
+const TRACK_STEPS: u32 = 5;
 /// Steps on the field before candidates are compared, and how many go on.
 const FIELD_STEPS: u32 = 4;
 const FINALISTS: usize = 3;
@@ -92,6 +100,7 @@ impl Search<'_> {
             field: self.field,
             part,
             prior: self.prior,
+            reach_mm: OUT_OF_REACH_MM,
         }
     }
 
@@ -99,7 +108,7 @@ impl Search<'_> {
     pub fn track(&mut self, candidates: &mut Vec<Candidate>, scratch: &mut PolishScratch) -> End {
         self.begin_at_guess(candidates);
         let polish = self.polish(self.field);
-        let end = polish.run(&mut candidates[0], FIELD_STEPS, self.budget(), scratch);
+        let end = polish.slide(&mut candidates[0], TRACK_STEPS, self.budget(), scratch);
         // The field knows no curvature, and without it facets would seem to hold a cylinder's spin.
         let (cost, work) = self.polish(self.faces).compare(&candidates[0].placement, scratch);
         candidates[0].cost = cost;
@@ -107,7 +116,7 @@ impl Search<'_> {
         end
     }
 
-    /// From the guess alone: a few coarse steps, then the exact surface.
+    /// From the guess alone: on the field, then on the exact surface.
     pub fn close(&mut self, candidates: &mut Vec<Candidate>, scratch: &mut PolishScratch) -> End {
         self.begin_at_guess(candidates);
         let view = View::of(
@@ -119,7 +128,15 @@ impl Search<'_> {
         for &width_mm in CLOSE {
             self.step(&mut candidates[0], &view, width_mm);
         }
-        self.finish(candidates, scratch)
+        let left = self.budget().saturating_sub(self.work);
+        let polish = Polish { reach_mm: SLIDE_REACH_MM, ..self.polish(self.field) };
+        self.work += polish.slide(&mut candidates[0], SLIDES, left, scratch).work;
+        let left = self.budget().saturating_sub(self.work);
+        let polish = Polish { reach_mm: CLOSE_REACH_MM, ..self.polish(self.faces) };
+        let end = polish.run(&mut candidates[0], self.params.max_iterations.min(MOST_STEPS), left, scratch);
+        candidates[0].cost = polish.compare_ended(&candidates[0].placement, scratch);
+        self.work += end.work;
+        end
     }
 
     /// From many starts.
