@@ -1,6 +1,6 @@
 //! What registration on the part's surface must keep whatever the frame, the unit and the order of points.
 // A test may stop at what it did not expect.
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 mod problems;
 
@@ -132,13 +132,26 @@ proptest! {
     }
 }
 
-/// Where a few markers are picked for a first look, their order picks others, and a search in a turned frame starts
-/// elsewhere. Then another pose may win that explains the contact about as well, but seldom: 1, 6 and 6 of the 24
-/// here, and four binomial standard deviations.
+/// The full search takes markers as they lie: it does not know in which order they came.
 #[test]
-fn other_picks_seldom_find_another_pose() {
+fn the_order_of_points_changes_no_bit_of_a_search() {
+    let params = params(RegisterMethod::SurfaceSearch);
+    for seed in 0..12 {
+        let mut given = Given::new(seed);
+        // Half of them ask the gel, too.
+        given.decay_mm = if seed % 2 == 0 { given.decay_mm } else { 2.5 };
+        let [here, there] = [&given, &given.shuffled(seed)].map(|g| g.register(&params, &part().1).digest());
+        assert_eq!(here, there, "{seed}");
+    }
+}
+
+/// A search in a turned frame starts elsewhere, and `surface_close` picks other markers for its first steps when they come in
+/// another order. Then another pose may win. Both find the best one in 95 % of such contacts or more, so that two of them
+/// differ in no more than 10 %: more than 9 of 24 have a probability of 2e-4 then.
+#[test]
+fn other_starts_seldom_find_another_pose() {
     let motion = Pose::exp(DVec3::new(0.3, -0.8, 1.2), DVec3::new(5.0, -40.0, 7.0));
-    let (mut close, mut order, mut frame) = (0, 0, 0);
+    let (mut close, mut frame) = (0, 0);
     for seed in 0..24 {
         let given = Given::new(seed);
         let differs = |method, other: &Given, back: Pose| {
@@ -147,10 +160,10 @@ fn other_picks_seldom_find_another_pose() {
             usize::from(given.apart_mm(&here, &(back * there)) > STEPS_MM)
         };
         close += differs(RegisterMethod::SurfaceClose, &given.shuffled(seed), Pose::IDENTITY);
-        order += differs(RegisterMethod::SurfaceSearch, &given.shuffled(seed), Pose::IDENTITY);
         frame += differs(RegisterMethod::SurfaceSearch, &given.moved(&motion), motion.inverse());
     }
-    assert!(close <= 5 && order <= 14 && frame <= 14, "{close} {order} {frame} of 24");
+    println!("{close} {frame}");
+    assert!(close <= 9 && frame <= 9, "{close} {frame} of 24");
 }
 
 /// The part, its grid, and the settings that are lengths, in a unit as long as this.

@@ -15,6 +15,7 @@ mod noise;
 mod odds;
 mod part;
 mod polish;
+mod raster;
 mod relief;
 mod search;
 mod settled;
@@ -33,6 +34,7 @@ use alloc::vec::Vec;
 use contact::{Extent, Samples};
 use part::{Coarse, Exact};
 use polish::PolishScratch;
+use raster::Raster;
 use search::{Candidate, Search};
 use settled::SettledScratch;
 use step::{Placement, Prior};
@@ -40,6 +42,7 @@ use step::{Placement, Prior};
 /// What the surface rungs keep from run to run.
 #[derive(Clone, Debug, Default)]
 pub(super) struct SurfaceScratch {
+    raster: Raster,
     samples: Samples,
     candidates: Vec<Candidate>,
     polish: PolishScratch,
@@ -56,14 +59,17 @@ pub(super) fn run(
 ) -> Result<Registration, RegisterError> {
     let (solid, field, relief) = template.touchable().ok_or(RegisterError::NoSurface)?;
     contact.check()?;
-    let SurfaceScratch { samples, candidates, polish, settled } = scratch;
+    let SurfaceScratch { raster, samples, candidates, polish, settled } = scratch;
     let extent = match params.method {
         RegisterMethod::SurfaceTrack => Extent::Salient,
         // What gel meets first of a surface with holes is not known.
         RegisterMethod::SurfaceSearch if solid.is_closed() => Extent::Gel,
         _ => Extent::Around,
     };
-    samples.fill(contact, params.point_sigma_mm, extent);
+    // Of one start it matters more that it does not know the frame, which this order is taken in; many know it anyway.
+    let is_search = params.method == RegisterMethod::SurfaceSearch;
+    let ordered = if is_search { raster.ordered(contact) } else { *contact };
+    samples.fill(&ordered, params.point_sigma_mm, extent);
     let centred = Pose { translation_mm: guess.translation_mm - samples.centre_mm, ..*guess };
     let mut search = Search {
         params,

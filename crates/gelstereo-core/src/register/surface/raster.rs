@@ -1,0 +1,79 @@
+//! The markers in an order of their own: as they lie, and not as they came.
+//!
+//! Sums run over markers, and a first look picks some of them. In the order in which they lie, band by band across the press,
+//! neither depends on the order in which they were given: the answer is the same to the bit.
+
+use super::contact::Contact;
+use crate::math::linalg::Symmetric;
+use crate::math::{DVec3, floor};
+use alloc::vec::Vec;
+
+/// Width of a band: as far as rows of markers usually stand apart, so that each has its own.
+const BAND_MM: f64 = 0.9;
+
+/// What a contact gives, ordered.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Raster {
+    keys: Vec<Key>,
+    points_mm: Vec<DVec3>,
+    covariance_mm2: Vec<Symmetric<3>>,
+    unpressed_mm: Vec<DVec3>,
+}
+
+/// Where a marker lies: its band, along the band, across it, and along the press; and its index.
+type Key = ([f64; 4], u32);
+
+impl Raster {
+    /// The same contact in the order in which its markers lie.
+    pub fn ordered<'a>(&'a mut self, contact: &Contact<'a>) -> Contact<'a> {
+        let Self { keys, points_mm, covariance_mm2, unpressed_mm } = self;
+        let press = contact.press_direction;
+        let (along, _) = press.any_orthonormal_pair();
+        let across = along.cross(press);
+        let low_mm = contact
+            .points_mm
+            .iter()
+            .chain(contact.unpressed_mm)
+            .fold(f64::INFINITY, |low, p| low.min(p.dot(across)));
+        let frame = Frame { along, across, press, low_mm };
+        unpressed_mm.clear();
+        unpressed_mm.extend(order(keys, contact.unpressed_mm, frame).map(|k| contact.unpressed_mm[k]));
+        points_mm.clear();
+        covariance_mm2.clear();
+        for k in order(keys, contact.points_mm, frame) {
+            points_mm.push(contact.points_mm[k]);
+            covariance_mm2.extend(contact.covariance_mm2.map(|all| all[k]));
+        }
+        Contact {
+            points_mm,
+            covariance_mm2: contact.covariance_mm2.map(|_| covariance_mm2.as_slice()),
+            unpressed_mm,
+            ..*contact
+        }
+    }
+}
+
+/// The plane across the press, and where its first band begins.
+#[derive(Clone, Copy)]
+struct Frame {
+    along: DVec3,
+    across: DVec3,
+    press: DVec3,
+    low_mm: f64,
+}
+
+/// Indices in the order in which points lie.
+fn order<'a>(keys: &'a mut Vec<Key>, points_mm: &[DVec3], frame: Frame) -> impl Iterator<Item = usize> + 'a {
+    keys.clear();
+    keys.extend(points_mm.iter().zip(0..).map(|(p, k)| {
+        let y_mm = p.dot(frame.across);
+        let band = floor((y_mm - frame.low_mm) / BAND_MM + 0.5);
+        ([band, p.dot(frame.along), y_mm, p.dot(frame.press)], k)
+    }));
+    // Of markers at the same place the one given first.
+    keys.sort_unstable_by(|(a, i), (b, j)| {
+        let by_place = a.iter().zip(b).map(|(a, b)| a.total_cmp(b));
+        by_place.fold(core::cmp::Ordering::Equal, core::cmp::Ordering::then).then(i.cmp(j))
+    });
+    keys.iter().map(|(_, k)| *k as usize)
+}
