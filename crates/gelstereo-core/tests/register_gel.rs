@@ -58,5 +58,14 @@ fn a_wrong_decay_length_is_refused_or_learned() {
         let contact = Contact { decay_mm: share * SOFT_MM, ..problem.contact() };
         let found = registrar().register(&contact, &template, &guess).unwrap();
         assert!(problem.score(&found.t_sensor_object).is_success(), "{share}");
+        let gel = found.gel_decay.unwrap();
+        assert!(!gel.is_at_limit && (gel.length_mm / SOFT_MM - 1.0).abs() < 0.25, "{share} {gel:?}");
     }
+    // Where the true length is out of reach, four times the nominal one, the end is said to be one.
+    let contact = Contact { decay_mm: 1.0, ..problem.contact() };
+    let found = registrar().register(&contact, &template, &guess).unwrap();
+    assert!(found.gel_decay.unwrap().is_at_limit);
+    // A gel that comes back to rest within a pitch is not asked.
+    let contact = Contact { decay_mm: SHOULDER_MM, ..problem.contact() };
+    assert_eq!(registrar().register(&contact, &template, &guess).unwrap().gel_decay, None);
 }

@@ -79,6 +79,12 @@ pub struct Localization {
     /// Logarithm of the odds that the part is here over that no part is, both as likely beforehand; None but for the
     /// surface methods. Below 0 the pose does not explain the contact: the part is elsewhere, or another.
     log_odds: Option<f64>,
+    /// The gel's decay length that explains the contact best, mm; None where the gel was not asked: ``surface_search``
+    /// alone does, and it only where markers show what the gel does.
+    gel_decay_mm: Option<f64>,
+    /// Whether that stands at an end of where it is looked for, 0.22 and 2.1 times ``contact.decay_mm``: the gel is another
+    /// than it is said to be, and the pose is to be believed the less.
+    gel_decay_at_limit: bool,
     /// How a `Localizer` came to the pose: ``"followed"`` from the frame before, ``"found"`` by a search, or ``"lost"``: the
     /// search found nothing that explains the contact, and this is its best. None from `localize`.
     standing: Option<&'static str>,
@@ -99,6 +105,8 @@ impl Localization {
         Ok(Self {
             log_likelihood: found.log_likelihood,
             log_odds: found.log_odds,
+            gel_decay_mm: found.gel_decay.map(|gel| gel.length_mm),
+            gel_decay_at_limit: found.gel_decay.is_some_and(|gel| gel.is_at_limit),
             standing: standing.map(|standing| match standing {
                 core::Standing::Followed => "followed",
                 core::Standing::Found => "found",

@@ -89,6 +89,8 @@ def as_json(found: Localization) -> dict[str, Any]:
         "free": [str(direction) for direction in found.free],
         "log_likelihood": found.log_likelihood,
         "log_odds": found.log_odds,
+        "gel_decay_mm": found.gel_decay_mm,
+        "gel_decay_at_limit": found.gel_decay_at_limit,
         "alternatives": [
             {"t_sensor_object": pose.tolist(), "log_likelihood": likelihood}
             for pose, likelihood in found.alternatives

@@ -58,6 +58,7 @@ pub(super) fn registration(
         // Normals are read at samples, and so at most half a spacing off.
         log_likelihood: None,
         log_odds: None,
+        gel_decay: None,
         alternatives: Alternatives::NONE,
         free: FreeDirections::new(&in_object, params.point_sigma_mm.max(0.5 * template.spacing_mm()), &[]),
     })

@@ -32,7 +32,7 @@ pub use localizer::{Localizer, Located, Standing};
 pub use observe::Observability;
 pub use rigid::{RigidFit, RigidFitError, rigid_fit};
 pub use soft::{SoftMatch, soft_match};
-pub use surface::{Alternative, Alternatives, Contact, unpressed};
+pub use surface::{Alternative, Alternatives, Contact, GelDecay, unpressed};
 pub use symmetry::Symmetry;
 pub use template::Template;
 pub use tree::Tree;
@@ -74,6 +74,9 @@ pub struct Registration {
     /// Natural logarithm of the odds that the part is here over that no part is, both as likely beforehand; known to
     /// the rungs on the surface alone. Below 0 the pose does not explain the contact: the part is elsewhere, or another.
     pub log_odds: Option<f64>,
+    /// The gel's decay length that explains the contact best; `None` where the gel was not asked, which `surface_search`
+    /// alone does, and it only where markers show what the gel does.
+    pub gel_decay: Option<GelDecay>,
     /// Other poses that explain the contact about as well (`surface_search` alone looks for them).
     pub alternatives: Alternatives,
 }
@@ -114,6 +117,7 @@ impl Registration {
             .f64s(free.flat_map(|v| v.to_array()))
             .f64s(self.log_likelihood)
             .f64s(self.log_odds)
+            .f64s(self.gel_decay.map(|gel| gel.length_mm))
             .f64s(others)
             .value()
     }

@@ -112,6 +112,7 @@ pub(super) fn registration(
         free: FreeDirections::new(&in_object, sigma_mm, &[]),
         log_likelihood: Some(-best.cost),
         log_odds: Some(log_odds(samples, &scratch.here, &scratch.touches, params.outlier_share)),
+        gel_decay: None,
         alternatives: alternatives(samples, candidates, &about_centre(&observability)),
     }
 }

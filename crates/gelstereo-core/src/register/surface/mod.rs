@@ -25,6 +25,7 @@ mod step;
 pub use contact::{Contact, unpressed};
 pub use evidence::{Alternative, Alternatives};
 pub(super) use relief::Relief;
+pub use settled::GelDecay;
 
 use super::error::LEAST_PATCH;
 use super::{RegisterError, Registration, Template};
@@ -93,7 +94,10 @@ pub(super) fn run(
     };
     let information = search.is_settled.then(|| search.information(&candidates[0], settled));
     let ended = (end.converged, end.iterations);
-    Ok(evidence::registration(params, samples, candidates, (polish, settled, information), ended))
+    let mut found =
+        evidence::registration(params, samples, candidates, (polish, settled, information), ended);
+    found.gel_decay = search.is_settled.then(|| candidates[0].rest.decay(contact.decay_mm));
+    Ok(found)
 }
 
 /// Refuses a patch of which nothing is near the part at the guess.

@@ -23,6 +23,8 @@ type Row = [f64; UNKNOWN];
 
 /// Standard deviation of the logarithm of l²: a third of l.
 const DECAY_SIGMA: f64 = 0.6;
+/// That logarithm goes no farther: a fifth of the nominal l to twice that.
+const DECAY_LOGS: core::ops::RangeInclusive<f64> = -3.0..=1.5;
 /// And of the plane of rest as it is first guessed.
 const PLANE_SIGMA_MM: f64 = 1.0;
 /// No free height is wrong by more than this share of its gap to the part.
@@ -51,6 +53,18 @@ const FEW_SWEEPS: u32 = 8;
 /// Work of a sweep over a node, in lookups of the field.
 const SWEEPS_A_LOOKUP: u64 = 8;
 
+/// A decay length that was fitted with the pose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GelDecay {
+    /// The length that explains the contact best.
+    pub length_mm: f64,
+    /// Whether it stands at an end of where it is looked for, 0.22 and 2.1 times [`Contact::decay_mm`]: the gel is another
+    /// than it is said to be, and the pose is to be believed the less.
+    ///
+    /// [`Contact::decay_mm`]: super::Contact::decay_mm
+    pub is_at_limit: bool,
+}
+
 /// What is unknown of the gel.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Rest {
@@ -62,6 +76,12 @@ pub(super) struct Rest {
 
 impl Rest {
     pub const UNKNOWN: Self = Self { plane_mm: [0.0; 3], log_decay: 0.0 };
+
+    /// The decay length, of a gel whose nominal one is `decay_mm`.
+    pub fn decay(&self, decay_mm: f64) -> GelDecay {
+        let is_within = *DECAY_LOGS.start() < self.log_decay && self.log_decay < *DECAY_LOGS.end();
+        GelDecay { length_mm: decay_mm * exp(0.5 * self.log_decay), is_at_limit: !is_within }
+    }
 
     fn at(&self, across: DVec2) -> f64 {
         self.plane_mm[0] + self.plane_mm[1] * across.x + self.plane_mm[2] * across.y
@@ -189,7 +209,7 @@ impl Settled<'_> {
             placement: state.placement.moved(omega, DVec3::new(z[3], z[4], z[5])),
             rest: Rest {
                 plane_mm: core::array::from_fn(|i| state.rest.plane_mm[i] + z[PLANE + i]),
-                log_decay: (state.rest.log_decay + z[DECAY]).clamp(-3.0, 1.5),
+                log_decay: (state.rest.log_decay + z[DECAY]).clamp(*DECAY_LOGS.start(), *DECAY_LOGS.end()),
             },
             cost: f64::INFINITY,
         }
