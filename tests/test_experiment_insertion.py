@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass, replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from gelstereo import Error
-from gelstereo.experiments.insertion import EXPERIMENT, analysis, report, trials
+from gelstereo.experiments.insertion import EXPERIMENT, analysis, physics_check, report, trials
 from gelstereo.experiments.insertion.analysis import Verdict
 from gelstereo.experiments.insertion.chance import SAMPLES, adjoint, chance, matters, weakest
 from gelstereo.experiments.insertion.grasp import GRASPED, GraspRanges, Hold, fit_of, guesses, lie
@@ -19,6 +20,7 @@ from gelstereo.experiments.insertion.physics_check import limit
 from gelstereo.experiments.insertion.robot import RobotErrors, over_hole
 from gelstereo.experiments.insertion.trial import run
 from gelstereo.geometry import se3_exp, se3_log
+from gelstereo.reports.html import Figure, Grid
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
@@ -316,6 +318,32 @@ def test_physics_lets_in_what_geometry_just_lets_in(letter: str) -> None:
     assert 0.0 < scale < 10.0
     placed = pose(0.98 * scale * twist)
     assert descend(fit.hole, fit.end, placed, Hand(), 25.0) == pytest.approx(fit.part.depth_mm, abs=0.1)
+
+
+def test_the_report_of_physics_draws_its_table() -> None:
+    hands = [name.removeprefix("hand ") for name in physics_check.inputs()]
+    held, known = physics_check.trials(2, 1), {"a": [2.0, 4.0], "b": [1.0, 1.0]}
+    chosen = [trial for trial in held if trial.configuration["part"] in known]
+
+    def record(letter: str, pose: int) -> dict[str, object]:
+        limits = {name: known[letter][pose - 1] * (1.5 if "compliant" in name else 1.0) for name in hands}
+        return {"geometry": 1.0, "depths_mm": dict.fromkeys(hands, 10.0), "physics": limits}
+
+    records = [record(trial.configuration["part"], trial.configuration["pose"]) for trial in chosen]
+    made = physics_check.report(chosen, records, physics_check.inputs())
+    [grid] = [block for block in made.findings if isinstance(block, Grid)]
+    assert [row[1:3] for row in grid.rows] == [
+        ["2 of 2", "3.00 (2.00 to 4.00)"],
+        ["2 of 2", "1.00 (1.00 to 1.00)"],
+    ]
+    assert [row[grid.head.index("twice as compliant: limit changes by %")] for row in grid.rows] == [
+        "+50.0 (+50.0 to +50.0)"
+    ] * 2
+    [figure] = [block for block in made.findings if isinstance(block, Figure)]
+    # A panel for every hand; a box for each of two parts.
+    drawn = ElementTree.fromstring(figure.content)
+    assert sum(group.get("id", "").startswith("axes_") for group in drawn.iter()) == len(hands)
+    assert made == physics_check.report(chosen, records, physics_check.inputs())
 
 
 def test_trials_are_those_of_the_paper_and_of_fewer_repeats_among_those_of_more() -> None:

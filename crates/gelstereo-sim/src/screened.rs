@@ -9,7 +9,7 @@
 use crate::lattice::Lattice;
 use alloc::vec;
 use alloc::vec::Vec;
-use gelstereo_core::math::sqrt;
+use gelstereo_core::math::{DVec2, sqrt};
 
 /// How far nodes are from where they would end, at most: a nanometre is 2e-5 px on the default rig.
 const LEFT_MM: f64 = 1e-6;
@@ -18,12 +18,43 @@ const MAX_SWEEPS: usize = 4000;
 /// Nodes that are balanced at once.
 const LANES: usize = 4;
 
+/// What a membrane has at every node.
+pub(crate) trait Node: Copy + PartialEq {
+    /// What `make` makes of the numbers of some nodes.
+    fn each<const N: usize>(of: [Self; N], make: impl Fn([f64; N]) -> f64) -> Self;
+
+    fn even(number: f64) -> Self {
+        Self::each([], |[]| number)
+    }
+}
+
+/// A height.
+impl Node for f64 {
+    #[inline(always)]
+    fn each<const N: usize>(of: [Self; N], make: impl Fn([f64; N]) -> f64) -> Self {
+        make(of)
+    }
+}
+
+/// Both components of a motion, which do not mix. They lie where a register is filled at once: neighbours of single
+/// numbers never all do.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(align(16))]
+pub(crate) struct Motion(pub(crate) DVec2);
+
+impl Node for Motion {
+    #[inline(always)]
+    fn each<const N: usize>(of: [Self; N], make: impl Fn([f64; N]) -> f64) -> Self {
+        Self(DVec2::new(make(of.map(|Self(u)| u.x)), make(of.map(|Self(u)| u.y))))
+    }
+}
+
 /// A membrane and where it is held.
 ///
 /// Rows are laid one behind the other, each with zeros up to an odd length: they are the neighbours that the border
 /// lacks, and places of one colour are those of one parity, whose neighbours are as many places away everywhere.
 #[derive(Clone, Debug)]
-pub(crate) struct Screened {
+pub(crate) struct Screened<U> {
     rows: usize,
     cols: usize,
     /// Half of a row's length, rounded down.
@@ -31,38 +62,38 @@ pub(crate) struct Screened {
     /// Spectral radius of Jacobi's method, from above: that of an even field.
     jacobi: f64,
     /// Of either colour: l² / (1 + n l²) of nodes with n neighbours; 0 where there is no node.
-    weights: [Vec<f64>; 2],
+    weights: [Vec<U>; 2],
     /// The nodes, between zeros for the neighbours above the first row and below the last.
-    nodes: [Vec<f64>; 2],
+    nodes: [Vec<U>; 2],
     /// What holds each of them, as the caller understands it; 0 where there is no node.
-    held: [Vec<f64>; 2],
+    held: [Vec<U>; 2],
 }
 
-impl Screened {
+impl<U: Node> Screened<U> {
     pub(crate) fn new(lattice: &Lattice, length_mm: f64) -> Self {
         let (rows, cols, reach) = (lattice.rows, lattice.cols, length_mm / lattice.pitch_mm);
         let (l2, half) = (reach * reach, cols.div_ceil(2));
         let places = (rows * (2 * half + 1)).div_ceil(2).next_multiple_of(LANES);
-        let zeros = |places: usize| [0, 1].map(|_| vec![0.0; places]);
+        let zeros = |places: usize| [0, 1].map(|_| vec![U::even(0.0); places]);
         let (weights, nodes, held) = (zeros(places), zeros(places + 2 * (half + 1)), zeros(places));
         let jacobi = 4.0 * l2 / (1.0 + 4.0 * l2);
         let mut new = Self { rows, cols, half, jacobi, weights, nodes, held };
         let beside = |at: usize, n: usize| usize::from(at > 0) + usize::from(at + 1 < n);
         let weight = |i: usize| {
             let count = beside(i / cols, rows) + beside(i % cols, cols);
-            l2 / (1.0 + l2 * count as f64)
+            U::even(l2 / (1.0 + l2 * count as f64))
         };
         put([rows, cols, half], weight, &mut new.weights, 0);
         new
     }
 
     /// Sets the values that the solution starts from.
-    pub(crate) fn start(&mut self, value: impl Fn(usize) -> f64) {
+    pub(crate) fn start(&mut self, value: impl Fn(usize) -> U) {
         put([self.rows, self.cols, self.half], value, &mut self.nodes, self.half + 1);
     }
 
-    /// Says what holds the nodes.
-    pub(crate) fn hold(&mut self, value: impl Fn(usize) -> f64) {
+    /// Says what holds the nodes. It does not outlast a solution.
+    pub(crate) fn hold(&mut self, value: impl Fn(usize) -> U) {
         put([self.rows, self.cols, self.half], value, &mut self.held, 0);
     }
 
@@ -71,19 +102,17 @@ impl Screened {
         self.relax(|old, step, free| old + step * free);
     }
 
-    /// Solves where no node is below what holds it.
-    pub(crate) fn settle_above(&mut self) {
-        self.relax(|old, step, floor| {
-            let next = old + step;
-            if next > floor { next } else { floor }
-        });
-    }
-
     /// Hands over the solution, row by row.
-    pub(crate) fn values(&self) -> impl Iterator<Item = f64> {
+    pub(crate) fn values(&self) -> impl Iterator<Item = U> {
         let length = 2 * self.half + 1;
         let places = (0..self.rows).flat_map(move |row| row * length..row * length + self.cols);
         places.map(|place| self.nodes[place % 2][self.half + 1 + place / 2])
+    }
+
+    /// Holds what is 0 in `moving` where it is: a component ends as it would alone, bit for bit.
+    fn stop(&mut self, moving: U) {
+        let all = self.held.iter_mut().flatten();
+        all.for_each(|held| *held = U::each([*held, moving], |[held, moving]| held * moving));
     }
 
     /// Sweeps until nothing is farther than [`LEFT_MM`] from where it would end. `rule` makes of a value, its step and what
@@ -94,11 +123,16 @@ impl Screened {
         // Sweeps shrink errors by this at last: what is left is a geometric sum of steps.
         let shrinks = (1.0 - root) / (1.0 + root);
         let least_mm = LEFT_MM * (1.0 - shrinks);
-        let mut over = [1.0, 1.0 / (1.0 - 0.5 * square)];
+        let (mut over, mut moving) = ([1.0, 1.0 / (1.0 - 0.5 * square)], U::even(1.0));
         for _sweep in 0..MAX_SWEEPS {
-            let [first, second] = [0, 1].map(|colour| self.balance(colour, over[colour], rule));
-            if first <= least_mm && second <= least_mm {
+            let longest = [0, 1].map(|colour| self.balance(colour, over[colour], rule));
+            let moves = U::each(longest, |[a, b]| if a <= least_mm && b <= least_mm { 0.0 } else { 1.0 });
+            if moves == U::even(0.0) {
                 return;
+            }
+            if moves != moving {
+                self.stop(moves);
+                moving = moves;
             }
             over[0] = 1.0 / (1.0 - 0.25 * square * over[1]);
             over[1] = 1.0 / (1.0 - 0.25 * square * over[0]);
@@ -106,14 +140,14 @@ impl Screened {
     }
 
     /// Moves the nodes of one colour by `over` times the way to where their neighbours balance them; the longest step.
-    fn balance(&mut self, colour: usize, over: f64, rule: impl Fn(f64, f64, f64) -> f64) -> f64 {
+    fn balance(&mut self, colour: usize, over: f64, rule: impl Fn(f64, f64, f64) -> f64) -> U {
         let (half, places) = (self.half, self.weights[colour].len());
         let [even, odd] = &mut self.nodes;
         let (mine, other) = if colour == 0 { (even, odd) } else { (odd, even) };
         // Place p is the number p / 2 of its colour, and a row is 2 half + 1 places long.
         let neighbours = [0, half, half + 1, 2 * half + 1];
         let [above, left, right, below] = neighbours.map(|at| lanes(&other[at + colour..][..places]));
-        let mut longest = [0.0; LANES];
+        let mut longest = [U::even(0.0); LANES];
         let (here, _) = mine[half + 1..][..places].as_chunks_mut::<LANES>();
         let held = lanes(&self.weights[colour]).iter().zip(lanes(&self.held[colour]));
         let beside = left.iter().zip(right).zip(above.iter().zip(below));
@@ -121,24 +155,39 @@ impl Screened {
         {
             let mut next = *here;
             for (k, next) in next.iter_mut().enumerate() {
-                let sum = (left[k] + right[k]) + (above[k] + below[k]);
-                *next = rule(*next, (sum * weight[k] - *next) * over, held[k]);
+                let near = [left[k], right[k], above[k], below[k], weight[k], *next, held[k]];
+                *next = U::each(near, |[left, right, above, below, weight, here, held]| {
+                    let sum = (left + right) + (above + below);
+                    rule(here, (sum * weight - here) * over, held)
+                });
             }
             for (k, longest) in longest.iter_mut().enumerate() {
-                let step = (next[k] - here[k]).abs();
-                *longest = if step > *longest { step } else { *longest };
+                *longest = U::each([next[k], here[k], *longest], |[next, here, longest]| {
+                    let step = (next - here).abs();
+                    if step > longest { step } else { longest }
+                });
             }
             *here = next;
         }
-        longest.into_iter().fold(0.0, f64::max)
+        longest.into_iter().fold(U::even(0.0), |a, b| U::each([a, b], |[a, b]| a.max(b)))
+    }
+}
+
+impl Screened<f64> {
+    /// Solves where no node is below what holds it.
+    pub(crate) fn settle_above(&mut self) {
+        self.relax(|old, step, floor| {
+            let next = old + step;
+            if next > floor { next } else { floor }
+        });
     }
 }
 
 /// Puts a field, by index, into its two colours from a number on.
-fn put(
+fn put<U>(
     [rows, cols, half]: [usize; 3],
-    value: impl Fn(usize) -> f64,
-    colours: &mut [Vec<f64>; 2],
+    value: impl Fn(usize) -> U,
+    colours: &mut [Vec<U>; 2],
     from: usize,
 ) {
     for row in 0..rows {
@@ -149,9 +198,9 @@ fn put(
     }
 }
 
-/// Numbers by lanes.
-fn lanes(numbers: &[f64]) -> &[[f64; LANES]] {
-    numbers.as_chunks().0
+/// Nodes by lanes.
+fn lanes<U>(nodes: &[U]) -> &[[U; LANES]] {
+    nodes.as_chunks().0
 }
 
 #[cfg(test)]
@@ -191,7 +240,7 @@ pub(crate) mod tests {
         }
     }
 
-    fn screened([rows, cols]: [usize; 2], length: f64) -> Screened {
+    fn screened<U: Node>([rows, cols]: [usize; 2], length: f64) -> Screened<U> {
         Screened::new(&Lattice::new(&Gel { rows, cols, pitch_mm: 1.0, ..Gel::default() }), length)
     }
 
@@ -228,6 +277,32 @@ pub(crate) mod tests {
                 for (i, (found, plain)) in found.values().zip(&plain).enumerate() {
                     prop_assert!((found - plain).abs() < LEFT_MM, "{found} {plain}");
                     prop_assert!(found >= floor(i));
+                }
+            }
+        }
+
+        /// Whichever of the two comes to rest first.
+        #[test]
+        fn each_component_of_a_motion_is_that_of_a_membrane_of_its_own(
+            rows in 1..16_usize, cols in 1..16_usize, length in 0.05..6.0, share in 0.0..1.0, exponent in -9.0..0.0,
+            values in prop::collection::vec(prop::array::uniform2(-2.0..2.0), 15 * 15),
+            places in prop::collection::vec(0.0..1.0, 15 * 15),
+        ) {
+            let held = |i: usize| places[i] < share;
+            let free = |i: usize| if held(i) { 0.0 } else { 1.0 };
+            let small = 10.0_f64.powf(exponent);
+            let at = |i: usize| if held(i) { DVec2::new(values[i][0] * small, values[i][1]) } else { DVec2::ZERO };
+            let mut both = screened([rows, cols], length);
+            both.start(|i| Motion(at(i)));
+            both.hold(|i| Motion::even(free(i)));
+            both.settle_beside();
+            for axis in 0..2 {
+                let mut alone: Screened<f64> = screened([rows, cols], length);
+                alone.start(|i| at(i)[axis]);
+                alone.hold(free);
+                alone.settle_beside();
+                for (Motion(both), alone) in both.values().zip(alone.values()) {
+                    prop_assert!(both[axis] == alone, "{both} {alone}");
                 }
             }
         }

@@ -7,7 +7,8 @@ use common::{press, rest, simulator, with_effects};
 use gelstereo_core::math::{DVec2, DVec3, exp};
 use gelstereo_sim::effects::{ElasticLayer, LargeStrain, Relaxation};
 use gelstereo_sim::layer::PronyTerm;
-use gelstereo_sim::{ContactState, Effects, Keyframe, Scene, SceneError, Shape, Truth};
+use gelstereo_sim::{ContactState, Effects, Gel, Keyframe, Plan, Scene, SceneError, Shape, Switch, Truth};
+use proptest::prelude::*;
 
 const SPHERE: Shape = Shape::Sphere { radius_mm: 4.0 };
 
@@ -98,6 +99,80 @@ fn what_was_never_on_the_trajectory_is_not_remembered() {
         simulator.moment(pressed.as_ref(), 11, &mut truth);
         assert_eq!(truth, ordered[11]);
     }
+}
+
+/// How far markers are apart at most, in any frame: um in space, px in the images.
+fn apart(a: &[Truth], b: &[Truth]) -> [f64; 2] {
+    let dots = |truth: &Truth| -> Vec<DVec2> {
+        truth.left_dots.iter().chain(&truth.right_dots).map(|dot| dot.outline.centre_px).collect()
+    };
+    let frames = || a.iter().zip(b);
+    let um = frames()
+        .flat_map(|(a, b)| a.points_mm.iter().zip(&b.points_mm))
+        .map(|(a, b)| 1e3 * (*a - *b).length());
+    let px = frames().flat_map(|(a, b)| dots(a).into_iter().zip(dots(b))).map(|(a, b)| (a - b).length());
+    [um.fold(0.0, f64::max), px.fold(0.0, f64::max)]
+}
+
+/// A part that comes, goes, drags and turns over a gel of few markers.
+fn visits() -> impl Strategy<Value = Scene> {
+    let layer = (0.0..=0.5_f64, prop_oneof![Just(0.0), 0.1..2.0_f64]);
+    let term = (0.0..0.9_f64, 0.02..2.0_f64).prop_map(|(share, time_s)| PronyTerm { share, time_s });
+    let ways = prop::collection::vec((-0.4..1.2_f64, -2.0..2.0_f64, -0.3..0.3_f64, -0.1..0.1_f64), 2..5);
+    (layer, term, prop::bool::weighted(0.2), ways).prop_map(
+        |((poisson_ratio, friction), term, large, ways)| {
+            let gel = Gel { rows: 9, cols: 11, pitch_mm: 1.4, ..Gel::default() };
+            let bare = Scene { gel, frame_rate_hz: 10.0, ..with_effects(SPHERE, Effects::default()) };
+            let contact = |&(depth_mm, x, shear, twist_rad): &(f64, f64, f64, f64)| ContactState {
+                shear_mm: [shear, -0.5 * shear],
+                twist_rad,
+                ..press(&bare, DVec3::ZERO, DVec2::new(x, 0.3 * x), depth_mm)
+            };
+            let keyframe = |(k, way)| Keyframe { time_s: 0.3 * k as f64, contact: contact(way) };
+            let trajectory = ways.iter().enumerate().map(keyframe).collect();
+            let layer =
+                ElasticLayer { poisson_ratio, friction, cells_per_pitch: 1, ..ElasticLayer::default() };
+            let effects = Effects {
+                elastic_layer: Some(layer),
+                relaxation: Some(Relaxation { terms: vec![term] }),
+                large_strain: large.then(LargeStrain::default),
+                ..Effects::default()
+            };
+            Scene { trajectory, effects, ..bare }
+        },
+    )
+}
+
+/// The same without what refines its layer by that name.
+fn without(scene: &Scene, name: &str) -> Scene {
+    let mut scene = scene.clone();
+    *scene.switches.get_mut(name).unwrap() = Some(Switch::Off);
+    scene
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    /// In no frame, however the part has come there, does a refinement of the layer change more than its bound.
+    #[test]
+    fn true_change_is_within_the_bound_all_the_way(scene in visits()) {
+        let (plan, whole) = (Plan::of(&scene, None).unwrap(), moments(&scene));
+        for entry in plan.entries.iter().filter(|entry| ["relaxation", "large_strain"].contains(&entry.effect)) {
+            let [um, px] = apart(&whole, &moments(&without(&scene, entry.effect)));
+            prop_assert!(um <= entry.bound.um, "{}: {um} um of {}", entry.effect, entry.bound.um);
+            prop_assert!(px <= entry.bound.px, "{}: {px} px of {}", entry.effect, entry.bound.px);
+        }
+    }
+}
+
+/// A bound that is above nothing says nothing: the gel that is let go is a tenth of its bound off.
+#[test]
+fn the_bound_is_of_use() {
+    let scene = held(gel(&[PronyTerm { share: 0.8, time_s: 0.5 }]));
+    let [um, _] = apart(&moments(&scene), &moments(&without(&scene, "relaxation")));
+    let plan = Plan::of(&scene, None).unwrap();
+    let bound = plan.entries.iter().find(|entry| entry.effect == "relaxation").unwrap().bound;
+    assert!((0.1 * bound.um..bound.um).contains(&um), "{um} um of {}", bound.um);
 }
 
 #[test]

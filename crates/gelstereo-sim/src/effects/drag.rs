@@ -4,7 +4,7 @@ use super::check_decay;
 use crate::lattice::Lattice;
 use crate::plan::{Bound, Effect, Facts};
 use crate::scene::{Gel, SceneError};
-use crate::screened::Screened;
+use crate::screened::{Motion, Node, Screened};
 use crate::simulator::ContactState;
 use gelstereo_core::math::{DVec2, cos, sin};
 
@@ -46,8 +46,8 @@ impl Effect for Drag {
     }
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
-        // Both components, and where the part is before it drags and where it twists about.
-        2.0 * facts.relaxation_ns(self.decay_thicknesses) + 64.0 * facts.markers()
+        // Both components at once, and where the part is before it drags and where it twists about.
+        1.5 * facts.relaxation_ns(self.decay_thicknesses) + 64.0 * facts.markers()
     }
 
     /// Each component is between those of the markers that stick.
@@ -58,7 +58,7 @@ impl Effect for Drag {
 
 /// The effect on a lattice.
 #[derive(Clone, Debug)]
-pub(crate) struct Pull(Screened);
+pub(crate) struct Pull(Screened<Motion>);
 
 impl Pull {
     pub(crate) fn new(drag: &Drag, lattice: &Lattice) -> Self {
@@ -68,12 +68,10 @@ impl Pull {
     /// Adds the motion of every marker when those `stuck` move with the part.
     pub(crate) fn pull(&mut self, grip: &Grip, (rest, stuck): (&[DVec2], &[bool]), motion: &mut [DVec2]) {
         let Self(membrane) = self;
-        membrane.hold(|i| if stuck[i] { 0.0 } else { 1.0 });
-        for axis in 0..2 {
-            membrane.start(|i| if stuck[i] { grip.motion_mm(rest[i])[axis] } else { 0.0 });
-            membrane.settle_beside();
-            motion.iter_mut().zip(membrane.values()).for_each(|(u, along)| u[axis] += along);
-        }
+        membrane.hold(|i| Motion::even(if stuck[i] { 0.0 } else { 1.0 }));
+        membrane.start(|i| Motion(if stuck[i] { grip.motion_mm(rest[i]) } else { DVec2::ZERO }));
+        membrane.settle_beside();
+        motion.iter_mut().zip(membrane.values()).for_each(|(u, Motion(along))| *u += along);
     }
 }
 

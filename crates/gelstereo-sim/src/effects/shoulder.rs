@@ -56,7 +56,7 @@ impl Effect for Shoulder {
 
 /// The effect on a lattice.
 #[derive(Clone, Debug)]
-pub(crate) struct Sag(Screened);
+pub(crate) struct Sag(Screened<f64>);
 
 impl Sag {
     pub(crate) fn new(shoulder: &Shoulder, lattice: &Lattice) -> Self {

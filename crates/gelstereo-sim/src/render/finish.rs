@@ -78,31 +78,14 @@ impl Finish<'_> {
         let mut noise = self.noise.take();
         let rows = ink.chunks_exact_mut(width).zip(image.chunks_exact_mut(width));
         for (y, (ink, image)) in rows.enumerate() {
-            let (gel, gain) = (self.base.row(y, width), self.gain.map(|gain| gain.of_row(y)));
-            if self.smears.is_some() || self.shots.is_some() {
-                lay(self.contrast, (gel, gain), ink, row);
-                self.spoil(y, row);
-                for (levels, image) in row.chunks(PIECE).zip(image.chunks_mut(PIECE)) {
-                    image.copy_from_slice(&expose(padded(levels), &mut noise)[..levels.len()]);
-                }
+            let behind = (self.base.row(y, width), self.gain.map(|gain| gain.of_row(y)));
+            if self.smears.is_none() && self.shots.is_none() {
+                noise = lay(self.contrast, behind, ink, image, noise);
                 continue;
             }
-            let (inks, ink) = ink.as_chunks_mut::<PIECE>();
-            let (images, image) = image.as_chunks_mut::<PIECE>();
-            let (gels, gel) = gel.as_chunks::<PIECE>();
-            let (share, columns) = gain.unwrap_or_default();
-            let (gains, last) = columns.as_chunks::<PIECE>();
-            for (k, ((ink, gel), image)) in inks.iter_mut().zip(gels).zip(images).enumerate() {
-                let levels = match gains.get(k) {
-                    Some(columns) => lit(self.contrast, share, *columns, *gel, *ink),
-                    None => even(self.contrast, *gel, *ink),
-                };
-                *ink = [0.0; PIECE];
-                *image = expose(levels, &mut noise);
-            }
-            if !ink.is_empty() {
-                let levels = &mut row[..ink.len()];
-                lay(self.contrast, (gel, gain.map(|_| (share, last))), ink, levels);
+            lay(self.contrast, behind, ink, row, None);
+            self.spoil(y, row);
+            for (levels, image) in row.chunks(PIECE).zip(image.chunks_mut(PIECE)) {
                 image.copy_from_slice(&expose(padded(levels), &mut noise)[..levels.len()]);
             }
         }
@@ -119,27 +102,66 @@ impl Finish<'_> {
     }
 }
 
-/// Ink over the gel, of which none is left. The gain is a row's share and the columns'.
-fn lay(contrast: f32, (gel, gain): (&[f32], Option<(f32, &[f32])>), ink: &mut [f32], levels: &mut [f32]) {
-    let inked = levels.iter_mut().zip(ink).zip(gel);
-    match gain {
-        Some((row, columns)) => inked.zip(columns).for_each(|(((level, ink), gel), &column)| {
-            *level = gel + contrast * Gain::of(row, column) * core::mem::take(ink);
-        }),
-        None => inked.for_each(|((level, ink), gel)| *level = gel + contrast * core::mem::take(ink)),
+/// What is kept of a piece of levels. (All of it by value and in one place: so it becomes vectors.)
+trait Kept: Copy {
+    fn of(levels: Piece, noise: &mut Option<(&Noise, Stream)>) -> [Self; PIECE];
+}
+
+/// The levels, before noise.
+impl Kept for f32 {
+    #[inline(always)]
+    fn of(levels: Piece, _noise: &mut Option<(&Noise, Stream)>) -> Piece {
+        levels
     }
 }
 
-/// The same of a piece. (By value, as all that follows: so it becomes vectors.)
-#[inline(always)]
-fn lit(contrast: f32, row: f32, columns: Piece, gel: Piece, ink: Piece) -> Piece {
-    core::array::from_fn(|k| gel[k] + contrast * Gain::of(row, columns[k]) * ink[k])
+/// The pixels.
+impl Kept for u8 {
+    #[inline(always)]
+    fn of(levels: Piece, noise: &mut Option<(&Noise, Stream)>) -> [Self; PIECE] {
+        expose(levels, noise)
+    }
 }
 
-/// The same in even light.
+/// Lays a row's ink over what is behind it, and leaves none of it. Behind it is the gel, and the gain: the row's share and
+/// the columns'. Hands back the noise.
+fn lay<'a, T: Kept>(
+    contrast: f32,
+    (gel, gain): (&[f32], Option<(f32, &[f32])>),
+    ink: &mut [f32],
+    kept: &mut [T],
+    mut noise: Option<(&'a Noise, Stream)>,
+) -> Option<(&'a Noise, Stream)> {
+    let (inks, ink) = ink.as_chunks_mut();
+    let (all_kept, kept) = kept.as_chunks_mut();
+    let (gels, gel) = gel.as_chunks();
+    let (share, columns) = gain.unwrap_or_default();
+    let (gains, last) = columns.as_chunks();
+    for (k, ((ink, gel), kept)) in inks.iter_mut().zip(gels).zip(all_kept).enumerate() {
+        *kept = T::of(lit(contrast, (share, gains.get(k)), *gel, *ink), &mut noise);
+        *ink = [0.0; PIECE];
+    }
+    if !ink.is_empty() {
+        let last = gain.map(|_| padded(last));
+        let levels = lit(contrast, (share, last.as_ref()), padded(gel), padded(ink));
+        kept.copy_from_slice(&T::of(levels, &mut noise)[..ink.len()]);
+        ink.fill(0.0);
+    }
+    noise
+}
+
+/// Levels of ink over the gel, with the gain's shares if light is uneven.
 #[inline(always)]
-fn even(contrast: f32, gel: Piece, ink: Piece) -> Piece {
-    core::array::from_fn(|k| gel[k] + contrast * ink[k])
+fn lit(contrast: f32, (row, columns): (f32, Option<&Piece>), gel: Piece, ink: Piece) -> Piece {
+    match columns {
+        Some(columns) => over(gel, core::array::from_fn(|k| contrast * Gain::of(row, columns[k])), ink),
+        None => over(gel, [contrast; PIECE], ink),
+    }
+}
+
+#[inline(always)]
+fn over(gel: Piece, contrast: Piece, ink: Piece) -> Piece {
+    core::array::from_fn(|k| gel[k] + contrast[k] * ink[k])
 }
 
 fn padded(levels: &[f32]) -> Piece {

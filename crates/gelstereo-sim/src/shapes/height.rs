@@ -26,6 +26,7 @@ impl Span {
 impl Shape {
     /// Smallest s with `origin + s direction` in the solid (object frame, `direction` of unit length); `None`
     /// where the line misses it, and for mesh files.
+    #[inline(always)]
     pub(crate) fn entry_mm(&self, origin: DVec3, direction: DVec3) -> Option<f64> {
         match self {
             Self::Sphere { radius_mm } => {

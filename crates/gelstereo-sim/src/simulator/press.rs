@@ -68,7 +68,9 @@ impl Simulator {
                 let direction = to_object.transform_vector(DVec3::Z);
                 out.clear();
                 out.extend(places.iter().map(|&place| {
-                    let origin = to_object.transform_point(place.extend(self.surface_mm));
+                    // (Written out: what is called gets its vectors through memory, and waits for them.)
+                    let place = place.extend(self.surface_mm);
+                    let origin = to_object.rotation * place + to_object.translation_mm;
                     shape.entry_mm(origin, direction).map_or(f64::NEG_INFINITY, |s| -s)
                 }));
             }

@@ -15,12 +15,13 @@ import numpy.typing as npt
 
 from gelstereo.experiments.batch import Configuration, Trial, keyed_seed
 from gelstereo.experiments.experiment import Experiment
+from gelstereo.experiments.figures import as_svg, box_plots
 from gelstereo.experiments.insertion.grasp import GRASPED, Fit, fit_of
 from gelstereo.experiments.insertion.physics import Hand, descend
 from gelstereo.experiments.report import Report
 from gelstereo.experiments.store import Record
 from gelstereo.geometry import se3_exp
-from gelstereo.reports.html import Block, Grid, Heading, Paragraph
+from gelstereo.reports.html import Block, Figure, Grid, Heading, Paragraph
 
 __all__ = ["EXPERIMENT", "limit"]
 
@@ -125,10 +126,13 @@ _CONDITIONS = (
 
 def report(trials: Sequence[Trial], records: Sequence[Record], given: Mapping[str, str]) -> Report:
     """Compare both verdicts."""
-    rows = []
-    for letter in dict.fromkeys(trial.configuration["part"] for trial in trials):
-        mine = [r for t, r in zip(trials, records, strict=True) if t.configuration["part"] == letter]
-        rows.append([f"({letter}) {GRASPED[letter].name.replace('_', ' ')}", *_row(mine, letter)])
+    of_parts: dict[str, list[Record]] = {}
+    for trial, record in zip(trials, records, strict=True):
+        of_parts.setdefault(trial.configuration["part"], []).append(record)
+    rows = [
+        [f"({letter}) {GRASPED[letter].name.replace('_', ' ')}", *_row(mine, letter)]
+        for letter, mine in of_parts.items()
+    ]
     head = [
         "part",
         "at the limit of geometry: in",
@@ -143,8 +147,18 @@ def report(trials: Sequence[Trial], records: Sequence[Record], given: Mapping[st
             "that yields add, and geometry leaves out: its verdict is the stricter one where the ratio is above 1."
         ),
         limits,
+        Figure("Limits by part, over those of geometry", _limits(of_parts), "svg"),
     ]
     return Report("Insertion by contact physics", _ASKED, _CONDITIONS, findings, given, [limits])
+
+
+def _limits(of_parts: Mapping[str, Sequence[Record]]) -> bytes:
+    """Box plots of every hand's limits."""
+    panels = {
+        hand: {letter: [record["physics"][hand] for record in mine] for letter, mine in of_parts.items()}
+        for hand in _HANDS
+    }
+    return as_svg(box_plots(panels, across=4, x_label="part", y_label="limit over that of geometry"))
 
 
 def _row(records: Sequence[Record], letter: str) -> list[str]:
