@@ -9,7 +9,7 @@ use super::centre;
 use super::components::Blob;
 use super::glance::{Eyes, Kind};
 use super::segments::Segments;
-use super::sieve::Sieve;
+use super::sieve::{Sieve, area_range_px2};
 use super::{Detector, Markers};
 use crate::image::GrayView;
 use crate::math::DVec2;
@@ -25,9 +25,8 @@ const PIXELS: u32 = (SCALE * SCALE) as u32;
 /// the others nor two of them.
 const LEAST_PX2: f64 = 6.0;
 
-/// Shares of the usual area below which a component is a speck at any size, and between which it is a marker: those of the
-/// sieve with room for areas that are known to a pixel of half the size.
-const SPECK: f64 = 0.25;
+/// Shares of the usual area between which a component is a marker: those of the sieve with room for areas that are known to a
+/// pixel of half the size.
 const MARKER: core::ops::RangeInclusive<f64> = 2.0 / 3.0..=1.5;
 
 /// The image at half its size and its components.
@@ -67,10 +66,14 @@ impl HalfSize {
         self.segments.run(half).ok()?;
         let blobs = self.segments.components.blobs();
         let (sieve, _) = Sieve::of(blobs, &self.params, size_px, areas_px2);
-        let is_one_or_a_speck = |blob: &Blob| {
-            let share = f64::from(blob.area_px2) / sieve.usual_px2;
-            share < SPECK || MARKER.contains(&share) && sieve.passes_whole(blob)
+        let is_one = |blob: &&Blob| {
+            MARKER.contains(&(f64::from(blob.area_px2) / sieve.usual_px2)) && sieve.passes_whole(blob)
         };
+        // A speck at any size: too small beside the least marker, which may be the usual one there. There is room for what a disc
+        // covers: a pixel less where it is a marker, two more where it is a speck.
+        let least_px2 = blobs.iter().filter(is_one).map(|blob| blob.area_px2).min().unwrap_or(0);
+        let (speck_px2, _) = area_range_px2(self.params.threshold, f64::from(least_px2.saturating_sub(1)));
+        let is_one_or_a_speck = |blob: &Blob| blob.area_px2 + 2 < speck_px2 || is_one(&blob);
         let is_clear = sieve.usual_px2 >= LEAST_PX2
             && !self.segments.feel_noise()
             && blobs.iter().all(is_one_or_a_speck);
