@@ -14,7 +14,7 @@ use crate::math::DVec2;
 pub(super) use eyes::Eyes;
 pub use kind::{Kind, MOST_SIDE_PX};
 use lanes::{Weights, moments};
-use window::{BITS, Gel, Lanes, Place, Room, Window};
+use window::{BITS, Corners, Gel, Lanes, Place, Room, Window};
 
 /// A centre farther from the window's middle is looked at again, from a window around it.
 const OFF_PX: f64 = 1.0;
@@ -74,7 +74,8 @@ struct Outline {
 
 impl Outline {
     fn spot(&self) -> Spot {
-        let area_px2 = crate::math::round(self.area_px2) as u32;
+        // Rounded: no area is so near to a half that the sum would be.
+        let area_px2 = (self.area_px2 + 0.5) as u32;
         Spot { centre_px: self.centre_px, area_px2, band: self.band }
     }
 }
@@ -115,13 +116,14 @@ pub struct Eye<const L: usize> {
     flip: u8,
     /// Of windows that do not reach the image's right border.
     lanes: Lanes<L>,
+    corners: Corners,
 }
 
 impl<const L: usize> Eye<L> {
     /// For markers of one kind.
     #[must_use]
     pub fn new(kind: Kind, flip: u8) -> Self {
-        Self { kind, flip, lanes: Lanes::of(0, &kind) }
+        Self { kind, flip, lanes: Lanes::of(0, &kind), corners: Corners::of(&kind) }
     }
 
     fn window<'a>(
@@ -142,7 +144,7 @@ impl<const L: usize> Eye<L> {
     }
 
     fn gel(&self, window: &Window<'_, L>) -> Gel {
-        window.gel(self.kind.corner_px())
+        window.gel(&self.corners)
     }
 
     /// The kind of marker.
@@ -169,19 +171,26 @@ impl<const L: usize> Eye<L> {
         cubes as f64 / (squares.max(1) << BITS) as f64
     }
 
-    /// What is seen around a position in an image of this usual contrast.
-    #[must_use]
-    pub fn look(&self, image: GrayView<'_>, at_px: DVec2, usual_contrast: f64) -> Glance {
+    /// What is seen around each of some positions in an image of this usual contrast.
+    pub fn look_at_all(
+        &self,
+        image: GrayView<'_>,
+        positions_px: &[DVec2],
+        usual_contrast: f64,
+        mut see: impl FnMut(usize, Glance),
+    ) {
         let share_of_usual = |share: f64| (share * f64::from(1 << BITS) * usual_contrast) as i32;
-        let least = share_of_usual(SHARES_OF_USUAL.0);
-        match self.settle(&image, at_px, least) {
-            Settled::Nothing => Glance::Nothing,
-            Settled::Lost => Glance::Unclear,
-            Settled::At(gel, outline) => {
-                let faint = gel.depth < share_of_usual(SHARES_OF_USUAL.1);
-                let uneven = gel.uneven > share_of_usual(MOST_UNEVEN);
-                if faint || uneven { Glance::Unclear } else { self.decide(&outline) }
-            }
+        let [nothing, faint] = [SHARES_OF_USUAL.0, SHARES_OF_USUAL.1].map(share_of_usual);
+        let (uneven, mut room) = (share_of_usual(MOST_UNEVEN), Room::new());
+        for (position, &at_px) in positions_px.iter().enumerate() {
+            let glance = match self.settle(&image, at_px, nothing, &mut room) {
+                Settled::Nothing => Glance::Nothing,
+                Settled::At(gel, outline) if gel.depth >= faint && gel.uneven <= uneven => {
+                    self.decide(&outline)
+                }
+                Settled::Lost | Settled::At(..) => Glance::Unclear,
+            };
+            see(position, glance);
         }
     }
 
@@ -202,7 +211,7 @@ impl<const L: usize> Eye<L> {
     }
 
     fn outline_about(&self, image: &GrayView<'_>, at_px: DVec2) -> Option<Outline> {
-        match self.settle(image, at_px, 1) {
+        match self.settle(image, at_px, 1, &mut Room::new()) {
             Settled::At(gel, outline)
                 if !outline.touches
                     && f64::from(gel.uneven) < MOST_UNEVEN * f64::from(gel.depth)
@@ -276,10 +285,10 @@ impl<const L: usize> Eye<L> {
     }
 
     /// Moves the window until what it shows lies in its middle.
-    fn settle(&self, image: &GrayView<'_>, at_px: DVec2, least_depth: i32) -> Settled {
-        let (mut middle_px, mut room) = (at_px, Room::new());
+    fn settle(&self, image: &GrayView<'_>, at_px: DVec2, least_depth: i32, room: &mut Room<L>) -> Settled {
+        let mut middle_px = at_px;
         for _ in 0..TRIES {
-            let Some(mut window) = self.window(image, middle_px, &mut room) else { return Settled::Lost };
+            let Some(mut window) = self.window(image, middle_px, room) else { return Settled::Lost };
             let (place, gel) = (window.place, self.gel(&window));
             if gel.depth < least_depth {
                 return Settled::Nothing;

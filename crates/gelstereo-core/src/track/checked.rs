@@ -5,8 +5,9 @@ use super::canvas::{Canvas, NONE};
 use super::carry::Carry;
 use super::matching::{Before, Matching};
 use super::relabel::Relabel;
-use super::{NEVER_SEEN, Tracks};
+use super::{MarkerState, NEVER_SEEN, Tracks};
 use crate::detect::Markers;
+use crate::detect::near::Found;
 use crate::label::RestLattice;
 use crate::math::DVec2;
 use crate::params::{Motion, TrackParams};
@@ -141,6 +142,18 @@ impl CheckedTracker {
 
     /// Updates the tracks by the detections of the next frame. `out` holds the tracks of the frame before.
     pub fn run(&mut self, detected: &Markers, out: &mut Tracks) -> Verdict {
+        self.matching.forget_sights();
+        self.follow(detected, out)
+    }
+
+    /// As [`Self::run`], with the same bits, of what was found near the positions that [`Self::predict`] gave, the first ones of
+    /// those that were searched: what is known to be nearest is not searched for again.
+    pub fn run_near(&mut self, found: &Found, out: &mut Tracks) -> Verdict {
+        self.matching.take_sights(found, self.rest_px.len());
+        self.follow(&found.markers, out)
+    }
+
+    fn follow(&mut self, detected: &Markers, out: &mut Tracks) -> Verdict {
         if self.rest_px.is_empty() || out.positions_px.len() != self.rest_px.len() {
             return Verdict::Uncertain;
         }
@@ -227,16 +240,15 @@ impl CheckedTracker {
         let Self { canvas, carry, rest_px, cols, .. } = self;
         let in_view = anchor::in_view(self.size_px, self.pitch_px);
         core::mem::swap(&mut out.previous_px, &mut out.positions_px);
-        let detection = |n: usize| canvas.site(n, shift).map(|s| canvas.found[s]).filter(|&m| m != NONE);
-        for n in 0..rest_px.len() {
-            let found = detection(n);
+        for (n, site) in canvas.sites(shift).enumerate() {
+            let found = site.map(|s| canvas.found[s]).filter(|&m| m != NONE);
             if let Some(m) = found {
                 out.positions_px[n] = detected.centres_px[m as usize];
                 out.covariance_px2[n] = detected.covariance_px2[m as usize];
             }
             let missed = &mut out.missed_frames[n];
             // Out of view it is not missed, but expected as soon as it is back.
-            let out_of_view = canvas.site(n, shift).is_none_or(|s| !in_view(canvas.position_px(s)));
+            let out_of_view = site.is_none_or(|s| !in_view(canvas.position_px(s)));
             *missed = match (found, out_of_view) {
                 (Some(_), _) => 0,
                 (None, true) => (*missed).max(1),
@@ -244,8 +256,9 @@ impl CheckedTracker {
             };
             out.update_state(n, found.is_some(), self.params.max_held_frames);
         }
-        carry.run(rest_px, *cols, |n| detection(n).is_some(), &mut out.positions_px);
         (out.steady, out.stale) = (true, false);
+        let Tracks { positions_px, state, .. } = out;
+        carry.run(rest_px, *cols, |n| state[n] == MarkerState::Seen, positions_px);
     }
 
     /// Holds all markers where they are, as in a frame in which nothing is certain.

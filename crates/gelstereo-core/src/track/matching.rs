@@ -3,6 +3,7 @@
 use super::canvas::{Canvas, NONE, SUGGESTED_FROM};
 use super::grid::Grid;
 use super::near;
+use crate::detect::near::{Found, Sight};
 use crate::math::DVec2;
 use alloc::vec::Vec;
 
@@ -93,7 +94,14 @@ pub(super) struct Matching {
     component: Vec<u32>,
     stack: Vec<u32>,
     known: Vec<bool>,
+    /// Detection seen near each marker's expected position, or [`NONE`]; empty when unknown.
+    sights: Vec<u32>,
+    /// A detection closer than the root of this is nearer than all others.
+    nearest_px2: f64,
 }
+
+/// Nearer to one of two points than so much of their distance is nearer to it than to the other; less than half, for round-off.
+const NEARER: f64 = 0.499;
 
 impl Matching {
     /// Makes room for so many places and detections, spread over so many pixels.
@@ -106,11 +114,27 @@ impl Matching {
         self.component.reserve(sites);
         self.stack.reserve(sites);
         self.known.reserve(sites);
+        self.sights.reserve(sites);
     }
 
     /// Takes the detections of a frame.
     pub fn load(&mut self, detected_px: &[DVec2], pitch_px: f64) {
         self.grid.build(detected_px, pitch_px);
+    }
+
+    /// Searches every detection.
+    pub fn forget_sights(&mut self) {
+        self.sights.clear();
+    }
+
+    /// Expects what was seen near the first `markers` positions there.
+    pub fn take_sights(&mut self, found: &Found, markers: usize) {
+        self.nearest_px2 = (NEARER * found.apart_px) * (NEARER * found.apart_px);
+        self.sights.clear();
+        self.sights.extend(found.sights[..markers.min(found.sights.len())].iter().map(|sight| match sight {
+            Sight::Marker(m) => *m,
+            Sight::Nothing | Sight::Several | Sight::Unclear => NONE,
+        }));
     }
 
     /// Matches the loaded detections. Matches start closer than `gate_px` or, without one, from any that make a lattice.
@@ -190,10 +214,16 @@ impl Matching {
     /// Gives every target the free detection nearest to it and closer than the gate, if no other wants it about as
     /// much; whether any was given.
     fn claim(&mut self, canvas: &mut Canvas, detected_px: &[DVec2], gate_px: f64, disputed_px: f64) -> bool {
-        let Self { grid, taken, claims, targets, claimants, .. } = self;
+        let Self { grid, taken, claims, targets, claimants, sights, nearest_px2, .. } = self;
+        let sure_px2 = nearest_px2.min(gate_px * gate_px);
         claimants.clear();
         for &(site, target) in targets.iter() {
-            let Some(m) = grid.nearest(detected_px, target, gate_px, |m| !taken[m]) else { continue };
+            let seen = canvas.marker(site as usize).and_then(|n| sights.get(n)).map(|&m| m as usize);
+            let is_nearest = |m: &usize| {
+                *m < taken.len() && !taken[*m] && detected_px[*m].distance_squared(target) < sure_px2
+            };
+            let nearest = || grid.nearest(detected_px, target, gate_px, |m| !taken[m]);
+            let Some(m) = seen.filter(is_nearest).or_else(nearest) else { continue };
             let px2 = detected_px[m].distance_squared(target);
             let claim = &mut claims[m];
             *claim = if px2 < claim.nearest_px2 {

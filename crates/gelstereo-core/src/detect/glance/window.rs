@@ -93,6 +93,44 @@ impl<const L: usize> Lanes<L> {
     }
 }
 
+/// Division of whole numbers by a fixed one, truncated as `/` is, by its reciprocal, which takes a fraction of the time. It is
+/// rounded up to so many bits that the quotient is exact while number times divisor is below 2 to the power of [`Self::BITS`].
+#[derive(Clone, Copy, Debug)]
+struct Divisor {
+    reciprocal: i64,
+}
+
+impl Divisor {
+    const BITS: u32 = 38;
+
+    fn of(divisor: i32) -> Self {
+        Self { reciprocal: (1 << Self::BITS) / i64::from(divisor) + 1 }
+    }
+
+    fn divide(self, number: i32) -> i32 {
+        ((i64::from(number) * self.reciprocal) >> Self::BITS) as i32 + i32::from(number < 0)
+    }
+}
+
+/// The squares in a window's corners where the gel's level is taken.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Corners {
+    side_px: usize,
+    area: Divisor,
+    /// Twice the area by how far they are apart.
+    twice_apart: Divisor,
+}
+
+impl Corners {
+    /// In windows of markers of a kind.
+    pub(super) fn of(kind: &Kind) -> Self {
+        let (side, corner) = (kind.side_px as i32, kind.corner_px() as i32);
+        let area = corner * corner;
+        let twice_apart = Divisor::of(2 * area * (side - corner));
+        Self { side_px: kind.corner_px(), area: Divisor::of(area), twice_apart }
+    }
+}
+
 /// A window's pixels, dark markers on a bright gel.
 pub(super) struct Window<'a, const L: usize> {
     pub place: Place<L>,
@@ -114,20 +152,19 @@ impl<const L: usize> Room<L> {
 }
 
 impl<const L: usize> Window<'_, L> {
-    /// The gel by the window's corners, squares of `corner` pixels.
-    pub(super) fn gel(&self, corner: usize) -> Gel {
-        let far = self.place.side - corner;
+    /// The gel by the window's corners.
+    pub(super) fn gel(&self, corners: &Corners) -> Gel {
+        let (corner, far) = (corners.side_px, self.place.side - corners.side_px);
         let darkest = darkest(self.rows, &self.lanes.inside);
         let sums = |first: usize| {
             let columns = sum_columns(&self.rows[first..first + corner]);
             (products(&columns, &self.lanes.left), products(&columns, &self.lanes.right))
         };
         let ((a, b), (c, d)) = (sums(0), sums(far));
-        let area = (corner * corner) as i32;
         let per_px =
-            |difference: i32| ((difference << 8) / (2 * area * far as i32)).clamp(-MOST_SLOPE, MOST_SLOPE);
-        let level = ((a + b + c + d) << BITS) / (4 * area);
-        let uneven = ((a.max(b).max(c).max(d) - a.min(b).min(c).min(d)) << BITS) / area;
+            |difference: i32| corners.twice_apart.divide(difference << 8).clamp(-MOST_SLOPE, MOST_SLOPE);
+        let level = corners.area.divide((a + b + c + d) << (BITS - 2));
+        let uneven = corners.area.divide((a.max(b).max(c).max(d) - a.min(b).min(c).min(d)) << BITS);
         let depth = (level - (i32::from(darkest) << BITS)).max(0);
         Gel { level, along: per_px(b + d - a - c), down: per_px(c + d - a - b), uneven, depth }
     }
@@ -145,5 +182,30 @@ impl<const L: usize> Window<'_, L> {
         let added = side * gel.down.abs() + (side - 1) * gel.down;
         weigh(self.rows, &limit, (added, 2 * gel.down), band);
         Weights::of(self.rows)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::detect::glance::MOST_SIDE_PX;
+
+    /// Of every sum that a window's corners may have, with its fractional bits, and so of every slope.
+    #[test]
+    fn a_divisor_divides_as_the_operator_does() {
+        let largest = (MOST_SIDE_PX / 5) as i32;
+        for corner in 2..=largest {
+            let area = corner * corner;
+            let most = 255 * area;
+            for sum in 0..=4 * most << 1 {
+                assert_eq!(Divisor::of(area).divide(sum), sum / area);
+            }
+            for far in 1..MOST_SIDE_PX as i32 {
+                let divisor = 2 * area * far;
+                for difference in -2 * most..=2 * most {
+                    assert_eq!(Divisor::of(divisor).divide(difference << 8), (difference << 8) / divisor);
+                }
+            }
+        }
     }
 }
