@@ -105,6 +105,13 @@ fn the_mask_has_the_image_s_size() {
     assert!(differ / full < std::f64::consts::PI * 4.3 / 58.0, "{differ} of {full}");
 }
 
+/// Lattice without its middle.
+fn dots_around_a_gap() -> Dots {
+    let mut dots = dots(9, 17.6, (200, 200));
+    dots.centres_px.retain(|c| (*c - 100.0).abs().max_element() > 40.0);
+    dots
+}
+
 /// What half the size may hide is searched at full size, with the bits of that search.
 #[test]
 fn images_that_half_the_size_may_not_show_are_searched_at_their_own() {
@@ -120,6 +127,7 @@ fn images_that_half_the_size_may_not_show_are_searched_at_their_own() {
         ("a pair", pair.render()),
         ("a pixel from the border", at_border.render()),
         ("the finest print", Dots { radius_px: 1.35, ..dots(41, 4.6, (200, 200)) }.render()),
+        ("fine dots beside the middle", Dots { radius_px: 2.5, ..dots_around_a_gap() }.render()),
     ];
     for (name, image) in &cases {
         let (half, full, found_at) = both(image, 200);
