@@ -5,6 +5,7 @@ use super::canvas::{Canvas, NONE};
 use super::carry::Carry;
 use super::matching::{Before, Matching};
 use super::relabel::Relabel;
+use super::sights::Sights;
 use super::{MarkerState, NEVER_SEEN, Tracks};
 use crate::detect::Markers;
 use crate::detect::near::Found;
@@ -142,18 +143,16 @@ impl CheckedTracker {
 
     /// Updates the tracks by the detections of the next frame. `out` holds the tracks of the frame before.
     pub fn run(&mut self, detected: &Markers, out: &mut Tracks) -> Verdict {
-        self.matching.forget_sights();
-        self.follow(detected, out)
+        self.follow(detected, Sights::default(), out)
     }
 
     /// As [`Self::run`], with the same bits, of what was found near the positions that [`Self::predict`] gave, the first ones of
     /// those that were searched: what is known to be nearest is not searched for again.
     pub fn run_near(&mut self, found: &Found, out: &mut Tracks) -> Verdict {
-        self.matching.take_sights(found, self.rest_px.len());
-        self.follow(&found.markers, out)
+        self.follow(&found.markers, Sights::of(found), out)
     }
 
-    fn follow(&mut self, detected: &Markers, out: &mut Tracks) -> Verdict {
+    fn follow(&mut self, detected: &Markers, sights: Sights<'_>, out: &mut Tracks) -> Verdict {
         if self.rest_px.is_empty() || out.positions_px.len() != self.rest_px.len() {
             return Verdict::Uncertain;
         }
@@ -164,7 +163,7 @@ impl CheckedTracker {
         let _ = self.predict(out);
         self.matching.load(&detected.centres_px, self.pitch_px);
         for rings in RINGS {
-            if let Some(shift) = self.identify(&detected.centres_px, rings, out) {
+            if let Some(shift) = self.identify(&detected.centres_px, (rings, sights), out) {
                 self.take(detected, shift, out);
                 return Verdict::Certain;
             }
@@ -172,7 +171,7 @@ impl CheckedTracker {
         // Gel that was let go while nothing was certain looks as at rest.
         if out.stale {
             self.expected_px.clone_from(&self.rest_px);
-            if let Some(shift) = self.identify(&detected.centres_px, RINGS[1], out) {
+            if let Some(shift) = self.identify(&detected.centres_px, (RINGS[1], sights), out) {
                 self.take(detected, shift, out);
                 return Verdict::Certain;
             }
@@ -213,11 +212,16 @@ impl CheckedTracker {
     }
 
     /// The shift of the lattice on a canvas with so many rings, if that is certain.
-    fn identify(&mut self, detected_px: &[DVec2], rings: usize, tracks: &Tracks) -> Option<[isize; 2]> {
+    fn identify(
+        &mut self,
+        detected_px: &[DVec2],
+        (rings, sights): (usize, Sights<'_>),
+        tracks: &Tracks,
+    ) -> Option<[isize; 2]> {
         let Self { canvas, matching, pitch_px, .. } = self;
         canvas.lay(&self.expected_px, self.rows, self.cols, rings);
         let gate_px = (rings == RINGS[0]).then_some(self.params.gate_pitches * *pitch_px);
-        let whole = matching.run(canvas, detected_px, before(tracks, *pitch_px), gate_px);
+        let whole = matching.run(canvas, detected_px, before(tracks, *pitch_px), (gate_px, sights));
         // What most detections do not belong to is not the lattice.
         let matched = canvas.found.iter().filter(|&&m| m != NONE).count();
         if !whole || MOST_PER_SITE * matched < detected_px.len() {

@@ -17,12 +17,7 @@ pub(crate) struct Grid {
     starts: Vec<u32>,
     /// Indices of points, ascending within a bucket.
     items: Vec<u32>,
-    /// Bucket of each point, or [`OUTSIDE`].
-    buckets: Vec<u32>,
 }
-
-/// Of points that are not finite.
-const OUTSIDE: u32 = u32::MAX;
 
 impl Grid {
     /// Makes room for so many points, spread over so many pixels, in buckets of at least `side_px`.
@@ -31,10 +26,8 @@ impl Grid {
         let buckets = |extent: usize| ((extent as f64 / side_px) as usize + 4).min(MOST_BUCKETS + 1);
         self.starts.clear();
         self.starts.reserve(buckets(spread_px.0) * buckets(spread_px.1) + 1);
-        for list in [&mut self.items, &mut self.buckets] {
-            list.clear();
-            list.reserve(points);
-        }
+        self.items.clear();
+        self.items.reserve(points);
     }
 
     /// Sorts `points` into buckets of at least `side_px`. Points that are not finite are left out.
@@ -55,13 +48,9 @@ impl Grid {
         let buckets = |extent: f64| ((extent * self.per_px) as usize).min(MOST_BUCKETS) + 1;
         (self.columns, self.rows) = (buckets(spread.x), buckets(spread.y));
         self.starts.resize(self.columns * self.rows + 1, 0);
-        self.buckets.clear();
-        for &point in points {
-            let bucket = if point.is_finite() { self.bucket(point) as u32 } else { OUTSIDE };
-            self.buckets.push(bucket);
-            if bucket != OUTSIDE {
-                self.starts[bucket as usize] += 1;
-            }
+        for &point in finite() {
+            let bucket = self.bucket(point);
+            self.starts[bucket] += 1;
         }
         let mut end = 0;
         for start in &mut self.starts {
@@ -70,10 +59,10 @@ impl Grid {
         }
         // From the last point down, so that the counts become the starts and indices ascend.
         self.items.resize(end as usize, 0);
-        for (index, &bucket) in self.buckets.iter().enumerate().rev().filter(|&(_, &b)| b != OUTSIDE) {
-            let start = &mut self.starts[bucket as usize];
-            *start -= 1;
-            self.items[*start as usize] = index as u32;
+        for (index, &point) in points.iter().enumerate().rev().filter(|(_, p)| p.is_finite()) {
+            let bucket = self.bucket(point);
+            self.starts[bucket] -= 1;
+            self.items[self.starts[bucket] as usize] = index as u32;
         }
     }
 

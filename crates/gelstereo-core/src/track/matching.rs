@@ -3,7 +3,7 @@
 use super::canvas::{Canvas, NONE, SUGGESTED_FROM};
 use super::grid::Grid;
 use super::near;
-use crate::detect::near::{Found, Sight};
+use super::sights::Sights;
 use crate::math::DVec2;
 use alloc::vec::Vec;
 
@@ -94,14 +94,7 @@ pub(super) struct Matching {
     component: Vec<u32>,
     stack: Vec<u32>,
     known: Vec<bool>,
-    /// Detection seen near each marker's expected position, or [`NONE`]; empty when unknown.
-    sights: Vec<u32>,
-    /// A detection closer than the root of this is nearer than all others.
-    nearest_px2: f64,
 }
-
-/// Nearer to one of two points than so much of their distance is nearer to it than to the other; less than half, for round-off.
-const NEARER: f64 = 0.499;
 
 impl Matching {
     /// Makes room for so many places and detections, spread over so many pixels.
@@ -114,27 +107,11 @@ impl Matching {
         self.component.reserve(sites);
         self.stack.reserve(sites);
         self.known.reserve(sites);
-        self.sights.reserve(sites);
     }
 
     /// Takes the detections of a frame.
     pub fn load(&mut self, detected_px: &[DVec2], pitch_px: f64) {
         self.grid.build(detected_px, pitch_px);
-    }
-
-    /// Searches every detection.
-    pub fn forget_sights(&mut self) {
-        self.sights.clear();
-    }
-
-    /// Expects what was seen near the first `markers` positions there.
-    pub fn take_sights(&mut self, found: &Found, markers: usize) {
-        self.nearest_px2 = (NEARER * found.apart_px) * (NEARER * found.apart_px);
-        self.sights.clear();
-        self.sights.extend(found.sights[..markers.min(found.sights.len())].iter().map(|sight| match sight {
-            Sight::Marker(m) => *m,
-            Sight::Nothing | Sight::Several | Sight::Unclear => NONE,
-        }));
     }
 
     /// Matches the loaded detections. Matches start closer than `gate_px` or, without one, from any that make a lattice.
@@ -144,15 +121,15 @@ impl Matching {
         canvas: &mut Canvas,
         detected_px: &[DVec2],
         before: Before<'_>,
-        gate_px: Option<f64>,
+        (gate_px, sights): (Option<f64>, Sights<'_>),
     ) -> bool {
         let disputed_px = DISPUTED * before.pitch_px;
         self.start(detected_px.len());
         self.targets.clear();
         self.targets.extend(canvas.predicted_px.iter().enumerate().map(|(s, &p)| (s as u32, p)));
         match gate_px {
-            Some(gate_px) => self.claim(canvas, detected_px, gate_px, disputed_px),
-            None => self.claim(canvas, detected_px, HALF_DIAGONAL * before.pitch_px, 0.0),
+            Some(gate_px) => self.claim(canvas, detected_px, (gate_px, disputed_px), sights),
+            None => self.claim(canvas, detected_px, (HALF_DIAGONAL * before.pitch_px, 0.0), sights),
         };
         if agree_all(canvas, before) {
             // What lies beyond the gate when all have moved nearly as far.
@@ -194,7 +171,8 @@ impl Matching {
                     self.targets.push((site as u32, canvas.predicted_px[site] + mean));
                 }
             }
-            if self.claim(canvas, detected_px, NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px) {
+            let reach_px = (NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px);
+            if self.claim(canvas, detected_px, reach_px, Sights::default()) {
                 self.grow(canvas, detected_px, pitch_px);
                 changed = true;
             }
@@ -213,12 +191,18 @@ impl Matching {
 
     /// Gives every target the free detection nearest to it and closer than the gate, if no other wants it about as
     /// much; whether any was given.
-    fn claim(&mut self, canvas: &mut Canvas, detected_px: &[DVec2], gate_px: f64, disputed_px: f64) -> bool {
-        let Self { grid, taken, claims, targets, claimants, sights, nearest_px2, .. } = self;
-        let sure_px2 = nearest_px2.min(gate_px * gate_px);
+    fn claim(
+        &mut self,
+        canvas: &mut Canvas,
+        detected_px: &[DVec2],
+        (gate_px, disputed_px): (f64, f64),
+        sights: Sights<'_>,
+    ) -> bool {
+        let Self { grid, taken, claims, targets, claimants, .. } = self;
+        let sure_px2 = sights.nearest_px2.min(gate_px * gate_px);
         claimants.clear();
         for &(site, target) in targets.iter() {
-            let seen = canvas.marker(site as usize).and_then(|n| sights.get(n)).map(|&m| m as usize);
+            let seen = canvas.marker(site as usize).and_then(|n| sights.detection(n));
             let is_nearest = |m: &usize| {
                 *m < taken.len() && !taken[*m] && detected_px[*m].distance_squared(target) < sure_px2
             };
@@ -299,7 +283,7 @@ impl Matching {
 
     /// Matches places beside matched ones, predicted by their residuals, until nothing new is found; whether anything was.
     fn grow(&mut self, canvas: &mut Canvas, detected_px: &[DVec2], pitch_px: f64) -> bool {
-        let mut any = false;
+        let (mut any, reach_px) = (false, (NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px));
         loop {
             self.targets.clear();
             for site in (0..canvas.found.len()).filter(|&s| canvas.found[s] == NONE) {
@@ -307,7 +291,7 @@ impl Matching {
                     self.targets.push((site as u32, canvas.predicted_px[site] + around.middle_px));
                 }
             }
-            if !self.claim(canvas, detected_px, NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px) {
+            if !self.claim(canvas, detected_px, reach_px, Sights::default()) {
                 return any;
             }
             any = true;
