@@ -130,16 +130,15 @@ impl<'a> GrayView<'a> {
     /// image.
     pub(crate) fn copy_lanes<const L: usize>(&self, (x, y): (usize, usize), rows: &mut [[u8; L]]) {
         let inside = x + L <= self.width && y + rows.len() <= self.height;
-        let (Some((last, others)), true) = (rows.split_last_mut(), inside) else { return };
-        let first = y * self.stride + x;
-        let data = &self.data[first..first + others.len() * self.stride + L];
-        // All of one length, so that no row asks how much is left.
-        for (row, levels) in others.iter_mut().zip(data.chunks_exact(self.stride)) {
-            let Some(levels) = levels.first_chunk() else { return };
-            *row = *levels;
+        if !inside {
+            return;
         }
-        if let Some(levels) = data.last_chunk() {
-            *last = *levels;
+        // Chunks of a stride would be counted first, by a division.
+        let mut first = y * self.stride + x;
+        for row in rows {
+            let Some(levels) = self.data.get(first..).and_then(<[u8]>::first_chunk) else { return };
+            *row = *levels;
+            first += self.stride;
         }
     }
 

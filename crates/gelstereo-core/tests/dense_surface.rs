@@ -106,8 +106,10 @@ fn weights_agree_with_counted_areas() {
 /// to the rounding of areas, 1e2 eps of a cell's, over which coordinates of up to 1e3 mm round as well.
 #[test]
 fn row_13_an_exact_lattice_has_weights_everywhere() {
-    for (centre, turn_deg) in [(DVec2::ZERO, 0.0_f64), (DVec2::new(1e3, -1e3), 0.0), (DVec2::ZERO, 45.0)] {
-        let rest = lattice(25, 25, 1.0, centre, turn_deg, 0.0);
+    let placed = [(DVec2::ZERO, 0.0_f64), (DVec2::new(1e3, -1e3), 0.0), (DVec2::ZERO, 45.0)];
+    // 24 x 0.9 / 0.3 is 72.00000000000001 in floating point.
+    for ((centre, turn_deg), pitch_mm) in placed.into_iter().flat_map(|place| [(place, 1.0), (place, 0.9)]) {
+        let rest = lattice(25, 25, pitch_mm, centre, turn_deg, 0.0);
         let side = |of: fn(&DVec2) -> f64| {
             let (low, high) =
                 rest.iter().map(of).fold((f64::MAX, f64::MIN), |(l, h), x| (l.min(x), h.max(x)));
@@ -126,7 +128,7 @@ fn row_13_an_exact_lattice_has_weights_everywhere() {
             for cell in 0..surface.rows() * surface.cols() {
                 let at = surface.rest_mm(cell / surface.cols(), cell % surface.cols());
                 let along = DVec2::from_angle(-turn_deg.to_radians()).rotate(at - centre);
-                let outside_mm = along.abs().max_element() - 12.0;
+                let outside_mm = along.abs().max_element() - 12.0 * pitch_mm;
                 let known = surface.is_known(cell);
                 assert!(known == (outside_mm <= 0.0) || turn_deg > 0.0 && outside_mm.abs() < 1e-12, "{at}");
                 let weights = surface.weights_of(cell);

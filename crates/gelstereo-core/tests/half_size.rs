@@ -3,6 +3,7 @@
 
 mod support;
 
+use gelstereo_core::detect::glance::Kind;
 use gelstereo_core::detect::{Detector, Markers};
 use gelstereo_core::math::DVec2;
 use gelstereo_core::math::random::Stream;
@@ -36,8 +37,21 @@ fn most_apart_px(noise: f64, contrast: f64) -> f64 {
     3.5 * 0.007 * (noise + 1.0) * 120.0 / contrast
 }
 
-/// Where the corners of windows reach other markers all centres are off; no marker may be taken for another.
-const CORNERS_ON_MARKERS_PX: f64 = 0.5;
+/// Farthest apart where the corners of windows reach other markers, which must not be taken for it: a window of one centre may
+/// have them on one side, that of the other, a pixel away, on the other side, so this is twice what one does. That is the larger
+/// of two, which pull to opposite sides. The gel's plane tilts: by 0.35 of the contrast at most from corners to corners. The
+/// share of an edge that is followed, half the contrast, is as wide as half a pixel's diagonal, and its weights change over half
+/// the contrast: over a ring of radius r that moves the centre by 2 * 0.35 r / 2^0.5 over the corners' distance. And what reaches
+/// into the window weighs itself: at most one pixel in its outermost line, at half its side, over the marker's area.
+fn most_apart_beside_others_px(markers: &Markers) -> f64 {
+    let count = markers.area_px2.len().max(1) as f64;
+    let area_px2 = markers.area_px2.iter().map(|&area| f64::from(area)).sum::<f64>() / count;
+    let Some(kind) = Kind::of(area_px2) else { return 0.0 };
+    let side_px = kind.side_px as f64;
+    let corner_px = (side_px / 5.0).floor().max(2.0);
+    let tilted_px = 0.7 * kind.radius_px * 0.5_f64.sqrt() / (side_px - corner_px);
+    2.0 * tilted_px.max(0.5 * side_px / area_px2)
+}
 
 /// Each has the other's markers, within a distance.
 fn agree(half: &Markers, full: &Markers, most_px: f64) -> Result<(), TestCaseError> {
@@ -91,6 +105,13 @@ fn the_mask_has_the_image_s_size() {
     assert!(differ / full < std::f64::consts::PI * 4.3 / 58.0, "{differ} of {full}");
 }
 
+/// Lattice without its middle.
+fn dots_around_a_gap() -> Dots {
+    let mut dots = dots(9, 17.6, (200, 200));
+    dots.centres_px.retain(|c| (*c - 100.0).abs().max_element() > 40.0);
+    dots
+}
+
 /// What half the size may hide is searched at full size, with the bits of that search.
 #[test]
 fn images_that_half_the_size_may_not_show_are_searched_at_their_own() {
@@ -106,6 +127,7 @@ fn images_that_half_the_size_may_not_show_are_searched_at_their_own() {
         ("a pair", pair.render()),
         ("a pixel from the border", at_border.render()),
         ("the finest print", Dots { radius_px: 1.35, ..dots(41, 4.6, (200, 200)) }.render()),
+        ("fine dots beside the middle", Dots { radius_px: 2.5, ..dots_around_a_gap() }.render()),
     ];
     for (name, image) in &cases {
         let (half, full, found_at) = both(image, 200);
@@ -116,6 +138,43 @@ fn images_that_half_the_size_may_not_show_are_searched_at_their_own() {
     // Settings with other centres never look at half size.
     let params = DetectParams { find_at: FindAt::HalfSize, ..Params::preset("balanced").unwrap().detect };
     assert_eq!(search(&params, &clear.render(), 200).1, FindAt::FullSize);
+}
+
+/// Of markers of very different sizes either may be the usual one; what is a speck beside the largest only, or is only as
+/// large as a pixel's rounding makes it, is searched at full size.
+#[test]
+fn specks_are_specks_beside_any_of_the_markers() {
+    let images = [
+        (
+            10_942_344_925_863_980,
+            vec![
+                (17.383, 66.42, 5.595),
+                (31.414, 92.739, 2.905),
+                (78.953, 87.869, 4.803),
+                (80.452, 37.915, 1.116),
+            ],
+        ),
+        (80_153_246_442_961_485, vec![(139.558, 80.191, 2.594), (8.109, 102.787, 1.217)]),
+    ];
+    for (seed, places) in images {
+        let image = disorder(&places, None, seed);
+        let (half, full, _) = both(&image, 160);
+        agree(&half, &full, most_apart_px(2.0, 120.0) + most_apart_beside_others_px(&half)).unwrap();
+    }
+}
+
+/// Dots (x, y, radius) on white of 160 x 120 pixels, a scratch (x, y, length), and noise of 2 levels.
+fn disorder(places: &[(f64, f64, f64)], scratch: Option<(usize, usize, usize)>, seed: u64) -> Vec<u8> {
+    let mut image = vec![u8::MAX; 160 * 120];
+    for &(x, y, radius_px) in places {
+        let one = Dots { radius_px, ..Dots::new(160, 120, vec![DVec2::new(x, y)]) }.render();
+        image.iter_mut().zip(one).for_each(|(level, other)| *level = other.min(*level));
+    }
+    if let Some((x, y, length)) = scratch {
+        image[y * 160 + x..][..length.min(160 - x)].fill(70);
+    }
+    let mut stream = Stream::new(seed, "noise");
+    image.iter().map(|&level| (f64::from(level) + 2.0 * stream.normal()) as u8).collect()
 }
 
 proptest! {
@@ -145,7 +204,8 @@ proptest! {
         let radius_px = share * pitch_px;
         // Half the diagonal of a window, another marker beyond it with its edge, and shear.
         let apart_px = 0.9 * pitch_px - radius_px - 1.0 - 2.0_f64.sqrt() * (radius_px + 4.0);
-        let most_px = if apart_px > 0.0 { most_apart_px(noise, contrast) } else { CORNERS_ON_MARKERS_PX };
+        let others_px = if apart_px > 0.0 { 0.0 } else { most_apart_beside_others_px(&half) };
+        let most_px = most_apart_px(noise, contrast) + others_px;
         match found_at {
             FindAt::HalfSize => agree(&half, &full, most_px)?,
             FindAt::FullSize => prop_assert_eq!(half, full),
@@ -160,20 +220,13 @@ proptest! {
         scratch in prop::option::of((0..150_usize, 0..118_usize, 1..40_usize)),
         seed in any::<u64>(),
     ) {
-        let mut image = vec![u8::MAX; 160 * 120];
-        let spots = places.iter().chain(&specks);
-        for &(x, y, radius_px) in spots {
-            let one = Dots { radius_px, ..Dots::new(160, 120, vec![DVec2::new(x, y)]) }.render();
-            image.iter_mut().zip(one).for_each(|(level, other)| *level = other.min(*level));
-        }
-        if let Some((x, y, length)) = scratch {
-            image[y * 160 + x..][..length.min(160 - x)].fill(70);
-        }
-        let mut stream = Stream::new(seed, "noise");
-        let image: Vec<u8> = image.iter().map(|&level| (f64::from(level) + 2.0 * stream.normal()) as u8).collect();
+        let places: Vec<_> = places.into_iter().chain(specks).collect();
+        let image = disorder(&places, scratch, seed);
         let (half, full, found_at) = both(&image, 160);
         match found_at {
-            FindAt::HalfSize => agree(&half, &full, CORNERS_ON_MARKERS_PX)?,
+            FindAt::HalfSize => {
+                agree(&half, &full, most_apart_px(2.0, 120.0) + most_apart_beside_others_px(&half))?;
+            }
             FindAt::FullSize => prop_assert_eq!(half, full),
         }
     }

@@ -282,6 +282,27 @@ fn row_19_total_internal_reflection() {
     }
 }
 
+/// Whatever slope the search begins with, it ends at the same pixel. From far above, Newton's step ends below nothing: where the
+/// gap is small, the light's reach has all but ended there.
+#[test]
+fn row_19_any_start_leads_to_the_same_slope() {
+    for gap_mm in [0.0, 1e-3, 1.0, 20.0] {
+        let layers = Layers { normal: DVec3::Z, gap_mm, plates: vec![], gel_index: 1.41 };
+        let rig = plain(Some(layers));
+        let view = rig.view(View::Left);
+        for x in [0.0, 0.5, 2.0, 4.0] {
+            let point_mm = DVec3::new(x, 0.3 * x, gap_mm + 5.0);
+            let cold = view.project(point_mm).unwrap();
+            for start in [1e-9, 0.1, 1.0, 10.0, 1e3, 1e6] {
+                let warm = view.project_with_jacobian(point_mm, start).map(|p| p.pixel_px);
+                // Both rest within 1e-16 of their slope, which the next step would not change, and round as the pixel does.
+                let off_px = warm.unwrap().distance(cold);
+                assert!(off_px < 20.0 * EPS * (1000.0 + cold.length()), "{gap_mm} {x} {start}: {off_px} px");
+            }
+        }
+    }
+}
+
 #[test]
 fn points_behind_a_camera_and_rigs_within_their_layers_are_refused() {
     let through = rig(Some(acrylic_and_gel(DVec3::Z)));

@@ -3,11 +3,12 @@
 mod support;
 
 use gelstereo_core::detect::Markers;
+use gelstereo_core::detect::near::{Found, Sight};
 use gelstereo_core::math::DVec2;
 use gelstereo_core::params::{Motion, TrackParams};
 use gelstereo_core::track::{MarkerState, Verdict};
 use proptest::prelude::*;
-use support::sequence::{MARKERS, PITCH_PX, Run, Seeing, Warp};
+use support::sequence::{MARKERS, PITCH_PX, Run, Seeing, Warp, see};
 
 fn params(motion: Motion) -> TrackParams {
     TrackParams { motion, ..TrackParams::default() }
@@ -34,6 +35,51 @@ fn grip(share: f64) -> Warp {
         twist_rad: 30_f64.to_radians() * share,
         ..Warp::new()
     }
+}
+
+/// What is known to be nearest need not be searched for: whatever is said to be seen near a marker, right or wrong, the tracks
+/// are those of a search, to the bit, as long as no two detections are closer than is said.
+#[test]
+fn sights_change_no_bit() {
+    let mut used = 0;
+    for (motion, seed) in MOTIONS.into_iter().flat_map(|motion| [motion; 4]).zip(0..) {
+        let mut run = start(motion, seed);
+        let (mut near, mut tracks) = (run.tracker.clone(), run.tracks.clone());
+        for k in 0..12 {
+            let seeing = Seeing { missing: 0.03, merged: 4, specks: 6, ..Seeing::default() };
+            let warp =
+                Warp { shift_px: DVec2::new(0.3, 0.8) * f64::from(k * k), ..grip(f64::from(k) / 12.0) };
+            let frame = see(&run.rest_px, &warp, &seeing, &mut run.stream);
+            let centres = &frame.markers.centres_px;
+            let apart2 = |(n, a): (usize, &DVec2)| {
+                centres[..n].iter().map(|b| a.distance_squared(*b)).fold(f64::INFINITY, f64::min)
+            };
+            let apart_px = centres.iter().enumerate().map(apart2).fold(f64::INFINITY, f64::min).sqrt();
+            let mut sights = vec![Sight::Nothing; MARKERS];
+            for (m, identity) in (0..).zip(&frame.identity) {
+                let Some(n) = *identity else { continue };
+                // One in eight is that of another marker, or of none.
+                let other = run.stream.below(8 * centres.len()) as u32;
+                sights[n] = Sight::Marker(if (other as usize) < 2 * centres.len() { other } else { m });
+            }
+            let expected_px = near.predict(&tracks);
+            used += (expected_px.iter().zip(&sights))
+                .filter(|&(at, sight)| {
+                    let m = match sight {
+                        Sight::Marker(m) => *m as usize,
+                        _ => return false,
+                    };
+                    centres.get(m).is_some_and(|c| c.distance(*at) < 0.49 * apart_px)
+                })
+                .count();
+            let found = Found { markers: frame.markers.clone(), sights, apart_px };
+            let verdicts =
+                [run.tracker.run(&frame.markers, &mut run.tracks), near.run_near(&found, &mut tracks)];
+            assert_eq!(verdicts[0], verdicts[1], "frame {k}");
+            assert_eq!(run.tracks, tracks, "frame {k}");
+        }
+    }
+    assert!(used > 1000, "{used}");
 }
 
 #[test]

@@ -182,7 +182,8 @@ proptest! {
         }
         prop_assert_eq!(taken.len(), found.markers.centres_px.len());
         for (n, a) in found.markers.centres_px.iter().enumerate() {
-            prop_assert!(found.markers.centres_px[..n].iter().all(|b| a.distance(*b) > 1.0));
+            prop_assert!(found.markers.centres_px[..n].iter().all(|b| a.distance(*b) > found.apart_px * (1.0 - 1e-9)));
+            prop_assert!(found.apart_px > 1.0);
         }
         let inverted: Vec<u8> = bytes.iter().map(|level| 255 - level).collect();
         let bright = DetectParams { polarity: Polarity::Bright, ..params() };

@@ -5,26 +5,16 @@
 //! ([`super::near`]).
 
 mod eyes;
+mod kind;
 mod lanes;
+mod window;
 
 use crate::image::GrayView;
 use crate::math::DVec2;
 pub(super) use eyes::Eyes;
-use lanes::{Weights, darkest, moments, products, step_up, sum_columns, weigh};
-
-/// Most rows and columns of a window.
-pub const MOST_SIDE_PX: usize = 32;
-
-/// Gel around a marker, beyond its outline, that takes part in its centre: its blurred edge.
-const EDGE_PX: f64 = 2.5;
-
-/// Room for a marker beside its expected position, beyond its edge, pixels to both sides together.
-const SLACK_PX: f64 = 3.0;
-
-/// Smaller markers, which stand closer together, have less of both: weights end where a fifth of the contrast is left
-/// ([`BAND`]), within a pixel of the outline.
-const SMALL_RADIUS_PX: f64 = 1.8;
-const SMALL_EDGE_AND_SLACK_PX: (f64, f64) = (1.25, 2.0);
+pub use kind::{Kind, MOST_SIDE_PX};
+use lanes::{Weights, moments};
+use window::{BITS, Corners, Gel, Lanes, Place, Room, Window};
 
 /// A centre farther from the window's middle is looked at again, from a window around it.
 const OFF_PX: f64 = 1.0;
@@ -32,21 +22,15 @@ const OFF_PX: f64 = 1.0;
 /// Windows tried for one position.
 const TRIES: usize = 3;
 
-/// Contrasts that count, as shares of that of the window's darkest pixel: noise of the gel lies below, grain
-/// of the paint above.
-const BAND: (f64, f64) = (0.2, 0.7);
-
 /// Contrasts of less than this share of the usual one are no marker; and no marker has less than the second.
 const SHARES_OF_USUAL: (f64, f64) = (0.3, 0.45);
 
 /// Corners whose levels differ by more than this share of the contrast: a shadow, a smear, another marker.
 const MOST_UNEVEN: f64 = 0.35;
+
 /// A component's mean position is so near to its marker's centre: simulated, 0.4 px at noise 2, 0.6 px at noise 18; two markers that
 /// nearly touch have theirs 2.5 px or more from their middle.
 const MOST_OFF_PX: f64 = 1.0;
-
-/// Shares of the usual area that a marker may have.
-const SHARES_OF_AREA: (f64, f64) = (0.4, 2.0);
 
 /// A disc's second moment about its centre is area / 2 pi in each axis together; ellipses of 1 : 2 have 1.25
 /// times as much, two pieces more.
@@ -54,66 +38,6 @@ const MOST_SPREAD: f64 = 1.35;
 
 /// What blur adds to it, px².
 const BLUR_PX2: f64 = 1.0;
-
-/// Fractional bits of levels.
-const BITS: u32 = 3;
-
-/// Markers of one size, and the windows around them.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Kind {
-    /// Rows and columns of a window.
-    pub side_px: usize,
-    /// Usual marker's radius.
-    pub radius_px: f64,
-    /// Least and largest area of a marker.
-    pub area_px2: (u32, u32),
-}
-
-impl Kind {
-    /// For markers of a usual area; `None` where they are too large for a window.
-    #[must_use]
-    pub fn of(usual_area_px2: f64) -> Option<Self> {
-        let radius_px = crate::math::sqrt(usual_area_px2.max(0.0) * core::f64::consts::FRAC_1_PI);
-        let (edge_px, slack_px) = edge_and_slack_px(radius_px);
-        let side_px = crate::math::floor(2.0 * (radius_px + edge_px) + slack_px);
-        if !(usual_area_px2 > 0.0 && side_px <= MOST_SIDE_PX as f64) {
-            return None;
-        }
-        let area = |share: f64| (share * usual_area_px2) as u32;
-        let area_px2 = (area(SHARES_OF_AREA.0).max(1), area(SHARES_OF_AREA.1));
-        Some(Self { side_px: side_px as usize, radius_px, area_px2 })
-    }
-
-    /// Whether a window about one marker ends before its neighbours' edges when they stand a pitch away.
-    #[must_use]
-    pub fn fits(&self, pitch_px: f64) -> bool {
-        let (edge_px, _) = edge_and_slack_px(self.radius_px);
-        self.side_px as f64 <= 2.0 * (pitch_px - self.radius_px) - edge_px
-    }
-
-    /// Whether windows are at most 16 pixels wide.
-    pub(super) const fn is_small(&self) -> bool {
-        self.side_px <= 16
-    }
-
-    pub(super) fn usual_area_px2(&self) -> f64 {
-        core::f64::consts::PI * self.radius_px * self.radius_px
-    }
-
-    /// A square with this side holds no two markers' centres: they would overlap by half.
-    pub(super) const fn cell_px(&self) -> f64 {
-        self.radius_px.max(1.0)
-    }
-
-    /// Side of the squares in a window's corners where the gel's level is taken.
-    const fn corner_px(&self) -> usize {
-        if self.side_px < 15 { 2 } else { self.side_px / 5 }
-    }
-}
-
-fn edge_and_slack_px(radius_px: f64) -> (f64, f64) {
-    if radius_px < SMALL_RADIUS_PX { SMALL_EDGE_AND_SLACK_PX } else { (EDGE_PX, SLACK_PX) }
-}
 
 /// A marker in a window.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -137,143 +61,6 @@ pub enum Glance {
     Unclear,
 }
 
-/// Steepest gel, 1 / 256 level per pixel.
-const MOST_SLOPE: i32 = 256;
-
-/// The gel of a window as a plane, and its darkest pixel.
-#[derive(Clone, Copy, Debug)]
-struct Gel {
-    /// In the middle, with [`BITS`].
-    level: i32,
-    /// Slopes along a row and down, 1 / 256 level per pixel.
-    along: i32,
-    down: i32,
-    /// Of the corners, from the darkest to the brightest, with [`BITS`].
-    uneven: i32,
-    /// Contrast of the darkest pixel, with [`BITS`].
-    depth: i32,
-}
-
-impl Gel {
-    /// Contrast from which weights begin, with [`BITS`], and over which they grow, grey levels.
-    fn band(&self) -> (i32, u8) {
-        let share = |share: f64| (share * f64::from(self.depth)) as i32;
-        (share(BAND.0), (share(BAND.1 - BAND.0) >> BITS).clamp(1, 255) as u8)
-    }
-}
-
-/// Where a window lies.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Place<const L: usize> {
-    /// First column and row.
-    first: (usize, usize),
-    /// Column of the first lane; the window's own begin with it, or later where the image ends.
-    begin: usize,
-    side: usize,
-}
-
-impl<const L: usize> Place<L> {
-    /// The window whose middle is nearest to a position, or nearest within the image.
-    fn around(at_px: DVec2, side: usize, (width, height): (usize, usize)) -> Option<Self> {
-        // From 32 bits: there is an instruction.
-        let float = |size: usize| f64::from(size as u32);
-        let inside = |at: f64, size: usize| at >= 0.0 && at <= float(size) - 1.0;
-        if width < L || height < side || side > L || !inside(at_px.x, width) || !inside(at_px.y, height) {
-            return None;
-        }
-        let half = 0.5 * (float(side) - 2.0);
-        let first = |at: f64, size: usize| (at - half).clamp(0.0, float(size - side)) as u32 as usize;
-        let first = (first(at_px.x, width), first(at_px.y, height));
-        Some(Self { first, begin: first.0.min(width - L), side })
-    }
-
-    const fn lane(&self) -> usize {
-        self.first.0 - self.begin
-    }
-
-    fn middle_px(&self) -> DVec2 {
-        DVec2::new(self.first.0 as f64, self.first.1 as f64) + 0.5 * (self.side as f64 - 1.0)
-    }
-}
-
-/// Which lanes belong to a window, and to its corners.
-#[derive(Clone, Copy, Debug)]
-struct Lanes<const L: usize> {
-    /// All ones, or nothing.
-    inside: [u8; L],
-    /// One, or nothing.
-    left: [i16; L],
-    right: [i16; L],
-}
-
-impl<const L: usize> Lanes<L> {
-    /// Of windows that begin with this lane.
-    fn of(lane: usize, kind: &Kind) -> Self {
-        let within = |first: usize, end: usize| -> [u8; L] {
-            let (rise, fall) = (step_up::<L>(lane + first), step_up::<L>(lane + end));
-            core::array::from_fn(|x| rise[x] & !fall[x])
-        };
-        let (side, corner) = (kind.side_px, kind.corner_px());
-        let ones = |first: usize| within(first, first + corner).map(|on| i16::from(on & 1));
-        Self { inside: within(0, side), left: ones(0), right: ones(side - corner) }
-    }
-}
-
-/// A window's pixels, dark markers on a bright gel.
-struct Window<'a, const L: usize> {
-    place: Place<L>,
-    lanes: &'a Lanes<L>,
-    rows: &'a mut [[u8; L]],
-}
-
-/// Where a window's pixels are kept.
-struct Room<const L: usize> {
-    rows: [[u8; L]; L],
-    /// Unless they are the usual ones.
-    lanes: Option<Lanes<L>>,
-}
-
-impl<const L: usize> Room<L> {
-    const fn new() -> Self {
-        Self { rows: [[0; L]; L], lanes: None }
-    }
-}
-
-impl<const L: usize> Window<'_, L> {
-    /// The gel by the window's corners, squares of `corner` pixels.
-    fn gel(&self, corner: usize) -> Gel {
-        let far = self.place.side - corner;
-        let darkest = darkest(self.rows, &self.lanes.inside);
-        let sums = |first: usize| {
-            let columns = sum_columns(&self.rows[first..first + corner]);
-            (products(&columns, &self.lanes.left), products(&columns, &self.lanes.right))
-        };
-        let ((a, b), (c, d)) = (sums(0), sums(far));
-        let area = (corner * corner) as i32;
-        let per_px =
-            |difference: i32| ((difference << 8) / (2 * area * far as i32)).clamp(-MOST_SLOPE, MOST_SLOPE);
-        let level = ((a + b + c + d) << BITS) / (4 * area);
-        let uneven = ((a.max(b).max(c).max(d) - a.min(b).min(c).min(d)) << BITS) / area;
-        let depth = (level - (i32::from(darkest) << BITS)).max(0);
-        Gel { level, along: per_px(b + d - a - c), down: per_px(c + d - a - b), uneven, depth }
-    }
-
-    /// Weights of the window's pixels: how much darker than the gel, less `low`, at most `band`.
-    fn weigh(&mut self, gel: &Gel, (low, band): (i32, u8)) -> Weights<L> {
-        let (lane, side) = (self.place.lane() as i32, self.place.side as i32);
-        // Of the brightest row; the others are less by a whole number of levels. All these numbers fit 16 bits.
-        let brightest = (gel.level - low + ((side * gel.down.abs()) >> (9 - BITS))) as i16;
-        let (along, before) = (gel.along as i16, (gel.along * (2 * lane + side - 1)) as i16);
-        let limit: [u8; L] = core::array::from_fn(|x| {
-            let along = (2 * x as i16 * along - before) >> (9 - BITS);
-            ((brightest + along) >> BITS).clamp(0, 255) as u8 & self.lanes.inside[x]
-        });
-        let added = side * gel.down.abs() + (side - 1) * gel.down;
-        weigh(self.rows, &limit, (added, 2 * gel.down), band);
-        Weights::of(self.rows)
-    }
-}
-
 /// What the weights of a window add up to.
 struct Outline {
     centre_px: DVec2,
@@ -287,7 +74,8 @@ struct Outline {
 
 impl Outline {
     fn spot(&self) -> Spot {
-        let area_px2 = crate::math::round(self.area_px2) as u32;
+        // Rounded: no area is so near to a half that the sum would be.
+        let area_px2 = (self.area_px2 + 0.5) as u32;
         Spot { centre_px: self.centre_px, area_px2, band: self.band }
     }
 }
@@ -328,13 +116,14 @@ pub struct Eye<const L: usize> {
     flip: u8,
     /// Of windows that do not reach the image's right border.
     lanes: Lanes<L>,
+    corners: Corners,
 }
 
 impl<const L: usize> Eye<L> {
     /// For markers of one kind.
     #[must_use]
     pub fn new(kind: Kind, flip: u8) -> Self {
-        Self { kind, flip, lanes: Lanes::of(0, &kind) }
+        Self { kind, flip, lanes: Lanes::of(0, &kind), corners: Corners::of(&kind) }
     }
 
     fn window<'a>(
@@ -355,7 +144,7 @@ impl<const L: usize> Eye<L> {
     }
 
     fn gel(&self, window: &Window<'_, L>) -> Gel {
-        window.gel(self.kind.corner_px())
+        window.gel(&self.corners)
     }
 
     /// The kind of marker.
@@ -382,19 +171,26 @@ impl<const L: usize> Eye<L> {
         cubes as f64 / (squares.max(1) << BITS) as f64
     }
 
-    /// What is seen around a position in an image of this usual contrast.
-    #[must_use]
-    pub fn look(&self, image: GrayView<'_>, at_px: DVec2, usual_contrast: f64) -> Glance {
+    /// What is seen around each of some positions in an image of this usual contrast.
+    pub fn look_at_all(
+        &self,
+        image: GrayView<'_>,
+        positions_px: &[DVec2],
+        usual_contrast: f64,
+        mut see: impl FnMut(usize, Glance),
+    ) {
         let share_of_usual = |share: f64| (share * f64::from(1 << BITS) * usual_contrast) as i32;
-        let least = share_of_usual(SHARES_OF_USUAL.0);
-        match self.settle(&image, at_px, least) {
-            Settled::Nothing => Glance::Nothing,
-            Settled::Lost => Glance::Unclear,
-            Settled::At(gel, outline) => {
-                let faint = gel.depth < share_of_usual(SHARES_OF_USUAL.1);
-                let uneven = gel.uneven > share_of_usual(MOST_UNEVEN);
-                if faint || uneven { Glance::Unclear } else { self.decide(&outline) }
-            }
+        let [nothing, faint] = [SHARES_OF_USUAL.0, SHARES_OF_USUAL.1].map(share_of_usual);
+        let (uneven, mut room) = (share_of_usual(MOST_UNEVEN), Room::new());
+        for (position, &at_px) in positions_px.iter().enumerate() {
+            let glance = match self.settle(&image, at_px, nothing, &mut room) {
+                Settled::Nothing => Glance::Nothing,
+                Settled::At(gel, outline) if gel.depth >= faint && gel.uneven <= uneven => {
+                    self.decide(&outline)
+                }
+                Settled::Lost | Settled::At(..) => Glance::Unclear,
+            };
+            see(position, glance);
         }
     }
 
@@ -415,7 +211,7 @@ impl<const L: usize> Eye<L> {
     }
 
     fn outline_about(&self, image: &GrayView<'_>, at_px: DVec2) -> Option<Outline> {
-        match self.settle(image, at_px, 1) {
+        match self.settle(image, at_px, 1, &mut Room::new()) {
             Settled::At(gel, outline)
                 if !outline.touches
                     && f64::from(gel.uneven) < MOST_UNEVEN * f64::from(gel.depth)
@@ -489,10 +285,10 @@ impl<const L: usize> Eye<L> {
     }
 
     /// Moves the window until what it shows lies in its middle.
-    fn settle(&self, image: &GrayView<'_>, at_px: DVec2, least_depth: i32) -> Settled {
-        let (mut middle_px, mut room) = (at_px, Room::new());
+    fn settle(&self, image: &GrayView<'_>, at_px: DVec2, least_depth: i32, room: &mut Room<L>) -> Settled {
+        let mut middle_px = at_px;
         for _ in 0..TRIES {
-            let Some(mut window) = self.window(image, middle_px, &mut room) else { return Settled::Lost };
+            let Some(mut window) = self.window(image, middle_px, room) else { return Settled::Lost };
             let (place, gel) = (window.place, self.gel(&window));
             if gel.depth < least_depth {
                 return Settled::Nothing;

@@ -9,7 +9,7 @@ use super::centre;
 use super::components::Blob;
 use super::glance::{Eyes, Kind};
 use super::segments::Segments;
-use super::sieve::Sieve;
+use super::sieve::{Sieve, area_range_px2};
 use super::{Detector, Markers};
 use crate::image::GrayView;
 use crate::math::DVec2;
@@ -25,18 +25,62 @@ const PIXELS: u32 = (SCALE * SCALE) as u32;
 /// the others nor two of them.
 const LEAST_PX2: f64 = 6.0;
 
-/// Shares of the usual area below which a component is a speck at any size, and between which it is a marker: those of the
-/// sieve with room for areas that are known to a pixel of half the size.
-const SPECK: f64 = 0.25;
+/// The image's middle is so many times smaller in each direction.
+const MIDDLE: usize = 8;
+
+/// Shares of the usual area between which a component is a marker: those of the sieve with room for areas that are known to a
+/// pixel of half the size.
 const MARKER: core::ops::RangeInclusive<f64> = 2.0 / 3.0..=1.5;
 
-/// The image at half its size and its components.
+/// An image at half its size, and its components.
+#[derive(Clone, Debug)]
+struct Halved {
+    levels: Vec<u8>,
+    segments: Segments,
+}
+
+impl Halved {
+    fn new(params: &DetectParams) -> Self {
+        Self { levels: Vec::new(), segments: Segments::new(params) }
+    }
+
+    /// What the markers are like; `None` when there are too many components.
+    fn search(
+        &mut self,
+        image: GrayView<'_>,
+        params: &DetectParams,
+        areas_px2: &mut Vec<u32>,
+    ) -> Option<Sieve> {
+        let size_px = (image.width() / SCALE, image.height() / SCALE);
+        halve(image, &mut self.levels);
+        let half = GrayView::new(&self.levels, size_px.0, size_px.1, size_px.0).ok()?;
+        self.segments.run(half).ok()?;
+        Some(Sieve::of(self.segments.components.blobs(), params, size_px, areas_px2).0)
+    }
+
+    /// Whether all of some components are markers that lie whole in the image, or specks.
+    fn is_clear(&self, sieve: &Sieve, params: &DetectParams, counts: impl Fn(&Blob) -> bool) -> bool {
+        let blobs = || self.segments.components.blobs().iter().filter(|blob| counts(blob));
+        let is_one = |blob: &&Blob| {
+            MARKER.contains(&(f64::from(blob.area_px2) / sieve.usual_px2)) && sieve.passes_whole(blob)
+        };
+        // A speck at any size: too small beside the least marker, which may be the usual one there. There is room for what a disc
+        // covers: a pixel less where it is a marker, two more where it is a speck.
+        let least_px2 = blobs().filter(is_one).map(|blob| blob.area_px2).min().unwrap_or(0);
+        let (speck_px2, _) = area_range_px2(params.threshold, f64::from(least_px2.saturating_sub(1)));
+        sieve.usual_px2 >= LEAST_PX2
+            && !self.segments.feel_noise()
+            && blobs().all(|blob| blob.area_px2 + 2 < speck_px2 || is_one(&blob))
+    }
+}
+
+/// The search at half size.
 #[derive(Clone, Debug)]
 pub(super) struct HalfSize {
     /// As for images of that size.
     params: DetectParams,
-    levels: Vec<u8>,
-    pub segments: Segments,
+    whole: Halved,
+    middle: Halved,
     /// Whether it showed all that there is in the last image.
     pub is_complete: bool,
 }
@@ -55,26 +99,50 @@ impl HalfSize {
             max_area_px2: (params.max_area_px2 / PIXELS).max(1),
             ..params.clone()
         };
-        let segments = Segments::new(&params);
-        wanted.then_some(Self { params, levels: Vec::new(), segments, is_complete: false })
+        let [whole, middle] = [Halved::new(&params), Halved::new(&params)];
+        wanted.then_some(Self { params, whole, middle, is_complete: false })
+    }
+
+    /// What the image fell into.
+    pub const fn segments(&self) -> &Segments {
+        &self.whole.segments
+    }
+
+    /// Makes room for images like this one, whether they are clear or not.
+    pub fn reserve(&mut self, image: GrayView<'_>, areas_px2: &mut Vec<u32>) {
+        // Whether it has too many components its search will tell.
+        let _ = self.whole.search(image, &self.params, areas_px2);
+        let _ = self.is_unclear_amid(image, areas_px2);
+    }
+
+    /// Whether the middle of the image shows something unclear: that costs little to see, and the search of the whole in vain
+    /// much. Nothing is remembered of the image before: centres found at one size and the other differ in their last bits,
+    /// which must not depend on what was seen earlier.
+    fn is_unclear_amid(&mut self, image: GrayView<'_>, areas_px2: &mut Vec<u32>) -> bool {
+        let (width, height) = (image.width() / MIDDLE, image.height() / MIDDLE);
+        let middle = image.crop((image.width() - width) / 2, (image.height() - height) / 2, width, height);
+        let sieve = middle.ok().and_then(|middle| self.middle.search(middle, &self.params, areas_px2));
+        let Some(sieve) = sieve else { return false };
+        let (components, is_whole) = (&self.middle.segments.components, |blob: &Blob| !sieve.is_cut(blob));
+        let goes_through = |blob: &Blob| {
+            let (across, down) = blob.size();
+            across as usize == width / SCALE || down as usize == height / SCALE
+        };
+        if components.blobs().iter().any(is_whole) {
+            !self.middle.is_clear(&sieve, &self.params, is_whole)
+        } else {
+            // Specks only, or markers that hang together.
+            components.pieces() > components.blobs().len() || components.blobs().iter().any(goes_through)
+        }
     }
 
     /// What markers are like at half size, if all components are markers that lie whole in the image, or specks.
     fn run(&mut self, image: GrayView<'_>, areas_px2: &mut Vec<u32>) -> Option<Sieve> {
-        let size_px = (image.width() / SCALE, image.height() / SCALE);
-        halve(image, &mut self.levels);
-        let half = GrayView::new(&self.levels, size_px.0, size_px.1, size_px.0).ok()?;
-        self.segments.run(half).ok()?;
-        let blobs = self.segments.components.blobs();
-        let (sieve, _) = Sieve::of(blobs, &self.params, size_px, areas_px2);
-        let is_one_or_a_speck = |blob: &Blob| {
-            let share = f64::from(blob.area_px2) / sieve.usual_px2;
-            share < SPECK || MARKER.contains(&share) && sieve.passes_whole(blob)
-        };
-        let is_clear = sieve.usual_px2 >= LEAST_PX2
-            && !self.segments.feel_noise()
-            && blobs.iter().all(is_one_or_a_speck);
-        is_clear.then_some(sieve)
+        if self.is_unclear_amid(image, areas_px2) {
+            return None;
+        }
+        let sieve = self.whole.search(image, &self.params, areas_px2)?;
+        self.whole.is_clear(&sieve, &self.params, |_| true).then_some(sieve)
     }
 }
 
@@ -96,7 +164,7 @@ impl Detector {
         let (flip, variance) = (self.flip(), self.typed_variance_px2());
         let Self { half: Some(half), areas_px2, bands, .. } = self else { return None };
         let sieve = half.run(image, areas_px2)?;
-        let whole = || half.segments.components.blobs().iter().filter(|blob| sieve.passes_whole(blob));
+        let whole = || half.segments().components.blobs().iter().filter(|blob| sieve.passes_whole(blob));
         // Their mean: a single area at half size is known to a few pixels.
         let (count, sum) = whole().fold((0_u32, 0), |(n, sum), blob| (n + 1, sum + PIXELS * blob.area_px2));
         let kind = Kind::of(f64::from(sum) / f64::from(count))?;

@@ -180,7 +180,8 @@ impl Detector {
     /// The first image of a size is looked at in both sizes, so that no later one needs more room.
     fn make_room(&mut self, image: GrayView<'_>) {
         let size_px = (image.width(), image.height());
-        if self.half.is_some() && self.size_px != size_px {
+        if let (Some(half), true) = (&mut self.half, self.size_px != size_px) {
+            half.reserve(image, &mut self.areas_px2);
             // Whether it has too many components its search will tell.
             let _ = self.segments.run(image);
             self.grey_centre.reserve(image.height());
@@ -228,7 +229,7 @@ impl Detector {
 
 /// What the last image fell into, and how many of its columns and rows each pixel of that has.
 fn searched<'a>(segments: &'a Segments, half: Option<&'a HalfSize>) -> (&'a Segments, usize) {
-    half.filter(|half| half.is_complete).map_or((segments, 1), |half| (&half.segments, half::SCALE))
+    half.filter(|half| half.is_complete).map_or((segments, 1), |half| (half.segments(), half::SCALE))
 }
 
 /// Most markers of an image of this size (width, height), however small they may be; more are refused.

@@ -32,6 +32,8 @@ pub struct Found {
     pub markers: Markers,
     /// What was seen at each position.
     pub sights: Vec<Sight>,
+    /// No two of the markers are closer to each other than this, as far as the search tells; 0 where it does not.
+    pub apart_px: f64,
 }
 
 /// Most columns and rows of a window.
@@ -121,6 +123,7 @@ impl Detector {
     ) -> Result<(), DetectError> {
         out.markers.clear();
         out.sights.clear();
+        out.apart_px = 0.0;
         self.check(image)?;
         self.segments.mask_all(image);
         self.near.start(expected_px.len());

@@ -64,7 +64,8 @@ impl Sieve {
         (self.min_area_px2..=self.max_area_px2).contains(&blob.area_px2) && in_shape(blob, self.min_fill)
     }
 
-    fn is_cut(&self, blob: &Blob) -> bool {
+    /// Whether a component reaches the outermost pixels of the image.
+    pub fn is_cut(&self, blob: &Blob) -> bool {
         blob.sides_reached(self.size_px) != (false, false)
     }
 

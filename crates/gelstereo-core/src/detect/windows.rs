@@ -105,7 +105,10 @@ impl Detector {
             self.look_at_all(&Eye::<32>::new(*kind, flip), image, expected_px, reach_px, out);
         }
         self.share_out(expected_px, kind, (image.width(), image.height()), out);
+        out.apart_px = kind.cell_px();
         if self.params.centre == Centre::Matched {
+            // A step may go anywhere.
+            out.apart_px = 0.0;
             // With the weights for what the last image that was searched whole showed, and the usual radius,
             // which is known better than that of a single window.
             let usual_px2 = crate::math::round(kind.usual_area_px2()) as u32;
@@ -135,8 +138,8 @@ impl Detector {
         let every = expected_px.len().div_ceil(SAMPLES).max(1);
         let usual = eye.usual_contrast(image, expected_px.iter().step_by(every));
         let most_off_px = reach_px - eye.kind().radius_px;
-        for (position, &at_px) in (0..).zip(expected_px) {
-            let glance = eye.look(image, at_px, usual);
+        eye.look_at_all(image, expected_px, usual, |position, glance| {
+            let (at_px, position) = (expected_px[position], position as u32);
             let near = |c: DVec2| (c - at_px).abs().max_element() <= most_off_px;
             out.sights.push(match glance {
                 Glance::Marker(spot) if near(spot.centre_px) => {
@@ -149,7 +152,7 @@ impl Detector {
                     self.look_closer(eye, image, (position, at_px), reach_px, usual)
                 }
             });
-        }
+        });
     }
 
     /// Searches the square within reach for pieces.

@@ -82,8 +82,9 @@ impl Agreement {
         self.off.reserve(most);
     }
 
-    /// Drops markers until all that are left agree: each lies where its neighbours say, no cell folds over, and no empty place
-    /// is seen where a marker with another place stands. Keeps the largest part in one piece.
+    /// Drops markers until all that are left agree: each lies where its neighbours say, and no empty place is seen where
+    /// a marker with another place stands. Where a cell folds over, its corners do not lie there. Keeps the largest part in one
+    /// piece.
     pub fn prune(&mut self, points: &[DVec2], grid: &Grid, near_px: f64, canvas: &mut Canvas) {
         self.dropped = 0;
         self.off.clear();
@@ -94,7 +95,6 @@ impl Agreement {
         for _ in 0..ROUNDS {
             self.doomed.start(points.len());
             self.find_worst(canvas);
-            self.find_folds(points, canvas);
             self.find_seams(points, grid, canvas);
             if self.doomed.list.is_empty() {
                 break;
@@ -149,17 +149,6 @@ impl Agreement {
             };
             if !(off < MOST_OFF) && worst_around() {
                 self.doomed.push(m);
-            }
-        }
-    }
-
-    fn find_folds(&mut self, points: &[DVec2], canvas: &Canvas) {
-        for (m, place) in among(&self.suspects, canvas) {
-            let Some(cell) = canvas.cell(place) else { continue };
-            let corner = |rows, cols| canvas.at_offset(cell, rows, cols);
-            let cell = [Some(m), corner(0, 1), corner(1, 1), corner(1, 0)];
-            if super::folds(cell.map(|n| n.map(|n| points[n]))) {
-                cell.into_iter().flatten().for_each(|n| self.doomed.push(n));
             }
         }
     }

@@ -106,9 +106,7 @@ impl ViewStages {
             return false;
         }
         match params.label.method {
-            LabelMethod::Lattice => {
-                checked.run(&windows.found.markers, &mut windows.tracks) == Verdict::Certain
-            }
+            LabelMethod::Lattice => checked.run_near(&windows.found, &mut windows.tracks) == Verdict::Certain,
             LabelMethod::Temporal | LabelMethod::Foresight => {
                 tracker.run(&windows.found.markers, &mut windows.tracks);
                 is_certain(params, &windows.tracks)

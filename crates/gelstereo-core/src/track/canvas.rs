@@ -55,6 +55,8 @@ pub(super) struct Canvas {
     pub rows: usize,
     pub cols: usize,
     pub rings: usize,
+    /// Marker of each place, or [`NONE`] around the lattice.
+    markers: Vec<u32>,
     /// Where the marker of each place is expected; around the lattice its outer steps are continued.
     pub predicted_px: Vec<DVec2>,
     /// Detection less prediction; where there is no detection, what its surround suggests.
@@ -99,9 +101,19 @@ impl Canvas {
 
     /// Marker of a place, or none around the lattice.
     pub fn marker(&self, site: usize) -> Option<usize> {
-        let row = (site / self.width()).checked_sub(self.rings)?;
-        let col = (site % self.width()).checked_sub(self.rings)?;
-        (row < self.rows && col < self.cols).then_some(row * self.cols + col)
+        Some(self.markers[site]).filter(|&n| n != NONE).map(|n| n as usize)
+    }
+
+    /// [`Self::site`] of every marker.
+    pub fn sites(&self, shift: [isize; 2]) -> impl Iterator<Item = Option<usize>> + '_ {
+        let along =
+            move |from: usize, by: isize, end: usize| from.checked_add_signed(by).filter(|&i| i < end);
+        let rows = self.rings..self.rings + self.rows;
+        rows.flat_map(move |row| {
+            let start = along(row, shift[0], self.height()).map(|row| row * self.width());
+            let cols = self.rings..self.rings + self.cols;
+            cols.map(move |col| Some(start? + along(col, shift[1], self.width())?))
+        })
     }
 
     /// Place of a marker of a lattice that is shifted by so many rows and columns; `None` beyond the canvas.
@@ -125,8 +137,13 @@ impl Canvas {
         self.found.resize(width * height, NONE);
         self.located.clear();
         self.located.resize(width * height, true);
+        self.markers.clear();
+        self.markers.resize(width * height, NONE);
         for (row, line) in lattice_px.chunks_exact(cols).enumerate() {
             let start = (row + rings) * width;
+            for (marker, n) in self.markers[start + rings..][..cols].iter_mut().zip(row * cols..) {
+                *marker = n as u32;
+            }
             self.predicted_px[start + rings..][..cols].copy_from_slice(line);
             self.continue_line(start, 1, cols);
         }

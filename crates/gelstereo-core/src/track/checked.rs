@@ -5,8 +5,10 @@ use super::canvas::{Canvas, NONE};
 use super::carry::Carry;
 use super::matching::{Before, Matching};
 use super::relabel::Relabel;
-use super::{NEVER_SEEN, Tracks};
+use super::sights::Sights;
+use super::{MarkerState, NEVER_SEEN, Tracks};
 use crate::detect::Markers;
+use crate::detect::near::Found;
 use crate::label::RestLattice;
 use crate::math::DVec2;
 use crate::params::{Motion, TrackParams};
@@ -141,6 +143,16 @@ impl CheckedTracker {
 
     /// Updates the tracks by the detections of the next frame. `out` holds the tracks of the frame before.
     pub fn run(&mut self, detected: &Markers, out: &mut Tracks) -> Verdict {
+        self.follow(detected, Sights::default(), out)
+    }
+
+    /// As [`Self::run`], with the same bits, of what was found near the positions that [`Self::predict`] gave, the first ones of
+    /// those that were searched: what is known to be nearest is not searched for again.
+    pub fn run_near(&mut self, found: &Found, out: &mut Tracks) -> Verdict {
+        self.follow(&found.markers, Sights::of(found), out)
+    }
+
+    fn follow(&mut self, detected: &Markers, sights: Sights<'_>, out: &mut Tracks) -> Verdict {
         if self.rest_px.is_empty() || out.positions_px.len() != self.rest_px.len() {
             return Verdict::Uncertain;
         }
@@ -151,7 +163,7 @@ impl CheckedTracker {
         let _ = self.predict(out);
         self.matching.load(&detected.centres_px, self.pitch_px);
         for rings in RINGS {
-            if let Some(shift) = self.identify(&detected.centres_px, rings, out) {
+            if let Some(shift) = self.identify(&detected.centres_px, (rings, sights), out) {
                 self.take(detected, shift, out);
                 return Verdict::Certain;
             }
@@ -159,7 +171,7 @@ impl CheckedTracker {
         // Gel that was let go while nothing was certain looks as at rest.
         if out.stale {
             self.expected_px.clone_from(&self.rest_px);
-            if let Some(shift) = self.identify(&detected.centres_px, RINGS[1], out) {
+            if let Some(shift) = self.identify(&detected.centres_px, (RINGS[1], sights), out) {
                 self.take(detected, shift, out);
                 return Verdict::Certain;
             }
@@ -200,11 +212,16 @@ impl CheckedTracker {
     }
 
     /// The shift of the lattice on a canvas with so many rings, if that is certain.
-    fn identify(&mut self, detected_px: &[DVec2], rings: usize, tracks: &Tracks) -> Option<[isize; 2]> {
+    fn identify(
+        &mut self,
+        detected_px: &[DVec2],
+        (rings, sights): (usize, Sights<'_>),
+        tracks: &Tracks,
+    ) -> Option<[isize; 2]> {
         let Self { canvas, matching, pitch_px, .. } = self;
         canvas.lay(&self.expected_px, self.rows, self.cols, rings);
         let gate_px = (rings == RINGS[0]).then_some(self.params.gate_pitches * *pitch_px);
-        let whole = matching.run(canvas, detected_px, before(tracks, *pitch_px), gate_px);
+        let whole = matching.run(canvas, detected_px, before(tracks, *pitch_px), (gate_px, sights));
         // What most detections do not belong to is not the lattice.
         let matched = canvas.found.iter().filter(|&&m| m != NONE).count();
         if !whole || MOST_PER_SITE * matched < detected_px.len() {
@@ -227,16 +244,15 @@ impl CheckedTracker {
         let Self { canvas, carry, rest_px, cols, .. } = self;
         let in_view = anchor::in_view(self.size_px, self.pitch_px);
         core::mem::swap(&mut out.previous_px, &mut out.positions_px);
-        let detection = |n: usize| canvas.site(n, shift).map(|s| canvas.found[s]).filter(|&m| m != NONE);
-        for n in 0..rest_px.len() {
-            let found = detection(n);
+        for (n, site) in canvas.sites(shift).enumerate() {
+            let found = site.map(|s| canvas.found[s]).filter(|&m| m != NONE);
             if let Some(m) = found {
                 out.positions_px[n] = detected.centres_px[m as usize];
                 out.covariance_px2[n] = detected.covariance_px2[m as usize];
             }
             let missed = &mut out.missed_frames[n];
             // Out of view it is not missed, but expected as soon as it is back.
-            let out_of_view = canvas.site(n, shift).is_none_or(|s| !in_view(canvas.position_px(s)));
+            let out_of_view = site.is_none_or(|s| !in_view(canvas.position_px(s)));
             *missed = match (found, out_of_view) {
                 (Some(_), _) => 0,
                 (None, true) => (*missed).max(1),
@@ -244,8 +260,9 @@ impl CheckedTracker {
             };
             out.update_state(n, found.is_some(), self.params.max_held_frames);
         }
-        carry.run(rest_px, *cols, |n| detection(n).is_some(), &mut out.positions_px);
         (out.steady, out.stale) = (true, false);
+        let Tracks { positions_px, state, .. } = out;
+        carry.run(rest_px, *cols, |n| state[n] == MarkerState::Seen, positions_px);
     }
 
     /// Holds all markers where they are, as in a frame in which nothing is certain.

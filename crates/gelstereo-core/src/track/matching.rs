@@ -3,6 +3,7 @@
 use super::canvas::{Canvas, NONE, SUGGESTED_FROM};
 use super::grid::Grid;
 use super::near;
+use super::sights::Sights;
 use crate::math::DVec2;
 use alloc::vec::Vec;
 
@@ -120,15 +121,15 @@ impl Matching {
         canvas: &mut Canvas,
         detected_px: &[DVec2],
         before: Before<'_>,
-        gate_px: Option<f64>,
+        (gate_px, sights): (Option<f64>, Sights<'_>),
     ) -> bool {
         let disputed_px = DISPUTED * before.pitch_px;
         self.start(detected_px.len());
         self.targets.clear();
         self.targets.extend(canvas.predicted_px.iter().enumerate().map(|(s, &p)| (s as u32, p)));
         match gate_px {
-            Some(gate_px) => self.claim(canvas, detected_px, gate_px, disputed_px),
-            None => self.claim(canvas, detected_px, HALF_DIAGONAL * before.pitch_px, 0.0),
+            Some(gate_px) => self.claim(canvas, detected_px, (gate_px, disputed_px), sights),
+            None => self.claim(canvas, detected_px, (HALF_DIAGONAL * before.pitch_px, 0.0), sights),
         };
         if agree_all(canvas, before) {
             // What lies beyond the gate when all have moved nearly as far.
@@ -170,7 +171,8 @@ impl Matching {
                     self.targets.push((site as u32, canvas.predicted_px[site] + mean));
                 }
             }
-            if self.claim(canvas, detected_px, NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px) {
+            let reach_px = (NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px);
+            if self.claim(canvas, detected_px, reach_px, Sights::default()) {
                 self.grow(canvas, detected_px, pitch_px);
                 changed = true;
             }
@@ -189,11 +191,23 @@ impl Matching {
 
     /// Gives every target the free detection nearest to it and closer than the gate, if no other wants it about as
     /// much; whether any was given.
-    fn claim(&mut self, canvas: &mut Canvas, detected_px: &[DVec2], gate_px: f64, disputed_px: f64) -> bool {
+    fn claim(
+        &mut self,
+        canvas: &mut Canvas,
+        detected_px: &[DVec2],
+        (gate_px, disputed_px): (f64, f64),
+        sights: Sights<'_>,
+    ) -> bool {
         let Self { grid, taken, claims, targets, claimants, .. } = self;
+        let sure_px2 = sights.nearest_px2.min(gate_px * gate_px);
         claimants.clear();
         for &(site, target) in targets.iter() {
-            let Some(m) = grid.nearest(detected_px, target, gate_px, |m| !taken[m]) else { continue };
+            let seen = canvas.marker(site as usize).and_then(|n| sights.detection(n));
+            let is_nearest = |m: &usize| {
+                *m < taken.len() && !taken[*m] && detected_px[*m].distance_squared(target) < sure_px2
+            };
+            let nearest = || grid.nearest(detected_px, target, gate_px, |m| !taken[m]);
+            let Some(m) = seen.filter(is_nearest).or_else(nearest) else { continue };
             let px2 = detected_px[m].distance_squared(target);
             let claim = &mut claims[m];
             *claim = if px2 < claim.nearest_px2 {
@@ -269,7 +283,7 @@ impl Matching {
 
     /// Matches places beside matched ones, predicted by their residuals, until nothing new is found; whether anything was.
     fn grow(&mut self, canvas: &mut Canvas, detected_px: &[DVec2], pitch_px: f64) -> bool {
-        let mut any = false;
+        let (mut any, reach_px) = (false, (NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px));
         loop {
             self.targets.clear();
             for site in (0..canvas.found.len()).filter(|&s| canvas.found[s] == NONE) {
@@ -277,7 +291,7 @@ impl Matching {
                     self.targets.push((site as u32, canvas.predicted_px[site] + around.middle_px));
                 }
             }
-            if !self.claim(canvas, detected_px, NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px) {
+            if !self.claim(canvas, detected_px, reach_px, Sights::default()) {
                 return any;
             }
             any = true;

@@ -7,6 +7,7 @@ mod checked;
 pub(crate) mod grid;
 mod matching;
 mod relabel;
+mod sights;
 
 pub use checked::{CheckedTracker, Verdict};
 
