@@ -86,6 +86,12 @@ impl Profile {
         self.frame = Some(frame);
     }
 
+    /// Mean share of a ring; that of the gel where there are no pixels.
+    fn share(&self, ring: usize) -> f64 {
+        let Ring { pixels, shares } = self.rings[ring];
+        if pixels > 0.0 { shares / pixels } else { self.frame.map_or(0.0, |frame| frame.gel_share) }
+    }
+
     /// Variances in this noise; `None` where there is no marker.
     ///
     /// The centre is Σ w p / Σ w over pixels p of weights w, which are the shares kept to 0..=1. To first order it answers to the
@@ -109,12 +115,22 @@ impl Profile {
                 continue;
             }
             let distance_px2 = (n as f64 + 0.5) / self.per_px2;
-            let Kept { mean, variance, within } = Kept::of(ring.shares / ring.pixels, noise_share);
-            weight += ring.pixels * mean;
-            slope += 0.5 * ring.pixels * distance_px2 * within;
-            edge += 0.5 * ring.pixels * distance_px2 * (variance - grain * within * within);
+            // The shares of a ring's pixels are spread evenly between those of its neighbours: two halves, each with the variance of
+            // what is left.
+            let steep = 0.5 * (self.share((n + 1).min(RINGS - 1)) - self.share(n.saturating_sub(1)));
+            let spread = steep * steep / 48.0;
+            let mut answers_by = 0.0;
+            for half in [-0.25, 0.25] {
+                let share = self.share(n) + half * steep;
+                let Kept { mean, variance, within } = Kept::of(share, sqrt(white + grain + spread));
+                weight += 0.5 * ring.pixels * mean;
+                slope += 0.25 * ring.pixels * distance_px2 * within;
+                let own = variance - (grain + spread) * within * within;
+                edge += 0.25 * ring.pixels * distance_px2 * own;
+                answers_by += 0.5 * within;
+            }
             let radius_px = sqrt(distance_px2);
-            *answer = (ring.pixels * radius_px * within, radius_px);
+            *answer = (ring.pixels * radius_px * answers_by, radius_px);
         }
         if !(weight > 0.0) {
             return None;
@@ -297,7 +313,7 @@ mod tests {
     }
 
     /// Rings and integrals around them against every pixel and every pair of pixels. A ring's pixels are taken for one distance, and
-    /// rings that the window cuts for whole.
+    /// rings that the window cuts for whole. Radii differ by parts of a ring.
     #[test]
     fn variances_are_those_of_the_pixels() {
         let cases =
