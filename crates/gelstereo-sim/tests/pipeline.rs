@@ -162,9 +162,9 @@ fn row_34_one_thread_or_two_and_any_repeat_give_the_same_bits() {
 fn row_34_the_bits_of_a_fixed_scene_are_known() {
     let known = [
         ("paper", 0x2e1f_d6b4_a3b5_cb78),
-        ("fast", 0xfcfa_991e_425f_767f),
-        ("balanced", 0xa514_2edb_3bbd_bb6b),
-        ("exact", 0xce4e_97d5_cb35_c4f0),
+        ("fast", 0xc103_3194_c5b4_b935),
+        ("balanced", 0x3d09_a5a0_787a_5a5e),
+        ("exact", 0xbc6b_8d24_1dc4_1343),
     ];
     assert_eq!(known.map(|(preset, _)| preset), Params::PRESETS, "every preset has its digest");
     let found = known.map(|(preset, _)| {

@@ -9,6 +9,7 @@ mod kind;
 mod lanes;
 mod window;
 
+use super::band::Frame;
 use crate::image::GrayView;
 use crate::math::DVec2;
 pub(super) use eyes::Eyes;
@@ -223,65 +224,37 @@ impl<const L: usize> Eye<L> {
         }
     }
 
-    /// How the centre of the marker about a position answers to the pixels of its window, px per grey level: those of the edge
-    /// by their weights, those of the corners by the plane of the gel. Places are whole pixels from the window's middle. Gives
-    /// [`Spot::band`] and the gel's level.
-    pub(super) fn influence(
+    /// The pixels of the window around a marker's centre: of each, its squared distance from that, and how much darker it is than
+    /// where weights begin, as a share of the band over which they grow. `None` outside the image, and without contrast.
+    pub(super) fn shares(
         &self,
         image: GrayView<'_>,
-        at_px: DVec2,
-        mut each: impl FnMut([i32; 2], DVec2),
-    ) -> Option<(u8, f64)> {
+        centre_px: DVec2,
+        mut each: impl FnMut(f64, f64),
+    ) -> Option<Frame> {
         let mut room = Room::new();
-        let window = self.window(&image, self.centre(image, at_px)?.centre_px, &mut room)?;
+        let window = self.window(&image, centre_px, &mut room)?;
         let (place, gel) = (window.place, self.gel(&window));
-        let (low, band) = gel.band();
-        let (unit, high) = (f64::from(1 << BITS), f64::from(band));
         let (side, corner) = (place.side, self.kind.corner_px());
-        let middle = 0.5 * (side as f64 - 1.0);
+        let (unit, depth) = (f64::from(1 << BITS), f64::from(gel.depth));
+        let (low, band) = (BAND.0 * depth / unit, (BAND.1 - BAND.0) * depth / unit);
+        if !(band >= 1.0) {
+            return None;
+        }
+        let gel_level = f64::from(gel.level) / unit;
         let (along, down) = (f64::from(gel.along) / 256.0, f64::from(gel.down) / 256.0);
-        let pixels = || {
-            let rows = (0..).zip(&*window.rows);
-            rows.flat_map(|(y, row)| (0..side).map(move |x| (x, y, row[place.lane() + x])))
-        };
-        let from_middle = |x: usize, y: usize| DVec2::new(x as f64 - middle, y as f64 - middle);
-        let weight = |at: DVec2, level: u8| {
-            let gel_level = f64::from(gel.level - low) / unit + along * at.x + down * at.y;
-            (gel_level - f64::from(level)).clamp(0.0, high)
-        };
-        let (mut sum, mut centre) = (0.0, DVec2::ZERO);
-        for (x, y, level) in pixels() {
-            let w = weight(from_middle(x, y), level);
-            (sum, centre) = (sum + w, centre + from_middle(x, y) * w);
-        }
-        centre /= sum;
-        let edge = |at: DVec2, level: u8| {
-            let w = weight(at, level);
-            if w > 0.0 && w < high { (at - centre) / sum } else { DVec2::ZERO }
-        };
-        // What the plane's level and slopes move the centre by.
-        let mut plane = [DVec2::ZERO; 3];
-        for (x, y, level) in pixels() {
-            let at = from_middle(x, y);
-            let answer = edge(at, level);
-            plane = [plane[0] + answer, plane[1] + answer * at.x, plane[2] + answer * at.y];
-        }
-        let area = (corner * corner) as f64;
-        let (level_share, slope_share) = (0.25 / area, 0.5 / (area * (side - corner) as f64));
-        let end = |at: usize| match at {
-            at if at < corner => Some(-slope_share),
-            at if at + corner >= side => Some(slope_share),
-            _ => None,
-        };
-        for (x, y, level) in pixels() {
-            let mut answer = -edge(from_middle(x, y), level);
-            if let (Some(slope_x), Some(slope_y)) = (end(x), end(y)) {
-                answer += plane[0] * level_share + plane[1] * slope_x + plane[2] * slope_y;
+        let (middle, per_band) = (0.5 * (side as f64 - 1.0), 1.0 / band);
+        let off = DVec2::new(place.first.0 as f64, place.first.1 as f64) - centre_px;
+        for (y, row) in window.rows.iter().enumerate() {
+            let (y, y_off) = (y as f64, y as f64 + off.y);
+            let begins = gel_level - low + down * (y - middle) - along * middle;
+            for (x, &level) in row[place.lane()..][..side].iter().enumerate() {
+                let (x, x_off) = (x as f64, x as f64 + off.x);
+                each(x_off * x_off + y_off * y_off, (begins + along * x - f64::from(level)) * per_band);
             }
-            let half = side as i32 / 2;
-            each([x as i32 - half, y as i32 - half], answer);
         }
-        Some((band, f64::from(gel.level) / unit))
+        let (corner_px, apart_px) = (corner as f64, (side - corner) as f64);
+        Some(Frame { band, gel_level, gel_share: -low * per_band, corner_px, apart_px })
     }
 
     /// Moves the window until what it shows lies in its middle.

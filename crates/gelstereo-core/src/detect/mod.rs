@@ -244,9 +244,7 @@ pub fn most_markers(params: &DetectParams, size_px: (usize, usize)) -> usize {
         .min(MOST_MARKERS)
 }
 
-/// Rows from which noise is measured, for the matched step.
-const NOISE_ROWS: usize = 80;
-
-const fn rows_between(height: usize) -> usize {
-    if height < 2 * NOISE_ROWS { 1 } else { height / NOISE_ROWS }
+/// How many rows to go on, to see so many of an image or a few more.
+const fn rows_between(height: usize, rows: usize) -> usize {
+    if height < 2 * rows { 1 } else { height / rows }
 }

@@ -1,6 +1,6 @@
 //! Markers near expected positions: what a tracker asks for.
 
-use super::fit::CLEARANCE_PX;
+use super::fit::{CLEARANCE_PX, ENOUGH_ROWS};
 use super::pieces::Pieces;
 use super::sieve::{area_range_px2, in_shape, usual_area_px2};
 use super::{DetectError, Detector, Markers, centre, rows_between};
@@ -158,7 +158,8 @@ impl Detector {
         markers: &mut Markers,
     ) {
         let size_px = (image.width(), image.height());
-        let noise = self.meter.run(image, self.segments.mask(), rows_between(size_px.1), CLEARANCE_PX);
+        let noise =
+            self.meter.run(image, self.segments.mask(), rows_between(size_px.1, ENOUGH_ROWS), CLEARANCE_PX);
         self.matched.prepare(image, noise.unwrap_or_default(), markers);
         self.grey_centre.reserve(image.height());
         for k in 0..markers.centres_px.len() {

@@ -1,6 +1,6 @@
 //! Markers found at the image's own size, by every rung of [`Centre`].
 
-use super::fit::CLEARANCE_PX;
+use super::fit::{CLEARANCE_PX, ENOUGH_ROWS};
 use super::glance::{Eyes, Kind};
 use super::segments::LEAST_NEIGHBOUR_PX2;
 use super::sieve::Sieve;
@@ -88,7 +88,7 @@ impl Detector {
     fn match_all(&mut self, image: GrayView<'_>, sieve: &Sieve, out: &mut Markers) {
         let Self { segments, matched, meter, grey_centre, params, .. } = self;
         let components = &segments.components;
-        let every = rows_between(image.height());
+        let every = rows_between(image.height(), ENOUGH_ROWS);
         let noise = meter.run_rows(image, every, CLEARANCE_PX, |rows, near| components.cover(rows, 1, near));
         matched.prepare(image, noise.unwrap_or_default(), out);
         grey_centre.reserve(image.height());

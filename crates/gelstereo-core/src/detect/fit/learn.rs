@@ -98,7 +98,7 @@ impl DiscFit {
                 }
             }
             if self.given_blur_px.is_none() {
-                let wider_px = median(&mut self.scratch).unwrap_or(0.0);
+                let wider_px = middle_mean(&mut self.scratch).unwrap_or(0.0);
                 let step_px = wider_px.clamp(-0.5 * self.blur_px, self.blur_px);
                 self.blur_px = (self.blur_px + step_px).clamp(*BLURS_PX.start(), *BLURS_PX.end());
             }
@@ -190,6 +190,15 @@ impl DiscFit {
         (ratios.white.is_finite() && ratios.grain.is_finite())
             .then_some((ratios, over.map(|over| over.map(|over| over * over))))
     }
+}
+
+/// Mean of all but the least and the largest fifth: three of [`SAMPLES`] may be no disc, and noise that is normal adds a tenth to
+/// the least variance; to a median's, more than half, which the weights then lack as precision and the covariance as truth.
+fn middle_mean(values: &mut [f64]) -> Option<f64> {
+    values.sort_unstable_by(f64::total_cmp);
+    let cut = values.len() / 5;
+    let middle = &values[cut..values.len() - cut];
+    (!middle.is_empty()).then(|| middle.iter().sum::<f64>() / middle.len() as f64)
 }
 
 /// Square roots of the normal matrix's diagonal over that of the integral, where the latter is believed.

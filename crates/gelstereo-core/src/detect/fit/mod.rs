@@ -19,7 +19,7 @@ mod template;
 
 pub(super) use influence::Influence;
 pub use noise::Noise;
-pub(super) use noise::{CLEARANCE_PX, NoiseMeter};
+pub(super) use noise::{CLEARANCE_PX, ENOUGH_ROWS, NoiseMeter};
 pub(super) use solve::Factor;
 
 use super::Markers;

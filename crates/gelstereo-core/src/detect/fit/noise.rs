@@ -276,6 +276,8 @@ struct Differences {
     levels: u64,
     sums: [i64; 3],
     squares: [u64; 3],
+    /// Pixels that are in a sum of differences once: all others cancel. Half of them.
+    ends: [usize; 3],
 }
 
 impl Differences {
@@ -289,6 +291,7 @@ impl Differences {
         };
         self.count += count;
         self.levels += level(&stretch[..count]) as u64;
+        self.ends.iter_mut().zip(LAGS).for_each(|(ends, lag)| *ends += lag.min(count));
         for ((sum, square), lag) in self.sums.iter_mut().zip(&mut self.squares).zip(LAGS) {
             // All pixels but the first ones less all but the last ones: what both have is left out.
             *sum += level(&stretch[count.max(lag)..][..lag.min(count)]) - level(&stretch[..lag.min(count)]);
@@ -313,8 +316,12 @@ impl Spread {
         }
         self.count += group.count;
         self.levels += group.levels;
-        for (total, (&sum, &square)) in self.sums.iter_mut().zip(group.sums.iter().zip(&group.squares)) {
-            *total += square as f64 - (sum * sum) as f64 / group.count as f64;
+        let count = group.count as f64;
+        for (lag, total) in self.sums.iter_mut().enumerate() {
+            let (sum, square) = (group.sums[lag] as f64, group.squares[lag] as f64);
+            // White noise of variance s² leaves 2 s² in each square, and 2 s² for each pair of ends in the square of the sum. The
+            // part that is lost with the mean is larger for far pixels: it would be missed as grain.
+            *total += (square - sum * sum / count) / (1.0 - group.ends[lag] as f64 / (count * count));
         }
     }
 }
