@@ -15,7 +15,7 @@ use crate::math::DVec2;
 pub(super) use eyes::Eyes;
 pub use kind::{Kind, MOST_SIDE_PX};
 use lanes::{Weights, moments};
-use window::{BITS, Corners, Gel, Lanes, Place, Room, Window};
+use window::{BAND, BITS, Corners, Gel, Lanes, Place, Room, Window};
 
 /// A centre farther from the window's middle is looked at again, from a window around it.
 const OFF_PX: f64 = 1.0;

@@ -6,7 +6,7 @@ use crate::math::DVec2;
 
 /// Contrasts that count, as shares of that of the window's darkest pixel: noise of the gel lies below, grain
 /// of the paint above.
-const BAND: (f64, f64) = (0.2, 0.7);
+pub(super) const BAND: (f64, f64) = (0.2, 0.7);
 
 /// Fractional bits of levels.
 pub(super) const BITS: u32 = 3;
