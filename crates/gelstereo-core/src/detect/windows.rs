@@ -242,7 +242,7 @@ impl Detector {
         let typed = self.params.centre_sigma_px * self.params.centre_sigma_px;
         let noise = self.band_noise.as_ref();
         for marker in seen.iter().filter(|marker| marker.alive) {
-            let variance = noise.and_then(|noise| noise.variance_px2(marker.band)).unwrap_or(typed);
+            let variance = noise.map_or(typed, |noise| noise.variance_px2(marker.band, typed));
             out.sights[marker.position as usize] = Sight::Marker(out.markers.centres_px.len() as u32);
             out.markers.push(marker.centre_px, [[variance, 0.0], [0.0, variance]], marker.area_px2);
         }

@@ -48,11 +48,16 @@ pub(super) struct Profile {
     frame: Option<Frame>,
 }
 
-/// Variances of a coordinate, px²: from white noise for a band of one level, and from grain.
+/// Variances of a coordinate, px²: from white noise and from grain, of a marker of the usual band.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Variances {
     pub white: f64,
     pub grain: f64,
+    /// Mean of 1 / band².
+    pub per_band2: f64,
+    /// Power of 1 / band² by which the part of white noise grows: one where noise keeps pixels within the band, and more where
+    /// gel gets into it; never less, as noise beyond the band would have it.
+    pub power: f64,
     /// Standard deviation of a pixel over the band.
     pub noise_share: f64,
 }
@@ -108,6 +113,8 @@ impl Profile {
         let grain = grain_levels2 * per_band2;
         let noise_share = sqrt(white + grain);
         let (mut weight, mut slope, mut edge) = (0.0, 0.0, 0.0);
+        // Their derivatives by the logarithm of all noise's variance.
+        let (mut weight_grows, mut slope_grows, mut edge_grows) = (0.0, 0.0, 0.0);
         // Of each ring, what its pixels answer by, and its radius.
         let mut answers = [(0.0, 0.0); RINGS];
         for (n, (ring, answer)) in self.rings.iter().zip(&mut answers).enumerate() {
@@ -122,11 +129,17 @@ impl Profile {
             let mut answers_by = 0.0;
             for half in [-0.25, 0.25] {
                 let share = self.share(n) + half * steep;
-                let Kept { mean, variance, within } = Kept::of(share, sqrt(white + grain + spread));
+                let kept = Kept::of(share, sqrt(white + grain + spread));
+                let Kept { mean, variance, within, growth } = kept;
                 weight += 0.5 * ring.pixels * mean;
+                weight_grows += 0.5 * ring.pixels * growth.mean * (white + grain);
                 slope += 0.25 * ring.pixels * distance_px2 * within;
+                slope_grows += 0.25 * ring.pixels * distance_px2 * growth.within * (white + grain);
                 let own = variance - (grain + spread) * within * within;
+                let alike_grows = 2.0 * (grain + spread) * within * growth.within * (white + grain);
+                let own_grows = growth.variance * (white + grain) - grain * within * within - alike_grows;
                 edge += 0.25 * ring.pixels * distance_px2 * own;
+                edge_grows += 0.25 * ring.pixels * distance_px2 * own_grows;
                 answers_by += 0.5 * within;
             }
             let radius_px = sqrt(distance_px2);
@@ -135,20 +148,27 @@ impl Profile {
         if !(weight > 0.0) {
             return None;
         }
+        let per_weight = weight_grows / weight;
+        let (per_slope, per_edge) = (slope_grows / slope - per_weight, edge_grows / edge - 2.0 * per_weight);
         let (slope, weight) = (slope / weight, weight / self.windows);
         let edge = edge / (self.windows * weight * weight);
         answers.iter_mut().for_each(|(answer, _)| *answer /= self.windows * weight);
         let Frame { corner_px, apart_px, gel_share, .. } = frame;
         let tilt = slope / (corner_px * apart_px);
-        let within = Kept::of(gel_share, noise_share).within;
-        let white_px2 = edge + (tilt * tilt - 2.0 * slope * within / weight) * white;
+        let Kept { within, growth, .. } = Kept::of(gel_share, noise_share);
+        let (plane, both) = (tilt * tilt * white, 2.0 * slope * white / weight);
+        let white_px2 = edge + plane - both * within;
+        let both_grows = (1.0 + per_slope - per_weight) * within + growth.within * (white + grain);
+        let white_grows = per_edge * edge + (1.0 + 2.0 * per_slope) * plane - both * both_grows;
         let size_px = noise.grain_size_px;
         let corner = side_alike(corner_px as usize, size_px) / corner_px;
         let both = 4.0 * tilt / corner_px * near_corner(&answers, &frame, size_px);
         let grain_px2 = (around(&answers, size_px) + tilt * tilt * corner * corner - both) * grain;
         (white_px2 > 0.0 && grain_px2 >= 0.0).then_some(Variances {
-            white: white_px2 / per_band2,
+            white: white_px2,
             grain: grain_px2,
+            per_band2,
+            power: (white_grows / white_px2).max(1.0),
             noise_share,
         })
     }
@@ -159,6 +179,14 @@ struct Kept {
     mean: f64,
     variance: f64,
     /// How often it need not be.
+    within: f64,
+    growth: Growth,
+}
+
+/// Derivatives by the variance of the variable before it is kept.
+struct Growth {
+    mean: f64,
+    variance: f64,
     within: f64,
 }
 
@@ -172,7 +200,15 @@ impl Kept {
         let first = mean * within + at_low - at_high + above;
         let second =
             (mean * mean + deviation * deviation) * within + mean * at_low - (mean + 1.0) * at_high + above;
-        Self { mean: first, variance: (second - first * first).max(0.0), within }
+        // Of the mean of any g it is that of g'' / 2, which has steps of slope at both ends.
+        let per = 0.5 / (deviation * deviation);
+        let mean_grows = (at_low - at_high) * per;
+        let growth = Growth {
+            mean: mean_grows,
+            variance: within - 2.0 * at_high * per - 2.0 * first * mean_grows,
+            within: (low * at_low - high * at_high) * per / deviation,
+        };
+        Self { mean: first, variance: (second - first * first).max(0.0), within, growth }
     }
 }
 
@@ -251,7 +287,7 @@ fn bessel_i1_scaled(x: f64) -> f64 {
 mod tests {
     use super::{Frame, Kept, Profile, bessel_i1_scaled};
     use crate::detect::fit::Noise;
-    use crate::math::{abs, erf, exp, sqrt};
+    use crate::math::{abs, erf, exp, ln, sqrt};
     use alloc::vec::Vec;
     use core::f64::consts::PI;
 
@@ -312,6 +348,18 @@ mod tests {
         sums.map(|sum| sum / 64.0)
     }
 
+    fn profile(radius_px: f64, band: f64) -> Profile {
+        let mut profile = Profile::new(radius_px);
+        for phase in phases() {
+            for [x, y] in places(phase) {
+                profile.add(x * x + y * y, share(radius_px, sqrt(x * x + y * y)));
+            }
+            let (corner_px, apart_px) = (CORNER as f64, (SIDE - CORNER) as f64);
+            profile.close(Frame { band, gel_level: 150.0, gel_share: GEL_SHARE, corner_px, apart_px });
+        }
+        profile
+    }
+
     /// Rings and integrals around them against every pixel and every pair of pixels. A ring's pixels are taken for one distance, and
     /// rings that the window cuts for whole. Radii differ by parts of a ring.
     #[test]
@@ -320,25 +368,30 @@ mod tests {
             [(4.6, 60.0, 4.0, 4.0), (4.6, 14.0, 4.0, 0.2), (4.6, 73.0, 324.0, 4.0), (3.5, 60.0, 4.0, 4.0)];
         for (radius_px, band, white_levels2, grain_levels2) in cases {
             let noise = Noise { white_levels2, grain_levels2, grain_size_px: 1.38, gel_level: 150.0 };
-            let mut profile = Profile::new(radius_px);
-            for phase in phases() {
-                for [x, y] in places(phase) {
-                    profile.add(x * x + y * y, share(radius_px, sqrt(x * x + y * y)));
-                }
-                let (corner_px, apart_px) = (CORNER as f64, (SIDE - CORNER) as f64);
-                profile.close(Frame { band, gel_level: 150.0, gel_share: GEL_SHARE, corner_px, apart_px });
-            }
-            let found = profile.variances(&noise).unwrap();
+            let found = profile(radius_px, band).variances(&noise).unwrap();
             let [white, grain] = reference(radius_px, band, &noise);
-            let found_white = found.white / (band * band);
-            let whites = found_white / white;
-            let sums = (found_white + found.grain) / (white + grain);
+            let whites = found.white / white;
+            let sums = (found.white + found.grain) / (white + grain);
             let text = alloc::format!("{radius_px} px, band {band}: {whites} {sums}");
             assert!(abs(whites - 1.0) < 0.015 && abs(sums - 1.0) < 0.03, "{text}");
         }
     }
 
-    /// Against sums over a normal distribution.
+    /// Against differences of the same profile in slightly more noise: what a fainter marker of this shape has, over its band.
+    #[test]
+    fn the_power_is_by_how_much_white_noise_grows() {
+        for (white_levels2, grain_levels2) in [(4.0, 4.0), (324.0, 0.01), (324.0, 40.0)] {
+            let at = |band: f64| {
+                let noise = Noise { white_levels2, grain_levels2, grain_size_px: 1.38, gel_level: 150.0 };
+                profile(4.6, band).variances(&noise).unwrap()
+            };
+            let (fainter, usual, stronger) = (at(72.0), at(73.0), at(74.0));
+            let power = ln(fainter.white / stronger.white) / ln(fainter.per_band2 / stronger.per_band2);
+            assert!(abs(usual.power / power - 1.0) < 0.03, "{} {power}", usual.power);
+        }
+    }
+
+    /// Against sums over a normal distribution, and differences between them and others.
     #[test]
     fn kept_variables_have_these_moments() {
         for (mean, deviation) in [(-0.4, 0.25), (0.1, 0.05), (0.5, 1.0), (1.2, 0.3)] {
@@ -355,6 +408,14 @@ mod tests {
             let kept = Kept::of(mean, deviation);
             assert!(abs(kept.mean - first) < 1e-6 && abs(kept.variance - (second - first * first)) < 1e-6);
             assert!(abs(kept.within - within) < 1e-3);
+            let step = 1e-4 * deviation * deviation;
+            let [less, more] = [-step, step].map(|step| Kept::of(mean, sqrt(deviation * deviation + step)));
+            let differs =
+                |found: f64, at: fn(&Kept) -> f64| abs(found - 0.5 * (at(&more) - at(&less)) / step);
+            let growth = &kept.growth;
+            assert!(differs(growth.mean, |kept| kept.mean) < 1e-5 / deviation);
+            assert!(differs(growth.variance, |kept| kept.variance) < 1e-5 / deviation);
+            assert!(differs(growth.within, |kept| kept.within) < 1e-5 / (deviation * deviation));
         }
     }
 

@@ -36,10 +36,17 @@ impl Eyes {
     }
 
     /// As [`BandNoise::learn`].
-    pub fn learn(&self, learned: &mut BandNoise, image: GrayView<'_>, noise: &Noise, centres_px: &[DVec2]) {
+    pub fn learn(
+        &self,
+        learned: &mut BandNoise,
+        image: GrayView<'_>,
+        noise: &Noise,
+        centres_px: &[DVec2],
+        bands: &[u8],
+    ) {
         match self {
-            Self::Small(eye) => learned.learn(image, eye, noise, centres_px),
-            Self::Large(eye) => learned.learn(image, eye, noise, centres_px),
+            Self::Small(eye) => learned.learn(image, eye, noise, centres_px, bands),
+            Self::Large(eye) => learned.learn(image, eye, noise, centres_px, bands),
         }
     }
 }
