@@ -109,7 +109,7 @@ def measure_localization(seeds: range, rounds: int, report: Report) -> tuple[lis
 
 
 def _from_truth(method: Method, contacts: Mapping[str, Sequence[Grasp]]) -> list[str]:
-    """Search around the truth itself: what that misses, no better choice of starts finds."""
+    """Search around the truth itself: what that misses, better starts will hardly find."""
     row = ["*surface_search, guessed at the truth*"]
     for grasped in contacts.values():
         tally = _tally(method, grasped, _TRUTH)
