@@ -1,5 +1,6 @@
 //! What was sensed, as the surface rungs see it: points about the patch's centroid, and which of them a coarse look needs.
 
+use super::buckets::Buckets;
 use super::gel::Gel;
 use crate::math::linalg::{Symmetric, eigen};
 use crate::math::{DVec3, sqrt};
@@ -99,12 +100,19 @@ pub(super) struct Sample {
     covariance: [f64; 6],
     /// Whether the gel around it is curved as free gel is, and not as gel on a part.
     pub hangs: bool,
+    /// No standard deviation is larger, along whatever direction; in every frame the same.
+    pub most_sigma_mm: f64,
 }
 
 /// Share of the trace that a singular covariance is given along its null direction.
 const FLOOR: f64 = 1e-6;
 
 impl Sample {
+    pub fn new(p_mm: DVec3, covariance: [f64; 6]) -> Self {
+        let trace = covariance[0] + covariance[1] + covariance[2];
+        Self { p_mm, covariance, hangs: false, most_sigma_mm: sqrt((1.0 + FLOOR) * trace) }
+    }
+
     /// Variance along a unit vector.
     #[inline]
     pub fn variance(&self, n: DVec3) -> f64 {
@@ -153,17 +161,20 @@ pub(super) struct Samples {
     pub gel: Gel,
     nearest_squared: Vec<f64>,
     flat: Vec<DVec3>,
+    buckets: Buckets,
 }
 
 /// Which markers are wanted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Extent {
     Salient,
+    /// And the others around it, all alike: what is picked of them would depend on the frame.
+    Near,
     Around,
     Gel,
 }
 
-/// More salient points than this are not asked for their neighbours, which takes the square of their number.
+/// More salient points than this are not asked for their neighbours, which may take the square of their number.
 const MOST_ASKED: usize = 2000;
 
 /// With fewer points that do not hang, all are looked at first.
@@ -192,7 +203,7 @@ impl Samples {
                 let c = &all[k];
                 [c[0][0], c[1][1], c[2][2], c[0][1], c[0][2], c[1][2]]
             });
-            self.pressed.push(Sample { p_mm: point - self.centre_mm, covariance, hangs: false });
+            self.pressed.push(Sample::new(point - self.centre_mm, covariance));
         }
         let sum: f64 = self.pressed.iter().map(|s| s.p_mm.length_squared()).sum();
         self.radius_mm = sqrt(sum / self.pressed.len().max(1) as f64).max(10.0 * sigma_mm);
@@ -204,9 +215,14 @@ impl Samples {
         }
         if extent != Extent::Salient {
             self.find_hanging(contact);
-            self.spread();
-            self.take_unpressed(contact.unpressed_mm, isotropic);
-            self.find_neighbours();
+            // The first one's noise is what steps are measured by: in every frame the same one.
+            self.spread(if extent == Extent::Near { 1 } else { MEDIUM });
+            if extent == Extent::Near {
+                self.take_near(contact.unpressed_mm, isotropic);
+            } else {
+                self.take_unpressed(contact.unpressed_mm, isotropic);
+            }
+            self.find_neighbours(contact.press_direction);
         } else {
             self.unpressed.clear();
             self.neighbours.clear();
@@ -224,7 +240,7 @@ impl Samples {
             core::array::from_fn(|i| self.pressed.iter().map(|s| s.covariance[i]).sum::<f64>() / count);
         let Self { pressed, gel, centre_mm, .. } = self;
         let others = contact.unpressed_mm.iter();
-        let others = others.map(|&p| Sample { p_mm: p - *centre_mm, covariance, hangs: false });
+        let others = others.map(|&p| Sample::new(p - *centre_mm, covariance));
         let markers = pressed.iter().copied().chain(others);
         gel.fill(markers, pressed.len(), contact.press_direction, contact.decay_mm);
     }
@@ -270,21 +286,15 @@ impl Samples {
             return;
         }
         self.lay_flat(contact);
+        self.buckets.fill(&self.flat);
         for k in 0..count {
-            let at = self.flat[k];
-            let mut ring = [(f64::INFINITY, DVec3::ZERO); RING];
-            for (j, &other) in self.flat.iter().enumerate() {
-                let squared = (other.x - at.x) * (other.x - at.x) + (other.y - at.y) * (other.y - at.y);
-                if squared < ring[RING - 1].0 && j != k {
-                    let mut place = RING - 1;
-                    while place > 0 && ring[place - 1].0 > squared {
-                        ring[place] = ring[place - 1];
-                        place -= 1;
-                    }
-                    ring[place] = (squared, other - at);
-                }
-            }
-            let mean = ring.iter().map(|(_, offset)| *offset).sum::<DVec3>() / RING as f64;
+            let (flat, at) = (&self.flat, self.flat[k]);
+            let squared = |j: usize| {
+                let (x, y) = (flat[j].x - at.x, flat[j].y - at.y);
+                x * x + y * y
+            };
+            let ring = self.buckets.nearest::<RING>(k, at, squared);
+            let mean = ring.iter().map(|(_, j)| flat[*j as usize] - at).sum::<DVec3>() / RING as f64;
             // All around it, and near: where markers are missing or the gel ends nothing is known.
             let is_around =
                 mean.truncate().length_squared() < 0.04 * ring[0].0 && ring[RING - 1].0 < 6.25 * ring[0].0;
@@ -302,35 +312,35 @@ impl Samples {
         self.may_touch = touching;
     }
 
-    fn find_neighbours(&mut self) {
-        self.neighbours.clear();
-        if self.pressed.len() > MOST_ASKED {
-            return self.neighbours.resize_with(self.pressed.len(), || [0; NEIGHBOURS]);
+    fn find_neighbours(&mut self, press: DVec3) {
+        let Self { neighbours, pressed, flat, buckets, .. } = self;
+        neighbours.clear();
+        if pressed.len() > MOST_ASKED {
+            return neighbours.resize_with(pressed.len(), || [0; NEIGHBOURS]);
         }
-        for (k, s) in self.pressed.iter().enumerate() {
-            let mut best = [(f64::INFINITY, k as u32); NEIGHBOURS];
-            for (j, other) in self.pressed.iter().enumerate() {
-                let squared = s.p_mm.distance_squared(other.p_mm);
-                if squared < best[NEIGHBOURS - 1].0 && j != k {
-                    let mut at = NEIGHBOURS - 1;
-                    while at > 0 && best[at - 1].0 > squared {
-                        best[at] = best[at - 1];
-                        at -= 1;
-                    }
-                    best[at] = (squared, j as u32);
-                }
-            }
+        let (a, b) = press.any_orthonormal_pair();
+        flat.clear();
+        flat.extend(pressed.iter().map(|s| DVec3::new(s.p_mm.dot(a), s.p_mm.dot(b), s.p_mm.dot(press))));
+        buckets.fill(flat);
+        for (k, s) in pressed.iter().enumerate() {
+            let squared = |j: usize| s.p_mm.distance_squared(pressed[j].p_mm);
+            let best = buckets.nearest::<NEIGHBOURS>(k, flat[k], squared);
             // Those behind a gap are no neighbours.
             let limit = 4.0 * best[0].0;
-            self.neighbours.push(best.map(|(squared, j)| if squared <= limit { j } else { k as u32 }));
+            neighbours.push(best.map(|(squared, j)| if squared <= limit { j } else { k as u32 }));
         }
+    }
+
+    /// How many come first that are looked at first.
+    pub fn may_touch(&self) -> usize {
+        if self.may_touch >= LEAST_TOUCHING { self.may_touch } else { self.pressed.len() }
     }
 
     /// Brings points that are far from each other to the front (Gonzalez 1985), beginning with the one nearest to the
     /// centroid.
-    fn spread(&mut self) {
-        let among = if self.may_touch >= LEAST_TOUCHING { self.may_touch } else { self.pressed.len() };
-        let count = MEDIUM.min(among);
+    fn spread(&mut self, most: usize) {
+        let among = self.may_touch();
+        let count = most.min(among);
         self.spread_count = count;
         self.nearest_squared.clear();
         self.nearest_squared.extend(self.pressed.iter().map(|s| 1.0 / (1e-30 + s.p_mm.length_squared())));
@@ -349,6 +359,21 @@ impl Samples {
         }
     }
 
+    /// Those no farther from the patch's outermost point than they may be and tell of the part.
+    fn take_near(&mut self, unpressed_mm: &[DVec3], covariance: [f64; 6]) {
+        let widest = self.pressed.iter().map(|s| s.p_mm.length_squared()).fold(0.0, f64::max);
+        let reach_mm = sqrt(widest) + BESIDE_MM;
+        let centre_mm = self.centre_mm;
+        let near = |&p: &DVec3| {
+            let p_mm = p - centre_mm;
+            let is_near = p_mm.length_squared() <= reach_mm * reach_mm;
+            is_near.then_some(Sample::new(p_mm, covariance))
+        };
+        self.unpressed.clear();
+        self.unpressed.extend(unpressed_mm.iter().filter_map(near));
+        (self.coarse_unpressed, self.medium_unpressed) = (self.unpressed.len(), self.unpressed.len());
+    }
+
     /// Those around the patch: some beside it first, then the others beside it, then the rest.
     fn take_unpressed(&mut self, unpressed_mm: &[DVec3], covariance: [f64; 6]) {
         self.unpressed.clear();
@@ -360,7 +385,7 @@ impl Samples {
             if near > AROUND_MM * AROUND_MM {
                 continue;
             }
-            self.unpressed.push(Sample { p_mm, covariance, hangs: false });
+            self.unpressed.push(Sample::new(p_mm, covariance));
             if near <= BESIDE_MM * BESIDE_MM {
                 let last = self.unpressed.len() - 1;
                 self.unpressed.swap(beside, last);

@@ -2,7 +2,7 @@
 
 use super::contact::{Sample, Samples};
 use super::noise::{coarse_pressed, coarse_unpressed};
-use super::part::{Coarse, Distances, press_in_object};
+use super::part::{Coarse, press_in_object};
 use super::step::{Normal, Placement};
 use crate::math::DVec3;
 
@@ -37,7 +37,7 @@ impl<'a> View<'a> {
         let (per_radius, per_width) = (1.0 / self.radius_mm, 1.0 / width_mm);
         let mut sum = Normal::ZERO;
         for sample in self.pressed {
-            let near = part.at(placement.object_point(sample.p_mm), press, &mut 0);
+            let near = part.near_at(placement.object_point(sample.p_mm), press);
             let (weight, cost) = coarse_pressed(near.distance_mm * per_width);
             let n = placement.sensor_direction(near.normal);
             sum.add(sample.p_mm, n, near.distance_mm, weight * per_width * per_width, per_radius);

@@ -7,6 +7,7 @@
 //! ([`settled`]). One start finds it from close by; from farther off many are needed, since threads, teeth
 //! and edges each have a minimum of their own.
 
+mod buckets;
 mod contact;
 mod evidence;
 mod fit;
@@ -63,13 +64,13 @@ pub(super) fn run(
     let SurfaceScratch { raster, samples, candidates, polish, settled } = scratch;
     let extent = match params.method {
         RegisterMethod::SurfaceTrack => Extent::Salient,
+        RegisterMethod::SurfaceClose => Extent::Near,
         // What gel meets first of a surface with holes is not known.
         RegisterMethod::SurfaceSearch if solid.is_closed() => Extent::Gel,
         _ => Extent::Around,
     };
-    // Of one start it matters more that it does not know the frame, which this order is taken in; many know it anyway.
-    let is_search = params.method == RegisterMethod::SurfaceSearch;
-    let ordered = if is_search { raster.ordered(contact) } else { *contact };
+    let unpressed_mm = if extent == Extent::Salient { &[] } else { contact.unpressed_mm };
+    let ordered = raster.ordered(&Contact { unpressed_mm, ..*contact });
     samples.fill(&ordered, params.point_sigma_mm, extent);
     let centred = Pose { translation_mm: guess.translation_mm - samples.centre_mm, ..*guess };
     let mut search = Search {
@@ -77,7 +78,7 @@ pub(super) fn run(
         samples,
         press_direction: contact.press_direction,
         field: Coarse(field),
-        faces: Exact { solid, relief },
+        faces: Exact { solid, relief, field: Coarse(field) },
         prior: Prior {
             guess: Placement::new(centred),
             sigma_rad: params.start_sigma_deg.to_radians(),
@@ -108,7 +109,12 @@ fn check_reach(
 ) -> Result<(), RegisterError> {
     let reach_mm = params.search_radius_mm + REACH * params.start_sigma_mm;
     let placed = || search.samples.pressed.iter().map(|s| search.prior.guess.object_point(s.p_mm));
-    let within = |x| solid.closest_within(x, reach_mm, None).is_some();
+    // What the field knows is within its own reach, and a cell.
+    let is_known = search.field.0.reach_mm() + search.field.0.cell_mm() <= reach_mm;
+    let within = |x| {
+        (is_known && search.field.0.distance(x).is_some())
+            || solid.closest_within(x, reach_mm, None).is_some()
+    };
     if placed().filter(|&x| within(x)).take(LEAST_PATCH).count() == LEAST_PATCH {
         return Ok(());
     }

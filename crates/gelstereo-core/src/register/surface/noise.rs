@@ -5,7 +5,7 @@
 //! mixture of contact, free gel and outlier. Markers that are not salient have their own shares; at the rim of a contact
 //! some of them touch, and without them the salient ones would be those that noise has raised.
 
-use crate::math::{exp, ln, sqrt};
+use crate::math::{exp, sqrt};
 
 /// No contact is this many standard deviations off: its density, e^-32 of the greatest, is far below that of outliers.
 const NEVER: f64 = 8.0;
@@ -64,13 +64,13 @@ impl Mixture {
         }
     }
 
-    /// Probability that the marker touches, and the negative logarithm of the mixture's density (per mm).
+    /// Probability that the marker touches, and the mixture's density, per mm.
     #[inline]
     pub fn at(&self, d_mm: f64, sigma_mm: f64) -> (f64, f64) {
         let r = d_mm / sigma_mm;
         if r.abs() > NEVER {
             let free = if r > 0.0 && d_mm < self.reach_mm { self.free } else { 0.0 };
-            return (0.0, -ln(free + self.stray));
+            return (0.0, free + self.stray);
         }
         let peak = self.contact / (sigma_mm * sqrt(core::f64::consts::TAU));
         let near = exp(-0.5 * r * r);
@@ -81,18 +81,25 @@ impl Mixture {
             0.5 * self.free * tail(-r, near)
         };
         let all = touch + free + self.stray;
-        (touch / all, -ln(all))
+        (touch / all, all)
     }
 
-    /// Weight and cost of a marker that cannot touch; with the weight it is pushed out of the part, if it is within.
+    /// Weight of a marker that cannot touch, and the mixture's density; with the weight it is pushed out of the part, if it
+    /// is within.
     #[inline]
     pub fn free(&self, d_mm: f64, sigma_mm: f64) -> (f64, f64) {
         if d_mm >= 0.0 {
-            return (0.0, -ln(self.free + self.stray));
+            return (0.0, self.free_density());
         }
         let r = d_mm / sigma_mm;
         let good = self.free * exp(-0.5 * r * r);
-        (good / (good + self.stray), -ln(good + self.stray))
+        (good / (good + self.stray), good + self.stray)
+    }
+
+    /// Over the part, out of reach of contact.
+    #[inline]
+    pub fn free_density(&self) -> f64 {
+        self.free + self.stray
     }
 }
 

@@ -21,10 +21,24 @@ pub(super) struct Near {
 
 /// Something that knows distances to a part.
 pub(super) trait Distances {
-    /// What one lookup costs, in lookups of the field.
-    const WORK: u64;
-    /// `press` is the way from the part into the gel, object frame; `hint` what the last call for the same point said.
-    fn at(&self, x_mm: DVec3, press: DVec3, hint: &mut u32) -> Near;
+    /// `press` is the way from the part into the gel, object frame; distances out of `range` need not be exact.
+    fn at(&self, x_mm: DVec3, press: DVec3, range: Range, last: &mut Last) -> Near;
+}
+
+/// From which to which distance a point matters, mm.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Range {
+    pub from_mm: f64,
+    pub to_mm: f64,
+}
+
+/// What is kept of a point from lookup to lookup.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Last {
+    /// The triangle that was nearest.
+    pub triangle: u32,
+    /// What lookups have cost, in lookups of the field.
+    pub work: u64,
 }
 
 /// Where the part lies under a marker, along the press.
@@ -120,17 +134,22 @@ impl Exact<'_> {
 pub(super) struct Coarse<'a>(pub &'a Field);
 
 impl Distances for Coarse<'_> {
-    const WORK: u64 = 1;
-
     #[inline]
-    fn at(&self, x_mm: DVec3, press: DVec3, _: &mut u32) -> Near {
-        let near = self.lookup(x_mm, press);
-        if near.normal.dot(press) >= LEAST_COSINE { near } else { self.through(x_mm, press, near) }
+    fn at(&self, x_mm: DVec3, press: DVec3, _: Range, last: &mut Last) -> Near {
+        last.work += 1;
+        self.near_at(x_mm, press)
     }
 }
 
 impl Coarse<'_> {
-    /// As [`Distances::at`], and `None` where that is sure to be outside of the part, which takes no direction.
+    /// The distance of a point, and its normal.
+    #[inline]
+    pub fn near_at(&self, x_mm: DVec3, press: DVec3) -> Near {
+        let near = self.lookup(x_mm, press);
+        if near.normal.dot(press) >= LEAST_COSINE { near } else { self.through(x_mm, press, near) }
+    }
+
+    /// As [`Self::near_at`], and `None` where that is sure to be outside of the part, which takes no direction.
     #[inline]
     pub fn within(&self, x_mm: DVec3, press: DVec3) -> Option<Near> {
         let (distance_mm, gradient) = self.0.distance(x_mm)?;
@@ -184,29 +203,50 @@ impl Coarse<'_> {
 pub(super) struct Exact<'a> {
     pub solid: &'a Solid,
     pub relief: &'a Relief,
+    pub field: Coarse<'a>,
 }
 
 /// No part is farther away that says anything.
 const REACH_MM: f64 = 20.0;
+/// What a lookup on the triangles costs, in lookups of the field.
+const EXACT_WORK: u64 = 16;
+/// What the field of a closed surface may be wrong by, in cells: √3 / 2.
+const FIELD_ERROR: f64 = 0.867;
 
 impl Distances for Exact<'_> {
-    const WORK: u64 = 16;
-
+    /// The field tells which points the triangles need not be asked for, and how far it is to them at most.
     #[inline]
-    fn at(&self, x_mm: DVec3, press: DVec3, hint: &mut u32) -> Near {
-        let facing = Facing { direction: press, least_cosine: LEAST_COSINE };
-        match self.solid.closest_facing(x_mm, &facing, REACH_MM, Some(*hint)) {
-            Some(found) => {
-                *hint = found.triangle;
-                let slope = self.relief.slope(self.solid, &found, x_mm - found.point_mm);
-                Near {
-                    distance_mm: found.distance_mm,
-                    normal: slope.normal,
-                    curvature_per_mm: slope.curvature_per_mm,
-                }
+    fn at(&self, x_mm: DVec3, press: DVec3, range: Range, last: &mut Last) -> Near {
+        last.work += 1;
+        let mut reach_mm = REACH_MM;
+        if let Some((distance_mm, gradient)) = self.field.0.distance(x_mm) {
+            let near = Coarse::near(distance_mm, gradient, press);
+            let error_mm = FIELD_ERROR * self.field.0.cell_mm();
+            let matters = (range.from_mm - error_mm..range.to_mm + error_mm).contains(&distance_mm);
+            if !matters && near.normal.dot(press) >= LEAST_COSINE && self.solid.is_closed() {
+                return near;
             }
-            None => Near { distance_mm: REACH_MM, normal: press, curvature_per_mm: 0.0 },
+            reach_mm = abs(distance_mm) + error_mm;
         }
+        last.work += EXACT_WORK;
+        self.nearest(x_mm, press, reach_mm, last)
+            .or_else(|| self.nearest(x_mm, press, REACH_MM, last))
+            .unwrap_or(Near { distance_mm: REACH_MM, normal: press, curvature_per_mm: 0.0 })
+    }
+}
+
+impl Exact<'_> {
+    #[inline]
+    fn nearest(&self, x_mm: DVec3, press: DVec3, reach_mm: f64, last: &mut Last) -> Option<Near> {
+        let facing = Facing { direction: press, least_cosine: LEAST_COSINE };
+        let found = self.solid.closest_facing(x_mm, &facing, reach_mm, Some(last.triangle))?;
+        last.triangle = found.triangle;
+        let slope = self.relief.slope(self.solid, &found, x_mm - found.point_mm);
+        Some(Near {
+            distance_mm: found.distance_mm,
+            normal: slope.normal,
+            curvature_per_mm: slope.curvature_per_mm,
+        })
     }
 }
 

@@ -7,7 +7,7 @@
 use super::contact::Samples;
 use super::fit::View;
 use super::noise::Mixture;
-use super::part::{Coarse, Distances, Near, press_in_object};
+use super::part::{Coarse, Distances, Last, Near, Range, press_in_object};
 use super::search::Candidate;
 use super::step::{Normal, Placement, Prior};
 use crate::math::{DVec3, ln, sqrt};
@@ -22,6 +22,8 @@ const FREE_MM: f64 = 4.0;
 const FAR_MM: f64 = 0.5;
 /// Those this far over it at the start are not looked at again: polishing does not move the part as far.
 pub(super) const OUT_OF_REACH_MM: f64 = 1.2;
+/// The last step of a run, in tolerances.
+const LAST_STEP: f64 = 10.0;
 /// Halvings of a step before it is given up.
 const HALVINGS: u32 = 4;
 /// Steps of expectation for one of maximisation: they cost no lookups.
@@ -32,6 +34,9 @@ const LONGEST_MM: f64 = 0.5;
 const STEEP_COSINE: f64 = 0.35;
 /// Standard deviations that a marker that cannot touch may lie in the part before it pushes.
 const SLACK: f64 = 2.0;
+/// The triangles need not be asked for points that are surely farther off than this, in standard deviations: the weight of such
+/// a one is e^-8 of the greatest, and the field tells as well that it is far.
+const ASKED: f64 = 4.0;
 /// Probability that a salient point touches around which the gel is hollow: in a fillet it would.
 const HANGING: f64 = 0.02;
 /// Probability of contact before anything is known: of salient points, and of others.
@@ -72,6 +77,15 @@ pub(super) struct Readings {
 /// A marker that is not looked at.
 const SKIP: u32 = u32::MAX;
 
+/// What is asked of markers that are not salient.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Asked {
+    /// How far they are in the part.
+    Within,
+    /// Whether they touch it, too.
+    Touching,
+}
+
 /// Vectors that are kept from run to run.
 #[derive(Clone, Debug, Default)]
 pub(super) struct PolishScratch {
@@ -108,35 +122,41 @@ impl<D: Distances> Polish<'_, D> {
     pub fn run(&self, candidate: &mut Candidate, most: u32, budget: u64, scratch: &mut PolishScratch) -> End {
         let mut end =
             End { converged: false, iterations: 0, work: self.start(&candidate.placement, scratch) };
+        let least_mm = LAST_STEP * self.params.step_tolerance * scratch.here.all[0].sigma_mm;
         while end.iterations < most && !end.converged && end.work < budget {
             end.iterations += 1;
             for _ in 0..EXPECTATIONS {
-                self.believe(scratch);
+                self.believe(scratch, Asked::Within);
             }
-            let now = self.system(scratch, &scratch.here, &candidate.placement);
+            let now = self.sum::<true>(scratch, &scratch.here, &candidate.placement);
             let Some((omega, v)) = now.solve(self.view.radius_mm, LONGEST_MM) else { break };
-            let full_mm = sqrt((omega * self.view.radius_mm).length_squared() + v.length_squared());
-            let tolerance_mm = self.params.step_tolerance * scratch.here.all[0].sigma_mm;
+            let full_mm = self.length_mm(omega, v);
+            let cost = self.cost(scratch, &scratch.here, &candidate.placement);
             let mut share = 1.0;
             let mut accepted = false;
             for _ in 0..=HALVINGS {
                 let next = candidate.placement.moved(omega * share, v * share);
-                end.work += self.read(&next, &mut scratch.there);
-                if self.cost(scratch, &scratch.there, &next) < now.cost {
+                end.work += self.read(&next, &mut scratch.there, Asked::Within);
+                if self.cost(scratch, &scratch.there, &next) < cost {
                     candidate.placement = next;
                     core::mem::swap(&mut scratch.here, &mut scratch.there);
                     accepted = true;
                     break;
                 }
                 share *= 0.5;
-                if share * full_mm < 10.0 * tolerance_mm {
+                if share * full_mm < least_mm {
                     break;
                 }
             }
             // Nothing more likely along the step, within what steps are told apart by.
-            end.converged = !accepted || share * full_mm < 10.0 * tolerance_mm;
+            end.converged = !accepted || share * full_mm < least_mm;
         }
         end
+    }
+
+    /// How far a turn and a shift move the patch.
+    fn length_mm(&self, omega: DVec3, v: DVec3) -> f64 {
+        sqrt((omega * self.view.radius_mm).length_squared() + v.length_squared())
     }
 
     /// At most `most` steps, each as far as it says, and none once `budget` of work is spent: the field has no creases for
@@ -152,13 +172,13 @@ impl<D: Distances> Polish<'_, D> {
             End { converged: false, iterations: 0, work: self.start(&candidate.placement, scratch) };
         while end.iterations < most && !end.converged && end.work < budget {
             end.iterations += 1;
-            self.believe(scratch);
-            let now = self.system(scratch, &scratch.here, &candidate.placement);
+            self.believe(scratch, Asked::Within);
+            let now = self.sum::<true>(scratch, &scratch.here, &candidate.placement);
             let Some((omega, v)) = now.solve(self.view.radius_mm, LONGEST_MM) else { break };
             candidate.placement = candidate.placement.moved(omega, v);
-            end.work += self.read(&candidate.placement, &mut scratch.here);
-            let moved_mm = sqrt((omega * self.view.radius_mm).length_squared() + v.length_squared());
-            end.converged = moved_mm < 10.0 * self.params.step_tolerance * scratch.here.all[0].sigma_mm;
+            end.work += self.read(&candidate.placement, &mut scratch.here, Asked::Within);
+            let least_mm = LAST_STEP * self.params.step_tolerance * scratch.here.all[0].sigma_mm;
+            end.converged = self.length_mm(omega, v) < least_mm;
         }
         end
     }
@@ -167,25 +187,22 @@ impl<D: Distances> Polish<'_, D> {
     /// read in the scratch, and what is believed of it.
     pub fn compare(&self, placement: &Placement, scratch: &mut PolishScratch) -> (f64, u64) {
         let work = self.start(placement, scratch);
-        (self.judge(placement, scratch), work)
+        let (cost, more) = self.compare_ended(placement, scratch);
+        (cost, work + more)
     }
 
-    /// The same from what was read there.
-    fn judge(&self, placement: &Placement, scratch: &mut PolishScratch) -> f64 {
+    /// As [`Self::compare`], where a run has just ended.
+    pub fn compare_ended(&self, placement: &Placement, scratch: &mut PolishScratch) -> (f64, u64) {
+        self.forget(scratch);
+        let work = self.read_some(placement, &mut scratch.here, self.view.pressed.len(), Asked::Touching);
         for k in 0..scratch.before.len() {
             if !scratch.here.all[k].can_touch {
                 scratch.before[k] = 0.0;
             }
         }
         let cost = self.cost(scratch, &scratch.here, placement);
-        self.believe(scratch);
-        cost
-    }
-
-    /// As [`Self::compare`], where a run has just ended.
-    pub fn compare_ended(&self, placement: &Placement, scratch: &mut PolishScratch) -> f64 {
-        self.forget(scratch);
-        self.judge(placement, scratch)
+        self.believe(scratch, Asked::Touching);
+        (cost, work)
     }
 
     /// Reads the first placement, and leaves out the markers that are far from the part.
@@ -199,7 +216,7 @@ impl<D: Distances> Polish<'_, D> {
         }
         let press = press_in_object(placement, self.view.press_direction);
         for (k, sample) in self.view.unpressed.iter().enumerate() {
-            let near = self.field.at(placement.object_point(sample.p_mm), press, &mut 0);
+            let near = self.field.near_at(placement.object_point(sample.p_mm), press);
             if near.distance_mm > self.reach_mm {
                 for readings in [&mut scratch.here, &mut scratch.there] {
                     readings.all[pressed + k].distance_mm = near.distance_mm;
@@ -208,7 +225,7 @@ impl<D: Distances> Polish<'_, D> {
             }
         }
         self.forget(scratch);
-        self.view.unpressed.len() as u64 + self.read(placement, &mut scratch.here)
+        self.view.unpressed.len() as u64 + self.read(placement, &mut scratch.here, Asked::Within)
     }
 
     /// Believes again what is believed before anything is known.
@@ -221,18 +238,36 @@ impl<D: Distances> Polish<'_, D> {
     }
 
     /// Looks up all distances; returns what that cost.
-    fn read(&self, placement: &Placement, out: &mut Readings) -> u64 {
+    fn read(&self, placement: &Placement, out: &mut Readings, asked: Asked) -> u64 {
+        self.read_some(placement, out, 0, asked)
+    }
+
+    /// The same of the markers from `first` on.
+    fn read_some(&self, placement: &Placement, out: &mut Readings, first: usize, asked: Asked) -> u64 {
         let press = press_in_object(placement, self.view.press_direction);
         let toward = self.view.press_direction;
-        let model = self.params.surface_sigma_mm * self.params.surface_sigma_mm;
+        let surface_mm = self.params.surface_sigma_mm;
+        let model = surface_mm * surface_mm;
+        let pressed = self.view.pressed.len();
         let samples = self.view.pressed.iter().chain(self.view.unpressed);
-        let mut lookups = 0;
-        for ((sample, reading), hint) in samples.zip(&mut out.all).zip(&mut out.hints) {
+        let all = samples.zip(&mut out.all).zip(&mut out.hints).enumerate();
+        let mut work = 0;
+        for (k, ((sample, reading), hint)) in all.skip(first) {
             if *hint == SKIP {
                 continue;
             }
+            let most_mm = sample.most_sigma_mm + surface_mm;
+            let may_touch = k < pressed || asked == Asked::Touching;
+            let to_mm = if may_touch { ASKED * most_mm } else { 0.0 };
+            let range = Range { from_mm: -(ASKED + SLACK) * most_mm, to_mm };
+            let mut last = Last { triangle: *hint, work: 0 };
             let Near { distance_mm, normal, curvature_per_mm } =
-                self.part.at(placement.object_point(sample.p_mm), press, hint);
+                self.part.at(placement.object_point(sample.p_mm), press, range, &mut last);
+            (*hint, work) = (last.triangle, work + last.work);
+            if !may_touch && distance_mm > 0.0 {
+                *reading = Reading { distance_mm, ..Reading::NOTHING };
+                continue;
+            }
             let normal = placement.sensor_direction(normal);
             let variance_mm2 = sample.variance(normal) + model;
             let foot_mm = sample.p_mm - normal * distance_mm;
@@ -245,18 +280,20 @@ impl<D: Distances> Polish<'_, D> {
                 can_touch: normal.dot(toward) >= STEEP_COSINE
                     && foot_mm.dot(toward) >= self.samples.salient_from_mm,
             };
-            lookups += 1;
         }
-        lookups * D::WORK
+        work
     }
 
     /// One step of expectation: contact and shoulder are regions, so what is believed of a salient point before its own
     /// distance is what its neighbours say.
-    fn believe(&self, scratch: &mut PolishScratch) {
+    ///
+    /// Nobody knows which of the others touch, and whom to believe would bias the pose: they only push.
+    fn believe(&self, scratch: &mut PolishScratch, asked: Asked) {
         let PolishScratch { here, before, touches, .. } = scratch;
         let pressed = self.view.pressed.len();
         let mut total = 0.0;
-        for (k, r) in here.all.iter().enumerate() {
+        let count = if asked == Asked::Touching { here.all.len() } else { pressed };
+        for (k, r) in here.all[..count].iter().enumerate() {
             let reach_mm = if k < pressed { SHOULDER_MM } else { FREE_MM };
             let mixture = Mixture::new(before[k].max(0.01), self.params.outlier_share, reach_mm);
             touches[k] = if r.can_touch { mixture.at(r.distance_mm, r.sigma_mm).0 } else { 0.0 };
@@ -266,34 +303,27 @@ impl<D: Distances> Polish<'_, D> {
         }
         // Laplace's rule keeps it off 0 and 1.
         let whole = (total + 1.0) / (pressed as f64 + 2.0);
-        for (k, r) in here.all.iter().enumerate() {
-            let hangs = k < pressed && self.view.pressed[k].hangs;
-            before[k] = match self.samples.neighbours.get(k) {
-                _ if !r.can_touch => 0.0,
-                _ if hangs => HANGING,
-                Some(near) => {
-                    let others = near.iter().map(|&j| j as usize).filter(|&j| j != k);
-                    let (sum, count) =
-                        others.fold((2.0 * whole, 2.0), |(sum, n), j| (sum + touches[j], n + 1.0));
-                    sum / count
-                }
-                // Nobody knows which of the others touch, and whom to believe would bias the pose: they only push.
-                None => 0.0,
+        for (k, (r, near)) in here.all.iter().zip(&self.samples.neighbours).enumerate() {
+            before[k] = if !r.can_touch {
+                0.0
+            } else if self.view.pressed[k].hangs {
+                HANGING
+            } else {
+                let others = near.iter().map(|&j| j as usize).filter(|&j| j != k);
+                let (sum, count) = others.fold((2.0 * whole, 2.0), |(sum, n), j| (sum + touches[j], n + 1.0));
+                sum / count
             };
         }
+        before[pressed..].fill(0.0);
     }
 
-    /// What a placement costs, as [`Self::system`] says.
+    /// What a placement costs.
     fn cost(&self, scratch: &PolishScratch, readings: &Readings, placement: &Placement) -> f64 {
         self.sum::<false>(scratch, readings, placement).cost
     }
 
-    fn system(&self, scratch: &PolishScratch, readings: &Readings, placement: &Placement) -> Normal {
-        self.sum::<true>(scratch, readings, placement)
-    }
-
-    /// The linear system with what it costs, or that alone.
-    fn sum<const WHOLE: bool>(
+    /// The linear system, or what it costs.
+    fn sum<const SYSTEM: bool>(
         &self,
         scratch: &PolishScratch,
         readings: &Readings,
@@ -302,30 +332,54 @@ impl<D: Distances> Polish<'_, D> {
         let outliers = self.params.outlier_share;
         let pressed = self.view.pressed.len();
         let mut sum = Normal::ZERO;
+        let mut likelihood = Likelihood { product: 1.0, cost: 0.0 };
         let per_radius = 1.0 / self.view.radius_mm;
         let samples = self.view.pressed.iter().chain(self.view.unpressed);
         for (k, ((sample, r), &before)) in samples.zip(&readings.all).zip(&scratch.before).enumerate() {
-            if k >= pressed && r.distance_mm > FAR_MM {
+            let pushed_mm = (r.distance_mm + SLACK * r.sigma_mm).min(0.0);
+            if k >= pressed && (r.distance_mm > FAR_MM || (before == 0.0 && pushed_mm == 0.0)) {
                 continue;
             }
-            // The cost of a marker that is not salient is over that of gel far from the part.
-            let (reach_mm, far) = if k < pressed { (SHOULDER_MM, 0.0) } else { (FREE_MM, ln(FREE_MM)) };
+            let reach_mm = if k < pressed { SHOULDER_MM } else { FREE_MM };
             let mixture = Mixture::new(before, outliers, reach_mm);
-            let (d_mm, (weight, cost)) = if before > 0.0 {
+            let (d_mm, (weight, density)) = if before > 0.0 {
                 (r.distance_mm, mixture.at(r.distance_mm, r.sigma_mm))
+            } else if r.distance_mm > reach_mm {
+                (0.0, (0.0, Mixture::new(0.0, 1.0, reach_mm).free_density()))
             } else {
-                let d_mm = r.distance_mm + SLACK * r.sigma_mm;
-                let hangs = r.distance_mm > reach_mm;
-                let stray = Mixture::new(0.0, 1.0, reach_mm);
-                (d_mm.min(0.0), if hangs { stray.free(d_mm, 1.0) } else { mixture.free(d_mm, r.sigma_mm) })
+                (pushed_mm, mixture.free(pushed_mm, r.sigma_mm))
             };
-            sum.cost -= far;
-            if WHOLE {
+            if SYSTEM && weight > 0.0 {
                 sum.add(sample.p_mm, r.normal, d_mm, weight / r.variance_mm2, per_radius);
             }
-            sum.cost += cost;
+            if !SYSTEM {
+                // That of a marker that is not salient is over that of gel out of the part's reach.
+                likelihood.times(if k < pressed { density } else { density / mixture.free_density() });
+            }
         }
+        sum.cost = likelihood.cost();
         sum.add_prior(&self.prior, placement, self.view.radius_mm, 1.0);
         sum
+    }
+}
+
+/// The negative logarithm of a product of densities; of several factors at once, for logarithms take long.
+struct Likelihood {
+    product: f64,
+    cost: f64,
+}
+
+impl Likelihood {
+    #[inline]
+    fn times(&mut self, density: f64) {
+        self.product *= density;
+        if !(1e-100..1e100).contains(&self.product) {
+            self.cost -= ln(self.product);
+            self.product = 1.0;
+        }
+    }
+
+    fn cost(&self) -> f64 {
+        self.cost - ln(self.product)
     }
 }

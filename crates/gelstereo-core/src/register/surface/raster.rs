@@ -20,8 +20,8 @@ pub(super) struct Raster {
     unpressed_mm: Vec<DVec3>,
 }
 
-/// Where a marker lies: its band, along the band, across it, and along the press; and its index.
-type Key = ([f64; 4], u32);
+/// Where a marker lies: its band, and along the band as a number that is greater the farther it is; and its index.
+type Key = (u32, u64, u32);
 
 impl Raster {
     /// The same contact in the order in which its markers lie.
@@ -63,17 +63,26 @@ struct Frame {
 }
 
 /// Indices in the order in which points lie.
-fn order<'a>(keys: &'a mut Vec<Key>, points_mm: &[DVec3], frame: Frame) -> impl Iterator<Item = usize> + 'a {
+fn order<'a>(
+    keys: &'a mut Vec<Key>,
+    points_mm: &[DVec3],
+    frame: Frame,
+) -> impl Iterator<Item = usize> + use<'a> {
     keys.clear();
     keys.extend(points_mm.iter().zip(0..).map(|(p, k)| {
-        let y_mm = p.dot(frame.across);
-        let band = floor((y_mm - frame.low_mm) / BAND_MM + 0.5);
-        ([band, p.dot(frame.along), y_mm, p.dot(frame.press)], k)
+        let band = floor((p.dot(frame.across) - frame.low_mm) / BAND_MM + 0.5) as u32;
+        (band, ascending(p.dot(frame.along)), k)
     }));
-    // Of markers at the same place the one given first.
-    keys.sort_unstable_by(|(a, i), (b, j)| {
-        let by_place = a.iter().zip(b).map(|(a, b)| a.total_cmp(b));
-        by_place.fold(core::cmp::Ordering::Equal, core::cmp::Ordering::then).then(i.cmp(j))
+    // Then across the band, and along the press; of markers at the same place the one given first.
+    let rest = |k: u32| [frame.across, frame.press].map(|axis| ascending(points_mm[k as usize].dot(axis)));
+    keys.sort_unstable_by(|a, b| {
+        (a.0, a.1).cmp(&(b.0, b.1)).then_with(|| rest(a.2).cmp(&rest(b.2))).then(a.2.cmp(&b.2))
     });
-    keys.iter().map(|(_, k)| *k as usize)
+    keys.iter().map(|(_, _, k)| *k as usize)
+}
+
+/// As the total order of real numbers has it.
+fn ascending(x: f64) -> u64 {
+    let bits = x.to_bits();
+    if bits >> 63 == 0 { bits | 1 << 63 } else { !bits }
 }

@@ -121,7 +121,7 @@ impl Search<'_> {
         self.begin_at_guess(candidates);
         let view = View::of(
             self.samples,
-            self.samples.spread_count,
+            self.samples.may_touch(),
             self.samples.medium_unpressed,
             self.press_direction,
         );
@@ -134,8 +134,9 @@ impl Search<'_> {
         let left = self.budget().saturating_sub(self.work);
         let polish = Polish { reach_mm: CLOSE_REACH_MM, ..self.polish(self.faces) };
         let end = polish.run(&mut candidates[0], self.params.max_iterations.min(MOST_STEPS), left, scratch);
-        candidates[0].cost = polish.compare_ended(&candidates[0].placement, scratch);
-        self.work += end.work;
+        let (cost, work) = polish.compare_ended(&candidates[0].placement, scratch);
+        candidates[0].cost = cost;
+        self.work += end.work + work;
         end
     }
 
