@@ -5,9 +5,11 @@ use crate::errors::{RegisterError, raise};
 use crate::params::Params;
 use crate::template::Template;
 use gelstereo_core::math::DVec3;
+use gelstereo_core::params::RegisterParams;
 use gelstereo_core::register as core;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
+use std::cell::RefCell;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// A direction of motion that the contact does not determine, in the object's frame; ``str()`` says it in words.
@@ -183,11 +185,27 @@ pub fn localize(
 ) -> PyResult<Localization> {
     let guess = arrays::pose(t_sensor_object, "t_sensor_object")?;
     let template = template.get().inner();
-    let mut stage = core::Registrar::new(&Params::or_default(params).register);
-    let register = |contact: &core::Contact<'_>| stage.register(contact, template, &guess);
-    let decay_mm = Params::or_default(params).contact.decay_mm;
+    let params = Params::or_default(params);
+    let register = |contact: &core::Contact<'_>| {
+        with_registrar(&params.register, |stage| stage.register(contact, template, &guess))
+    };
+    let decay_mm = params.contact.decay_mm;
     let found = with_contact(py, points_mm, all_points_mm, covariance_mm2, decay_mm, register)?;
     Localization::new(py, found, None)
+}
+
+thread_local! {
+    /// The stage of this thread's last call, for the memory it has: asking for it anew takes as long as a tenth of the work.
+    static REGISTRAR: RefCell<Option<(RegisterParams, core::Registrar)>> = const { RefCell::new(None) };
+}
+
+/// Runs a stage with these settings.
+fn with_registrar<T>(params: &RegisterParams, run: impl FnOnce(&mut core::Registrar) -> T) -> T {
+    REGISTRAR.with_borrow_mut(|kept| {
+        let same = kept.take().filter(|(with, _)| with == params);
+        let (_, stage) = kept.insert(same.unwrap_or_else(|| (params.clone(), core::Registrar::new(params))));
+        run(stage)
+    })
 }
 
 /// Runs what needs a contact, with the interpreter released.
