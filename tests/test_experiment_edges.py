@@ -61,8 +61,9 @@ def test_markers_alike_are_those_whose_distances_from_the_edge_differ_little(tur
 
 
 @pytest.mark.parametrize("letter", sorted(GRASPED))
-def test_square_and_hexagonal_pegs_are_ridged(letter: str) -> None:
-    assert is_ridged(GRASPED[letter].make()) == (letter in "bd")
+def test_only_the_hexagonal_peg_has_a_next_face_to_lie_on(letter: str) -> None:
+    """Round and irregular pegs have no edges, the plug's are rounded, and a square peg's sides stand upright."""
+    assert is_ridged(GRASPED[letter].make()) == (letter == "d")
 
 
 #: A hexagonal peg on the gel: its axis along the sensor's y, a flat towards the camera.

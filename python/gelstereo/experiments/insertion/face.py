@@ -24,6 +24,8 @@ Array = npt.NDArray[np.float64]
 
 #: Faces that meet at less than this are one, rad: as registration has it (32 degrees).
 _CREASE_RAD = 0.55
+#: Faces that meet at more are upright on each other, rad (80 degrees).
+_UPRIGHT_RAD = 1.4
 #: Cosine from which an edge is along the axis.
 _ALONG = 0.99
 #: Markers this near lie on the part, mm: four standard deviations of a height.
@@ -31,8 +33,12 @@ _TOUCH_MM = 0.025
 
 
 def is_ridged(mesh: trimesh.Trimesh) -> bool:
-    """Whether faces of a part meet at an edge along its axis, z, that is longer than the part is wide."""
-    ends = mesh.vertices[mesh.face_adjacency_edges[mesh.face_adjacency_angles > _CREASE_RAD]]
+    """Whether two faces that gel may lie on meet at an edge along the part's axis, z, longer than the part is wide.
+
+    Beside a face that lies on the gel, one at a right angle to it is never touched.
+    """
+    angles = mesh.face_adjacency_angles
+    ends = mesh.vertices[mesh.face_adjacency_edges[(angles > _CREASE_RAD) & (angles < _UPRIGHT_RAD)]]
     ways = np.abs(ends[:, 1] - ends[:, 0])
     is_along = ways[:, 2] > _ALONG * np.linalg.norm(ways, axis=1)
     return bool(np.any(is_along & (ways[:, 2] > np.max(mesh.extents[:2]))))
