@@ -53,8 +53,8 @@ impl RowBits {
     pub fn widen(&mut self, by: usize) {
         let mut reached = 0;
         while reached < by {
-            // What is reached so far has no holes, and gets none.
-            let step = (2 * reached + 1).min(by - reached).min(WORD - 1);
+            // What is reached so far has no holes, and gets none, also where the row's end hides half of it.
+            let step = (reached + 1).min(by - reached).min(WORD - 1);
             let mut before = 0;
             for word in 0..self.words.len() {
                 let here = self.words[word];
@@ -101,6 +101,17 @@ mod tests {
     use alloc::vec::Vec;
     use core::ops::Range;
     use proptest::prelude::*;
+
+    /// Half of what is reached lies beyond the row's end.
+    #[test]
+    fn a_pixel_at_the_end_of_a_row_widens_without_holes() {
+        let mut row = RowBits::default();
+        row.start(130);
+        row.set(0..1);
+        row.set(129..130);
+        row.widen(6);
+        assert_eq!(row.clear_stretches().collect::<Vec<_>>(), [7..123]);
+    }
 
     proptest! {
         /// Against a look at one pixel after the other, however they were set.
