@@ -110,7 +110,7 @@ mod tests {
         row.set(0..1);
         row.set(129..130);
         row.widen(6);
-        assert_eq!(row.clear_stretches().collect::<Vec<_>>(), [7..123]);
+        assert!(row.clear_stretches().eq(core::iter::once(7..123)));
     }
 
     proptest! {
