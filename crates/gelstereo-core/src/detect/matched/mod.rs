@@ -9,6 +9,7 @@
 
 mod cholesky;
 mod correlate;
+mod covariance;
 mod design;
 mod disc;
 mod learn;
