@@ -163,8 +163,8 @@ fn row_34_the_bits_of_a_fixed_scene_are_known() {
     let known = [
         ("paper", 0x2e1f_d6b4_a3b5_cb78),
         ("fast", 0x2c47_3df7_07d2_1b1e),
-        ("balanced", 0x3d09_a5a0_787a_5a5e),
-        ("exact", 0xbc6b_8d24_1dc4_1343),
+        ("balanced", 0xb937_f513_b745_e303),
+        ("exact", 0xc152_cc7e_d5d9_017c),
     ];
     assert_eq!(known.map(|(preset, _)| preset), Params::PRESETS, "every preset has its digest");
     let found = known.map(|(preset, _)| {

@@ -347,10 +347,55 @@ fn squares(a: &[u8; LANES], b: &[u8; LANES]) -> u32 {
 
 #[cfg(test)]
 mod tests {
-    use super::{LANES, squared_difference, stretches};
+    use super::{LAGS, LANES, spread_of, squared_difference, stretches};
+    use crate::math::abs;
     use alloc::vec::Vec;
     use core::ops::Range;
     use proptest::prelude::*;
+
+    /// Rows of gel in stretches of these lengths, with a marker of this width after each: 255 where the mask is set.
+    fn masked(gel: &[usize], marker: usize) -> Vec<u8> {
+        let row = |length: usize| (0..length + marker).map(move |x| if x < length { 0 } else { u8::MAX });
+        gel.iter().flat_map(|&length| row(length)).collect()
+    }
+
+    proptest! {
+        /// White noise has the same variance at all distances, whatever its mean difference took. Of independent pixels
+        /// of variance 1 the mean of a sum of squares is the sum of what it is of each pixel alone: no chance is left but round-off.
+        #[test]
+        fn a_slope_takes_no_more_noise_from_far_pixels_than_from_near_ones(
+            gel in prop::collection::vec(14..90_usize, 1..12), marker in 1..12_usize, clearance in 1..5_usize,
+        ) {
+            let mask = masked(&gel, marker);
+            let (mut sums, mut levels) = ([0.0; 3], alloc::vec![0; mask.len()]);
+            for x in 0..mask.len() {
+                levels[x] = 1;
+                let alone = spread_of(&levels, &mask, clearance).sums;
+                sums.iter_mut().zip(alone).for_each(|(sum, alone)| *sum += alone);
+                levels[x] = 0;
+            }
+            let count = spread_of(&levels, &mask, clearance).count as f64;
+            for (sum, lag) in sums.iter().zip(LAGS) {
+                prop_assert!(abs(sum - 2.0 * count) <= 1e-11 * count, "lag {}: {} of {}", lag, sum, 2.0 * count);
+            }
+        }
+
+        /// Light that rises evenly along the row leaves what differences leave without it.
+        #[test]
+        fn a_slope_of_light_is_no_noise(
+            gel in prop::collection::vec(14..40_usize, 1..5), marker in 1..12_usize, level in 0..20_u8,
+            noise in prop::collection::vec(0..20_u8, 208),
+        ) {
+            let mask = masked(&gel, marker);
+            let dark = &noise[..mask.len()];
+            let lit: Vec<u8> = (0_u8..).zip(dark).map(|(x, noise)| noise + level + x).collect();
+            let (dark, lit) = (spread_of(dark, &mask, 1).sums, spread_of(&lit, &mask, 1).sums);
+            for (a, b) in dark.iter().zip(lit) {
+                // Round-off of squares below 2^17.
+                prop_assert!(abs(a - b) < 1e-9, "{} {}", a, b);
+            }
+        }
+    }
 
     proptest! {
         /// Against a look at one pixel after the other.
