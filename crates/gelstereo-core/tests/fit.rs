@@ -21,8 +21,8 @@ fn detect(params: &DetectParams, image: &[u8], width: usize) -> Markers {
     markers
 }
 
-/// An ellipse's blurred image: coverage by sampling, then a Gaussian, then slopes, noise and rounding. Independent of the
-/// fit's profile.
+/// An ellipse's blurred image: coverage by sampling, then a Gaussian, then slopes, noise and rounding. Independent of
+/// the fit's profile.
 #[derive(Clone, Copy, Debug)]
 struct Ellipse {
     centre: DVec2,
@@ -99,8 +99,8 @@ fn every_dot_of_a_lattice_is_fitted() {
     }
 }
 
-/// Normalised squared errors of n markers' centres are chi² with 2 n degrees of freedom when the covariance is right: their
-/// mean over 2 n is 1, with the standard deviation 1 / sqrt(n).
+/// Normalised squared errors of n markers' centres are chi² with 2 n degrees of freedom when the covariance is right:
+/// their mean over 2 n is 1, with the standard deviation 1 / sqrt(n).
 #[test]
 fn covariances_are_calibrated_in_white_noise() {
     let truth = paper_lattice();
@@ -124,15 +124,16 @@ fn covariances_are_calibrated_in_white_noise() {
             }
         }
         let nees = sum / (2.0 * count);
-        // 95 % of the means lie within 1.96 / sqrt(n); four settings, so 99 % each. The kernel's variance is 3 % uncertain.
+        // 95 % of the means lie within 1.96 / sqrt(n); four settings, so 99 % each. The kernel's variance is 3 %
+        // uncertain.
         let band = 2.6 / f64::sqrt(count) + 0.03;
         assert!((nees - 1.0).abs() < band, "noise {noise} contrast {contrast}: {nees}");
     }
 }
 
-/// The blur of an image is the same whatever its noise, though outlines follow the noise: they would take 0.024 px of it here, by
-/// (b - (b² - <u²>)^0.5) with <u²> = 5 σ² b / (sqrt(π) r C²). The mean of sixty images is known to a standard error of their own scatter, three
-/// of which must be less than that.
+/// The blur of an image is the same whatever its noise, though outlines follow the noise: they would take 0.024 px of
+/// it here, by (b - (b² - <u²>)^0.5) with <u²> = 5 σ² b / (sqrt(π) r C²). The mean of sixty images is known to a
+/// standard error of their own scatter, three of which must be less than that.
 #[test]
 fn strong_noise_takes_nothing_from_the_blur() {
     const IMAGES: usize = 60;
@@ -211,7 +212,8 @@ proptest! {
         let mut fit = DiscFit::new(&params());
         fit.learn(view(&image, SIZE), &vec![0; image.len()], &[]);
         let (found, expected) = (fit.noise(), sigma * sigma + 1.0 / 12.0);
-        // Medians over at least 48 rows of 180 differences: 1.25 sqrt(2 * 1.5 / (48 * 180)) = 2.3 % of the variance, five times.
+        // Medians over at least 48 rows of 180 differences: 1.25 sqrt(2 * 1.5 / (48 * 180)) = 2.3 % of the variance,
+        // five times.
         prop_assert!((found.variance_levels2() / expected - 1.0).abs() < 5.0 * 0.023, "{found:?}, {expected}");
         // By chance pixels 2 px apart differ 3 % less or more than those next to each other; the finest grain there is
         // (x = 0.4 in `from_variogram`) is 1 / 0.37 times that. The slope itself would be up to 1.3 levels².

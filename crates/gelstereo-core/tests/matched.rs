@@ -31,8 +31,8 @@ fn detect(params: &DetectParams, image: &[u8], width: usize) -> Markers {
     markers
 }
 
-/// Share of a disc's contrast at distances from its centre behind a Gaussian lens, every 0.02 px: chord by chord, of which a
-/// Gaussian sees the error function of its half length.
+/// Share of a disc's contrast at distances from its centre behind a Gaussian lens, every 0.02 px: chord by chord, of
+/// which a Gaussian sees the error function of its half length.
 fn profile(radius_px: f64, blur_px: f64) -> Vec<f64> {
     const CHORDS: usize = 400;
     let share = |distance: f64| {
@@ -81,8 +81,8 @@ fn photograph_behind(dots: &Dots, blur_px: f64) -> Vec<u8> {
     levels.iter().map(|level| (level + dots.noise * noise.normal() + 0.5) as u8).collect()
 }
 
-/// Standard deviation of one coordinate of a blurred circle's centre in white noise and rounding, by the closed form for
-/// a long edge: sigma / C sqrt(2 b / (sqrt(pi) r)).
+/// Standard deviation of one coordinate of a blurred circle's centre in white noise and rounding, by the closed form
+/// for a long edge: sigma / C sqrt(2 b / (sqrt(pi) r)).
 fn sigma_px(dots: &Dots) -> f64 {
     let noise = (dots.noise * dots.noise + 1.0 / 12.0).sqrt();
     let edge = 2.0 * ALL_BLUR_PX / (std::f64::consts::PI.sqrt() * dots.radius_px);
@@ -110,8 +110,8 @@ fn every_dot_of_a_lattice_is_found_where_it_is() {
     }
 }
 
-/// Mean errors over 5 x 5 parts of a pixel, 40 dots each without noise: neither the places of the weights nor rounding pull
-/// them. Rounding's own error is 0.003 px, over 40 dots 0.0005 px.
+/// Mean errors over 5 x 5 parts of a pixel, 40 dots each without noise: neither the places of the weights nor rounding
+/// pull them. Rounding's own error is 0.003 px, over 40 dots 0.0005 px.
 #[test]
 fn where_in_a_pixel_a_dot_lies_does_not_matter() {
     let mut sums = vec![(DVec2::ZERO, 0.0); 25];
@@ -134,8 +134,8 @@ fn where_in_a_pixel_a_dot_lies_does_not_matter() {
     }
 }
 
-/// Normalised squared errors of n markers are 1 in the mean, with a standard deviation of 1 / sqrt(n); 99 %, and 3 % for the
-/// variance of the noise, which is measured.
+/// Normalised squared errors of n markers are 1 in the mean, with a standard deviation of 1 / sqrt(n); 99 %, and 3 %
+/// for the variance of the noise, which is measured.
 #[test]
 fn covariances_are_calibrated_in_white_noise() {
     let truth = paper_lattice();
@@ -156,8 +156,9 @@ fn covariances_are_calibrated_in_white_noise() {
     }
 }
 
-/// Weights that were made for one image serve the next one, whose blur may be a step and a half off theirs: what its noise does
-/// is then another part of what they say, by a fifth of the variance here. As above, of six images behind each lens.
+/// Weights that were made for one image serve the next one, whose blur may be a step and a half off theirs: what its
+/// noise does is then another part of what they say, by a fifth of the variance here. As above, of six images behind
+/// each lens.
 #[test]
 fn weights_for_another_blur_are_calibrated() {
     let truth = paper_lattice();
@@ -209,8 +210,9 @@ fn bright_markers_are_found_as_dark_ones_are() {
     assert!(near == 625 && bright.unfitted == 0 && apart < sigma_px(&dots) * 2.0_f64.sqrt(), "{apart}");
 }
 
-/// Neighbours that stand nearer than others do, from 12 px on, which is 3.4 px of gel: only the rim of the support sees their
-/// blurred edge, and pulls by less than the grey centroid of such dots is wrong (0.04 px). Dots nearer still are given up.
+/// Neighbours that stand nearer than others do, from 12 px on, which is 3.4 px of gel: only the rim of the support
+/// sees their blurred edge, and pulls by less than the grey centroid of such dots is wrong (0.04 px). Dots nearer
+/// still are given up.
 #[test]
 fn near_neighbours_do_not_pull() {
     for (gap_px, most_px) in [(12.0, 0.04), (13.0, 0.02), (14.0, 0.012), (10.0, 0.12)] {
@@ -238,7 +240,8 @@ fn prepared(image: &[u8], truth: &[DVec2]) -> Matched {
     matched
 }
 
-/// From a prediction up to 1.5 px off, steps come to the same centre as from the centre itself, but for what one step leaves.
+/// From a prediction up to 1.5 px off, steps come to the same centre as from the centre itself, but for what one step
+/// leaves.
 #[test]
 fn predictions_lead_to_the_same_centre() {
     let truth = paper_lattice();
@@ -256,8 +259,9 @@ fn predictions_lead_to_the_same_centre() {
     }
 }
 
-/// Uneven light has components grow with their contrast, though discs are alike; and perspective has discs grow. Weights of a
-/// radius 0.26 px off answer by 0.92 to a disc's displacement, a variance of a fifth, those half a step off by 0.98.
+/// Uneven light has components grow with their contrast, though discs are alike; and perspective has discs grow.
+/// Weights of a radius 0.26 px off answer by 0.92 to a disc's displacement, a variance of a fifth, those half a step
+/// off by 0.98.
 #[test]
 fn radii_follow_areas_only_as_far_as_discs_do() {
     let truth = paper_lattice();

@@ -15,15 +15,15 @@ const SAMPLES: usize = 15;
 const ROUNDS: usize = 4;
 /// So many where the noise is strong.
 const MORE_SAMPLES: usize = 4 * SAMPLES;
-/// Standard error of the blur, over the blur, from which on there are more: variances go with the blur's power 0.8 in white noise
-/// to 2.3 in grain, so that they are right to 3 %, the 95 % band of two thousand markers.
+/// Standard error of the blur, over the blur, from which on there are more: variances go with the blur's power 0.8 in
+/// white noise to 2.3 in grain, so that they are right to 3 %, the 95 % band of two thousand markers.
 const LARGEST_BLUR_ERROR: f64 = 0.013;
 /// Blurs that are believed.
 const BLURS_PX: core::ops::RangeInclusive<f64> = 0.35..=5.0;
 /// Samples over which the covariance is calibrated: one alone is a few percent off.
 const INFLUENCES: f64 = 5.0;
-/// Blurs, and least and most pixels, between a marker's pixels and the gel of which the noise is measured: at 3.5 blurs from
-/// its outline 0.02 % of a marker's contrast is left.
+/// Blurs, and least and most pixels, between a marker's pixels and the gel of which the noise is measured: at 3.5
+/// blurs from its outline 0.02 % of a marker's contrast is left.
 const CLEAR_BLURS: f64 = 3.5;
 const CLEAR_PX: (f64, f64) = (2.0, 4.0);
 /// Ratios of the normal matrix to the integral along the outline for which the latter is believed.
@@ -82,11 +82,11 @@ impl DiscFit {
 
     /// The blur with what outlines took of it that follow the noise.
     ///
-    /// Outlines a little off make an edge wider in the mean, by their mean square displacement <u²> = 5 σ² b / (sqrt(π) r C²)
-    /// (five parameters of a circle's outline, by least squares). But these were fitted to the same noise, and in second order leave
-    /// b² - <u²>: the blur's derivative is b times the second one across the edge, so that the score of b has the mean
-    /// -<u²> / (2 b) times its information (the bias of a parameter that many others hide, Neyman and Scott 1948). σ² is the
-    /// spectrum of the noise at the edge's mean square frequency 1 / (2 b²).
+    /// Outlines a little off make an edge wider in the mean, by their mean square displacement <u²> = 5 σ² b /
+    /// (sqrt(π) r C²) (five parameters of a circle's outline, by least squares). But these were fitted to the same
+    /// noise, and in second order leave b² - <u²>: the blur's derivative is b times the second one across the edge, so
+    /// that the score of b has the mean -<u²> / (2 b) times its information (the bias of a parameter that many others
+    /// hide, Neyman and Scott 1948). σ² is the spectrum of the noise at the edge's mean square frequency 1 / (2 b²).
     fn unexplained_blur_px(&self, radius_px: f64) -> f64 {
         let (blur2, contrast2) = (self.blur_px * self.blur_px, self.contrast * self.contrast);
         let noise_levels2 = self.noise.spectrum(0.5 / blur2);
@@ -227,10 +227,12 @@ impl DiscFit {
 /// What most of some values agree on.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::detect) struct Middle {
-    /// Mean of all but the least and the largest fifth: a fifth of the samples may be no disc, and in normal noise its variance is
-    /// 1.15 of the mean's; a median's is 1.57, which the weights then lack as precision and the covariance as truth.
+    /// Mean of all but the least and the largest fifth: a fifth of the samples may be no disc, and in normal noise its
+    /// variance is 1.15 of the mean's; a median's is 1.57, which the weights then lack as precision and the covariance
+    /// as truth.
     pub mean: f64,
-    /// Its standard deviation, by those of the values with either fifth drawn in to its inner end (Tukey and McLaughlin 1963).
+    /// Its standard deviation, by those of the values with either fifth drawn in to its inner end (Tukey and
+    /// McLaughlin 1963).
     pub error: f64,
 }
 
@@ -265,8 +267,8 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Up to a fifth of the values may be anything: the mean stays within the others, and is their plain mean where the rest
-        /// are split between both ends.
+        /// Up to a fifth of the values may be anything: the mean stays within the others, and is their plain mean
+        /// where the rest are split between both ends.
         #[test]
         fn a_fifth_of_the_samples_may_be_no_disc(
             good in prop::collection::vec(-1.0..1.0_f64, 1..40), wrong in prop::collection::vec(-1e9..1e9_f64, 0..10),
@@ -288,8 +290,9 @@ mod tests {
         }
     }
 
-    /// Over sets of normal samples the means scatter as they say, and less than medians. A deviation of n sets is known to
-    /// 1 / sqrt(2 n), here 1.1 %, four of which are allowed; the error's own mean over few samples is some 3 % less than its rms.
+    /// Over sets of normal samples the means scatter as they say, and less than medians. A deviation of n sets is
+    /// known to 1 / sqrt(2 n), here 1.1 %, four of which are allowed; the error's own mean over few samples is some 3
+    /// % less than its rms.
     #[test]
     fn the_mean_is_as_good_as_it_says_and_better_than_a_median() {
         const SETS: usize = 4000;

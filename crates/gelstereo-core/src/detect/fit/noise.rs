@@ -361,7 +361,7 @@ mod tests {
 
     proptest! {
         /// White noise has the same variance at all distances, whatever its mean difference took. Of independent pixels
-        /// of variance 1 the mean of a sum of squares is the sum of what it is of each pixel alone: no chance is left but round-off.
+        /// of variance 1 the mean of a sum of squares is the sum of what it is of each pixel alone: no chance is left.
         #[test]
         fn a_slope_takes_no_more_noise_from_far_pixels_than_from_near_ones(
             gel in prop::collection::vec(14..90_usize, 1..12), marker in 1..12_usize, clearance in 1..5_usize,

@@ -11,9 +11,9 @@ use alloc::vec::Vec;
 /// Markers that are looked at, spread evenly over the list.
 const SAMPLES: usize = 24;
 const ROUNDS: usize = 3;
-/// Columns and rows of places in the image whose nearest markers tell the response, along both axes. Its noise is that of the
-/// centre times the slopes' wave number, about 1 per pixel: a tenth where a centre is known to a tenth of a pixel, of which 24
-/// numbers leave 2 %.
+/// Columns and rows of places in the image whose nearest markers tell the response, along both axes. Its noise is that
+/// of the centre times the slopes' wave number, about 1 per pixel: a tenth where a centre is known to a tenth of a
+/// pixel, of which 24 numbers leave 2 %.
 const RESPONDING: [usize; 2] = [4, 3];
 /// Responses that are believed: weights serve a step and a half of blur off their design.
 const RESPONSES: core::ops::RangeInclusive<f64> = 0.6..=1.6;
@@ -55,8 +55,8 @@ struct Form {
 }
 
 impl Matched {
-    /// Radius, blur and contrast by the weights for them, again with the weights for what they said. Weights once made are
-    /// kept as long as they serve: to make others takes some 10 ms.
+    /// Radius, blur and contrast by the weights for them, again with the weights for what they said. Weights once made
+    /// are kept as long as they serve: to make others takes some 10 ms.
     pub(super) fn learn(&mut self, image: GrayView<'_>, markers: &Markers) {
         self.response = Response::default();
         let count = markers.centres_px.len();
@@ -98,7 +98,8 @@ impl Matched {
         self.learn_response(image, markers);
     }
 
-    /// Response of the weights that were chosen to some of the markers, the same ones in whatever order they are listed.
+    /// Response of the weights that were chosen to some of the markers, the same ones in whatever order they are
+    /// listed.
     fn learn_response(&mut self, image: GrayView<'_>, markers: &Markers) {
         self.samples.clear();
         let [columns, rows] = RESPONDING;
@@ -132,8 +133,8 @@ impl Matched {
         self.response = Response { mean: usual, per_square: mean(&|s| 1.0 / (s * s)), scatter };
     }
 
-    /// How far steps along either axis go for each px, between the nearest place and the next one towards the disc, and the variance
-    /// of the place. `None` for markers that steps do not serve.
+    /// How far steps along either axis go for each px, between the nearest place and the next one towards the disc,
+    /// and the variance of the place. `None` for markers that steps do not serve.
     fn responses(&mut self, image: GrayView<'_>, near_px: DVec2, radius_px: f64) -> Option<([f64; 2], f64)> {
         let start = self.step(image, near_px, radius_px)?;
         let here = self.step(image, start.at_px + start.moved_px, radius_px)?;
@@ -206,8 +207,8 @@ impl Samples {
         radii.reserve(SAMPLES);
     }
 
-    /// How much larger discs are whose component is larger by a pixel in radius: the line of regression, without those farther off than
-    /// any disc, and towards 1 where components are alike.
+    /// How much larger discs are whose component is larger by a pixel in radius: the line of regression, without those
+    /// farther off than any disc, and towards 1 where components are alike.
     fn radius_per_px(&self) -> f64 {
         let count = self.radii.len().max(1) as f64;
         let [component_px, disc_px] = [0, 1].map(|n| self.radii.iter().map(|r| r[n]).sum::<f64>() / count);

@@ -25,8 +25,8 @@ use tables::{Kind, PLACES, Tables};
 
 /// Steps at most. A binary centroid needs one, a prediction two to four.
 const MOST_STEPS: usize = 6;
-/// A displacement from the weights' own place over the blur, below which a step is the last: what is left of it is below
-/// 0.005 px.
+/// A displacement from the weights' own place over the blur, below which a step is the last: what is left of it is
+/// below 0.005 px.
 const SETTLED: f64 = 0.27;
 /// The same for later steps, which begin near a place of the weights.
 const SETTLED_LATER_PX: f64 = 0.4;
@@ -50,8 +50,8 @@ pub struct Refined {
     pub covariance_px2: Symmetric<2>,
     /// Level of the dot less that of the gel, grey levels.
     pub contrast_levels: f64,
-    /// Rms of what the disc leaves of the levels, noise and grain taken off, over the contrast. Below [`MOST_MISFIT`] for
-    /// one whole marker; neighbours within the support, merged pairs, covered halves and smears have more.
+    /// Rms of what the disc leaves of the levels, noise and grain taken off, over the contrast. Below [`MOST_MISFIT`]
+    /// for one whole marker; neighbours within the support, merged pairs, covered halves and smears have more.
     pub misfit: f64,
 }
 
@@ -64,8 +64,8 @@ pub struct Matched {
     blur_px: f64,
     /// Radius of discs less that of components of the same area, for the usual one.
     radius_off_px: f64,
-    /// Radius of the usual component, and how much larger discs are whose component is a pixel larger in radius: less than 1 where
-    /// uneven light has components grow with their contrast.
+    /// Radius of the usual component, and how much larger discs are whose component is a pixel larger in radius: less
+    /// than 1 where uneven light has components grow with their contrast.
     usual_px: f64,
     radius_per_px: f64,
     /// Usual contrast, grey levels; 0 when nothing is known.
@@ -90,12 +90,14 @@ struct Step {
     variances: [f64; 2],
 }
 
-/// How far steps go for each px that a disc of the image is away. The weights are made for a blur and a radius near by, and for a
-/// circle: where they answer by s instead of 1, noise that they take for one px puts the centre 1 / s px off.
+/// How far steps go for each px that a disc of the image is away. The weights are made for a blur and a radius near
+/// by, and for a circle: where they answer by s instead of 1, noise that they take for one px puts the centre 1 / s px
+/// off.
 #[derive(Clone, Copy, Debug)]
 struct Response {
     mean: f64,
-    /// Mean of 1 / s² over markers. Noise varies s too, along with which the error grows in second order as it does in a fit.
+    /// Mean of 1 / s² over markers. Noise varies s too, along with which the error grows in second order as it does in
+    /// a fit.
     per_square: f64,
     /// Variance of s over markers that noise does not explain: of their radii and shapes.
     scatter: f64,
@@ -140,9 +142,9 @@ impl Matched {
         self.tables.forget();
     }
 
-    /// Learns blur and radius of an image's discs from some of its markers, given by their approximate centres and areas,
-    /// and chooses the weights for that, for its noise and for the distance of neighbours. Weights are kept from image to
-    /// image as long as they serve.
+    /// Learns blur and radius of an image's discs from some of its markers, given by their approximate centres and
+    /// areas, and chooses the weights for that, for its noise and for the distance of neighbours. Weights are kept
+    /// from image to image as long as they serve.
     pub fn prepare(&mut self, image: GrayView<'_>, noise: Noise, markers: &Markers) {
         self.noise = noise;
         self.learn(image, markers);
@@ -186,8 +188,8 @@ impl Matched {
         UNFITTED * UNFITTED * (white + grain) / (self.contrast_levels * self.contrast_levels).max(1.0)
     }
 
-    /// Finds the disc of about this radius whose centre lies within about a pixel of `near_px`. `None` where the support
-    /// leaves the image, nothing of that polarity is there, or steps do not settle.
+    /// Finds the disc of about this radius whose centre lies within about a pixel of `near_px`. `None` where the
+    /// support leaves the image, nothing of that polarity is there, or steps do not settle.
     #[inline]
     pub fn refine(&mut self, image: GrayView<'_>, near_px: DVec2, radius_px: f64) -> Option<Refined> {
         let (mut near, mut settled_px) = (near_px, SETTLED * self.tables.blur_px());
@@ -258,9 +260,9 @@ impl Matched {
         }
     }
 
-    /// Covariance of a centre whose noise has so large a variance to the weights: over the squared response, and a step g (1 + κ g²)
-    /// follows the noise of g by its derivatives, (1 + κ g²) I + 2 κ g gᵀ. What a marker's own response differs by from the mean is
-    /// that part of its step.
+    /// Covariance of a centre whose noise has so large a variance to the weights: over the squared response, and a
+    /// step g (1 + κ g²) follows the noise of g by its derivatives, (1 + κ g²) I + 2 κ g gᵀ. What a marker's own
+    /// response differs by from the mean is that part of its step.
     fn covariance_px2(&self, step: &Step, noise_px2: f64) -> Symmetric<2> {
         let Response { per_square, scatter, .. } = self.response;
         let all_px2 = noise_px2 * per_square;
@@ -279,8 +281,8 @@ fn component_px(area_px2: u32) -> f64 {
     sqrt(f64::from(area_px2) * core::f64::consts::FRAC_1_PI)
 }
 
-/// The place within its pixel that is nearest, the support's first pixel, and where that place is; `None` where the support
-/// leaves the image.
+/// The place within its pixel that is nearest, the support's first pixel, and where that place is; `None` where the
+/// support leaves the image.
 #[inline]
 fn locate(image: GrayView<'_>, side: usize, near_px: DVec2) -> Option<(usize, (usize, usize), DVec2)> {
     let half = side as i64 / 2;
