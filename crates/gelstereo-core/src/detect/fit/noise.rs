@@ -353,8 +353,64 @@ fn sum_of_levels(pixels: &[u8; SPAN], mask: &[u8; LANES]) -> u32 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Differences, LAGS, LANES};
+    use super::{Differences, HALF_LAG_PX, LAGS, LANES, spread_of};
+    use crate::detect::row_bits::RowBits;
+    use crate::math::abs;
+    use alloc::vec::Vec;
     use proptest::prelude::*;
+
+    /// A row of gel in stretches of these lengths, with a marker of this width after each: how long it is, and what is near
+    /// to markers.
+    fn masked(gel: &[usize], marker: usize, clearance: usize) -> (usize, RowBits) {
+        let mut near = RowBits::default();
+        let length = gel.iter().sum::<usize>() + gel.len() * marker;
+        near.start(length);
+        let mut end = 0;
+        for stretch in gel {
+            near.set(end + stretch..end + stretch + marker);
+            end += stretch + marker;
+        }
+        near.widen(clearance + HALF_LAG_PX);
+        (length, near)
+    }
+
+    proptest! {
+        /// White noise has the same variance at all distances, whatever its mean difference took. Of independent pixels
+        /// of variance 1 the mean of a sum of squares is the sum of what it is of each pixel alone: no chance is left.
+        #[test]
+        fn a_slope_takes_no_more_noise_from_far_pixels_than_from_near_ones(
+            gel in prop::collection::vec(14..90_usize, 1..12), marker in 1..12_usize, clearance in 1..5_usize,
+        ) {
+            let (length, near) = masked(&gel, marker, clearance);
+            let (mut sums, mut levels) = ([0.0; 3], alloc::vec![0; length]);
+            for x in 0..length {
+                levels[x] = 1;
+                let alone = spread_of(&levels, &near, clearance).sums;
+                sums.iter_mut().zip(alone).for_each(|(sum, alone)| *sum += alone);
+                levels[x] = 0;
+            }
+            let count = spread_of(&levels, &near, clearance).count as f64;
+            for (sum, lag) in sums.iter().zip(LAGS) {
+                prop_assert!(abs(sum - 2.0 * count) <= 1e-11 * count, "lag {}: {} of {}", lag, sum, 2.0 * count);
+            }
+        }
+
+        /// Light that rises evenly along the row leaves what differences leave without it.
+        #[test]
+        fn a_slope_of_light_is_no_noise(
+            gel in prop::collection::vec(14..40_usize, 1..5), marker in 1..12_usize, level in 0..20_u8,
+            noise in prop::collection::vec(0..20_u8, 208),
+        ) {
+            let (length, near) = masked(&gel, marker, 1);
+            let dark = &noise[..length];
+            let lit: Vec<u8> = (0_u8..).zip(dark).map(|(x, noise)| noise + level + x).collect();
+            let (dark, lit) = (spread_of(dark, &near, 1).sums, spread_of(&lit, &near, 1).sums);
+            for (a, b) in dark.iter().zip(lit) {
+                // Round-off of squares below 2^17.
+                prop_assert!(abs(a - b) < 1e-9, "{} {}", a, b);
+            }
+        }
+    }
 
     proptest! {
         /// Against one pair after the other, for lengths about those that are added at once, at either end of a row too.
