@@ -1,4 +1,4 @@
-"""A STEP file of a box, written entity by entity (ISO 10303-21 and -214)."""
+"""STEP files of a box and of a pin, written entity by entity (ISO 10303-21 and -214)."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from pathlib import Path
 
 HEAD = """ISO-10303-21;
 HEADER;
-FILE_DESCRIPTION(('a box'),'2;1');
-FILE_NAME('box','2021-01-01T00:00:00',(''),(''),'','','');
+FILE_DESCRIPTION(('a part'),'2;1');
+FILE_NAME('part','2021-01-01T00:00:00',(''),(''),'','','');
 FILE_SCHEMA(('AUTOMOTIVE_DESIGN { 1 0 10303 214 1 1 1 1 }'));
 ENDSEC;
 DATA;
@@ -63,8 +63,44 @@ def write_box(path: Path, sides: tuple[float, float, float], unit: str = "SI_UNI
         )
         plane = step.add(f"PLANE('',{place})")
         faces.append(step.add(f"ADVANCED_FACE('',({bound}),{plane},.T.)"))
+    _write(path, step, faces, unit)
+
+
+def write_pin(path: Path, radius: float, length: float, unit: str = "SI_UNIT(.MILLI.,.METRE.)") -> None:
+    """Write a cylinder along z from the origin, in the unit; its side is one face with a seam."""
+    step = _Step()
+    along, across = step.triple("DIRECTION", (0.0, 0.0, 1.0)), step.triple("DIRECTION", (1.0, 0.0, 0.0))
+    down = step.triple("DIRECTION", (0.0, 0.0, -1.0))
+    place = lambda z, axis: step.add(  # noqa: E731
+        f"AXIS2_PLACEMENT_3D('',{step.triple('CARTESIAN_POINT', (0.0, 0.0, z))},{axis},{across})"
+    )
+    starts = [step.triple("CARTESIAN_POINT", (radius, 0.0, z)) for z in (0.0, length)]
+    low, high = (step.add(f"VERTEX_POINT('',{start})") for start in starts)
+    rings = []
+    for vertex, z in ((low, 0.0), (high, length)):
+        circle = step.add(f"CIRCLE('',{place(z, along)},{radius:.9f})")
+        rings.append(step.add(f"EDGE_CURVE('',{vertex},{vertex},{circle},.T.)"))
+    vector = step.add(f"VECTOR('',{along},1.)")
+    line = step.add(f"LINE('',{starts[0]},{vector})")
+    seam = step.add(f"EDGE_CURVE('',{low},{high},{line},.T.)")
+    side = step.add(f"CYLINDRICAL_SURFACE('',{place(0.0, along)},{radius:.9f})")
+    bottom, top = (step.add(f"PLANE('',{place(*end)})") for end in ((0.0, down), (length, along)))
+    faces = []
+    for surface, edges in (
+        (side, ((rings[0], ".T."), (seam, ".T."), (rings[1], ".F."), (seam, ".F."))),
+        (bottom, ((rings[0], ".F."),)),
+        (top, ((rings[1], ".T."),)),
+    ):
+        turned = [step.add(f"ORIENTED_EDGE('',*,*,{edge},{sense})") for edge, sense in edges]
+        loop = step.add(f"EDGE_LOOP('',({','.join(turned)}))")
+        bound = step.add(f"FACE_OUTER_BOUND('',{loop},.T.)")
+        faces.append(step.add(f"ADVANCED_FACE('',({bound}),{surface},.T.)"))
+    _write(path, step, faces, unit)
+
+
+def _write(path: Path, step: _Step, faces: list[str], unit: str) -> None:
     shell = step.add(f"CLOSED_SHELL('',({','.join(faces)}))")
-    body = step.add(f"MANIFOLD_SOLID_BREP('box',{shell})")
+    body = step.add(f"MANIFOLD_SOLID_BREP('part',{shell})")
     _product(step, body, unit)
     path.write_text(HEAD + "\n".join(step.lines) + "\nENDSEC;\nEND-ISO-10303-21;\n")
 
@@ -82,7 +118,7 @@ def _product(step: _Step, body: str, unit: str) -> None:
     application = step.add("APPLICATION_CONTEXT('')")
     step.add(f"APPLICATION_PROTOCOL_DEFINITION('','automotive_design',2000,{application})")
     product_context = step.add(f"PRODUCT_CONTEXT('',{application},'mechanical')")
-    part = step.add(f"PRODUCT('box','box','',({product_context}))")
+    part = step.add(f"PRODUCT('part','part','',({product_context}))")
     formation = step.add(f"PRODUCT_DEFINITION_FORMATION('','',{part})")
     design = step.add(f"PRODUCT_DEFINITION_CONTEXT('part definition',{application},'design')")
     definition = step.add(f"PRODUCT_DEFINITION('design','',{formation},{design})")

@@ -17,6 +17,7 @@ from gelstereo.cli import main
 from gelstereo.cli.main import COMMANDS
 from gelstereo.cli.progress import progress
 from gelstereo.geometry import se3_exp
+from test_templates import ball_points, write_scan
 
 SCENE = """
 frame_rate_hz = 4
@@ -278,3 +279,22 @@ def test_template_tells_what_a_mesh_is_and_draws_and_saves_it(
     pose = np.array(json.loads(capsys.readouterr().out)["t_sensor_object"])
     np.testing.assert_allclose(pose, np.eye(4), atol=0.01)
     assert "units is None; valid is one of 'mm'" in error_of(capsys, "template", folder / "box.stl")
+
+
+def test_template_of_a_scan_is_drawn_and_saved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    points = ball_points(4000, 6.0)
+    write_scan(tmp_path / "scan.ply", points, points / 6.0)
+    picture, saved = tmp_path / "scan.png", tmp_path / "scan.template"
+    words = ["template", tmp_path / "scan.ply", "--units", "mm", "--spacing-mm", 0.5, "--output", picture]
+    assert main([str(word) for word in [*words, "--save", saved]]) == 0
+    template = Template.load(saved)
+    assert f"a scan without triangles, {len(template)} points 0.5 mm apart" in capsys.readouterr().out
+    # A ball's silhouette is a disc: in every direction as wide, and without a gap.
+    image = cv2.imread(str(picture))[96:]
+    drawn = (image.max(axis=2) < 235)[:, 100:]
+    rows, columns = np.flatnonzero(drawn.any(axis=1)), np.flatnonzero(drawn.any(axis=0))
+    height, width = np.ptp(rows) + 1, np.ptp(columns) + 1
+    assert abs(int(height) - int(width)) <= 4
+    # Notes and axes stand beside it.
+    assert drawn.sum() / (np.pi / 4.0 * height * width) > 0.95
+    assert "units is None; valid is one of 'mm'" in error_of(capsys, "template", tmp_path / "scan.ply")

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import gelstereo
 import numpy as np
+import numpy.typing as npt
 import pytest
 from gelstereo.cli import main
 from gelstereo.frontier.baseline_fast import FastBaseline
@@ -19,7 +20,7 @@ from gelstereo.frontier.page import SECTIONS, check_page, write_page
 from gelstereo.frontier.registering import Patch, observable_error_mm
 from gelstereo.frontier.rungs import RUNGS, rungs_of
 from gelstereo.frontier.runners import geometry_of, write_input
-from gelstereo.frontier.saliency import f1
+from gelstereo.frontier.saliency import Score
 from gelstereo.frontier.scenes import BOARDS_MM, FORMATS, LATTICES, PARTS, VGA, Part, sphere_press
 from gelstereo.frontier.sequences import SEQUENCES
 from gelstereo.frontier.speed import BASELINE, Growth, Speed, speed_targets
@@ -150,11 +151,21 @@ def test_squared_errors_of_right_covariances_lie_in_their_band() -> None:
     assert width == pytest.approx(np.sqrt(5.0), rel=0.01)
 
 
-def test_f1_is_the_harmonic_mean_of_precision_and_recall() -> None:
-    truth = np.arange(10) < 4
-    assert f1(truth, truth) == 1.0 and f1(~truth, truth) == 0.0 and f1(truth & False, truth & False) == 1.0
-    found = np.arange(10) < 8
-    assert f1(found, truth) == pytest.approx(2.0 / (1.0 / 0.5 + 1.0 / 1.0))
+def test_f1_is_the_harmonic_mean_of_precision_and_recall_of_all_frames_together() -> None:
+    truth = np.array([True, True, False, False])
+
+    def f1(*frames: tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]) -> float:
+        score = Score()
+        for found, true in frames:
+            score.add(found, true)
+        return score.f1
+
+    nothing = truth & False
+    assert f1((truth, truth)) == 1.0 and f1((~truth, truth)) == 0.0 and f1((nothing, nothing)) == f1() == 1.0
+    everything = np.ones(4, bool)
+    assert f1((everything, truth)) == pytest.approx(2.0 / (1.0 / 0.5 + 1.0 / 1.0))
+    # Two right of four found and of four true; the mean of the frames' own would be a third.
+    assert f1((everything, truth), (nothing, truth)) == 0.5
 
 
 def test_growth_finds_what_times_are_made_of() -> None:

@@ -14,6 +14,8 @@ from gelstereo.reports import physics
 from gelstereo.reports.recordings import SALIENCY_MM
 from layer_reference import Disc
 from scipy.interpolate import PchipInterpolator
+from scipy.optimize import nnls
+from scipy.stats import chi2
 
 Array = npt.NDArray[np.float64]
 
@@ -87,6 +89,64 @@ def test_a_rough_part_on_a_thick_layer_is_tamaas_within_1_percent() -> None:
     theirs = np.asarray(model.traction).reshape(count, count)
     assert 50 < (theirs > 0).sum() < 2000
     assert np.abs(ours.pressure - theirs).max() < 0.01 * theirs.max()
+
+
+def compliance(contact: gelstereo.LayerContact, count: int) -> Array:
+    """Height of every cell under a unit pressure on every other, one load at a time."""
+    units = np.eye(count**2).reshape(-1, count, count)
+    return np.stack([contact.load(unit).motion_mm[..., 2].ravel() for unit in units], axis=1)
+
+
+def l_curve(matrix: Array, heights: Array) -> Array:
+    """Tikhonov's pressures at the corner of the L-curve: of log residual against log size, where it bends most."""
+    u, s, v = np.linalg.svd(matrix)
+    beta = u.T @ heights
+    weights = np.geomspace(0.1 * s[-1], s[0], 60)[:, None]
+    tried = beta * s / (s**2 + weights**2)
+    x, y = (np.log(np.linalg.norm(part, axis=1)) for part in (beta - s * tried, tried))
+    dx, dy = np.gradient(x), np.gradient(y)
+    bend = (dx * np.gradient(dy) - dy * np.gradient(dx)) / np.hypot(dx, dy) ** 3
+    return np.asarray(v.T @ tried[2 + np.argmax(bend[2:-2])])
+
+
+@pytest.mark.parametrize("noise_mm", [0.001, 0.02, 0.1])
+def test_row_29_force_from_markers_with_noise(noise_mm: float) -> None:
+    """The pressures that explain measured heights without pulling add up to the load, as well as the noise allows."""
+    count, cell, draws = 13, 0.9, 200
+    contact = gelstereo.LayerContact(
+        thickness_mm=5.0, poisson_ratio=0.48, rows=count, cols=count, cell_mm=cell
+    )
+    x, y = cells(count, cell)
+    # Hertz's load under a ball.
+    load = 0.5 * np.sqrt(np.maximum(0.0, 1.0 - (x**2 + y**2) / 3.6**2))
+    touched = np.flatnonzero(load)
+    force, true = load.sum() * cell**2, contact.load(load).motion_mm[..., 2].ravel()[touched]
+    matrix = compliance(contact, count)[np.ix_(touched, touched)]
+    root = np.linalg.cholesky(matrix)
+    rng = np.random.default_rng(29)
+    errors, lost = np.empty((2, draws))
+    constrained = 0
+    for k in range(draws):
+        noise = rng.normal(0.0, noise_mm, len(touched))
+        heights = np.full(count**2, -np.inf)
+        heights[touched] = true + noise
+        pressure = contact.press(heights.reshape(count, count)).pressure.ravel()[touched]
+        # Least p'Cp/2 - p'h over p >= 0, by another solver; the force moves by what the heights' tolerance moves it.
+        expected, _ = nnls(root.T, np.linalg.solve(root, heights[touched]))
+        slope = np.abs(np.linalg.solve(matrix, np.ones(len(touched)))).sum() * cell**2
+        assert abs(pressure.sum() - expected.sum()) * cell**2 < 1e-6 * slope
+        errors[k] = pressure.sum() * cell**2 - force
+        lost[k] = l_curve(matrix, heights[touched]).sum() * cell**2 - force
+        constrained += int((pressure == 0.0).any())
+        # Projection on pressures that do not pull brings no two closer points apart (in the energy's metric).
+        energy = noise @ np.linalg.solve(matrix, noise) * np.linalg.solve(matrix, np.ones(len(touched))).sum()
+        assert abs(errors[k]) <= np.sqrt(energy) * cell**2 * (1.0 + 1e-6)
+    assert np.square(errors).mean() <= np.square(lost).mean()
+    if constrained == 0:
+        # Then the estimate is linear, and 200 squares over their variance lie in their 99.9 % band.
+        sigma = noise_mm * cell**2 * np.linalg.norm(np.linalg.solve(matrix, np.ones(len(touched))))
+        low, high = chi2.ppf([0.0005, 0.9995], draws) / draws
+        assert low < np.square(errors / sigma).mean() < high
 
 
 def test_a_layer_refuses_what_is_none() -> None:

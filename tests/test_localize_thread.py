@@ -25,6 +25,11 @@ class Pressed:
     points_mm: np.ndarray
     salient: np.ndarray
 
+    def on_part_mm(self) -> np.ndarray:
+        """The markers in the part's frame."""
+        back = np.linalg.inv(self.t_sensor_object)
+        return self.points_mm @ back[:3, :3].T + back[:3, 3]
+
     def slide_mm(self, found: np.ndarray) -> float:
         """How far along the thread a pose is from the truth, less the advance of its turn: a screw motion is free."""
         moved = np.linalg.inv(self.t_sensor_object) @ found
@@ -77,30 +82,42 @@ def least(claimed: float, runs: int) -> int:
     return int(binom.ppf(1e-3, runs, claimed))
 
 
-def test_a_pitch_farther_is_as_likely_until_markers_beyond_the_tip_are_given(template: Template) -> None:
-    """Nine contacts in ten: the rest of them noise decides."""
-    alike, told, runs = 0, 0, 24
-    for seed in range(runs):
+def test_markers_beyond_the_tip_alone_tell_pitches_apart(template: Template) -> None:
+    """A pitch farther every pressed marker is as near to the thread as before, and those beyond the tip are inside."""
+    told, runs = 0, 16
+    for seed in range(3000, 3000 + runs):
         pressed = press(template, seed)
-        for every in (False, True):
-            here, beyond = (
-                pressed.find(template, slid(pressed, pitches), "surface_close", every=every)
-                for pitches in (0.0, 1.0)
-            )
-            assert abs(pressed.slide_mm(here.t_sensor_object)) < 0.1
-            lead = here.log_likelihood - beyond.log_likelihood
-            told += every and lead > KEPT
-            alike += not every and abs(lead) < KEPT
-    assert told >= least(0.99, runs) and alike >= least(0.9, runs), (told, alike)
+        here_mm = pressed.on_part_mm()
+        near, far = (template.closest(here_mm - [0, 0, z]).distances_mm for z in (0.0, PITCH_MM))
+        # Where the surface repeats: nearest points lie neither on the end nor on the head.
+        repeats = (here_mm[:, 2] > HEAD_MM + 2.0 * PITCH_MM) & (
+            here_mm[:, 2] < HEAD_MM + THREAD_MM - PITCH_MM
+        )
+        # Some roundings of coordinates up to 40 mm.
+        np.testing.assert_allclose(
+            near[pressed.salient & repeats], far[pressed.salient & repeats], atol=1e-13
+        )
+        assert (pressed.salient & repeats).sum() > 0.8 * pressed.salient.sum()
+        # A pitch more is 1.5 mm by 6.2 mm, the width 0.1 mm below the crest: 11 markers at rest, some in a groove.
+        assert near.min() > -5.0 * SIGMA_MM and (far < -5.0 * SIGMA_MM).sum() >= 3
+        one, other = (
+            pressed.find(template, slid(pressed, k), "surface_close", every=True) for k in (0.0, 1.0)
+        )
+        assert abs(pressed.slide_mm(one.t_sensor_object)) < 0.1
+        told += one.log_likelihood - other.log_likelihood > KEPT
+    # Three markers that can only be outliers cost 3 ln 20, twice ln 100. What is left are steps that end elsewhere.
+    assert told >= least(0.99, runs), told
 
 
-def test_poses_pitches_apart_are_returned_and_every_marker_tells_which(template: Template) -> None:
-    """Every pose that is returned is a whole pitch off; four times in five another pitch is among them.
+def test_poses_that_are_returned_are_whole_pitches_apart_and_ranked(template: Template) -> None:
+    """Every pose that is returned is a whole pitch off, and half of the contacts return several pitches.
 
-    Otherwise poses along the free turn, which are no other, stand where the other pitch should.
+    Seen in part, all pitches are as likely, and there is room for three poses: what one would want is three each
+    time. But finalists that stand elsewhere along the free turn, which are no other pose, take the place of some. That
+    half of the contacts return several is what 27 of the 40 of seeds 1000 to 1039 allow to claim (less two deviations).
     """
     several, right, runs = 0, 0, 16
-    for seed in range(runs):
+    for seed in range(4000, 4000 + runs):
         pressed = press(template, seed)
         guess = slid(pressed, 0.5)
         blind = pressed.find(template, guess, "surface_search", every=False)
@@ -110,8 +127,23 @@ def test_poses_pitches_apart_are_returned_and_every_marker_tells_which(template:
         assert np.abs(pitches - np.round(pitches)).max() < 0.1 and np.round(pitches).min() >= 0, pitches
         several += len(set(np.round(pitches))) > 1
         ranks = [blind.log_likelihood, *(likelihood for _, likelihood in blind.alternatives)]
-        assert ranks == sorted(ranks, reverse=True)
+        assert ranks == sorted(ranks, reverse=True) and ranks[0] - ranks[-1] <= KEPT
         seeing = pressed.find(template, guess, "surface_search", every=True)
         found = [seeing.t_sensor_object, *(pose for pose, _ in seeing.alternatives)]
         right += all(abs(pressed.slide_mm(pose)) < 0.1 * PITCH_MM for pose in found)
-    assert several >= least(0.8, runs) and right >= least(0.95, runs), (several, right)
+    assert several >= least(0.5, runs) and right >= least(0.95, runs), (several, right)
+
+
+def test_row_10_a_thread_is_free_to_screw_by_its_pitch(template: Template) -> None:
+    """Of six directions one is free, and it is named: a turn about the axis that advances by a pitch a turn."""
+    for seed in range(5000, 5006):
+        pressed = press(template, seed)
+        for method in ("surface_close", "surface_search"):
+            (free,) = pressed.find(template, slid(pressed, 0.0), method, every=False).free
+            assert str(free).startswith("screw about z through "), free
+            assert np.linalg.norm(free.omega) == pytest.approx(1.0)
+            # Faces are a 66th of a turn wide, so their normals are up to pi / 66 off around the axis. Such errors of n
+            # markers at 4.5 mm leave 4.5 (pi / 66) / sqrt(3 n) mm per radian, and more by the flanks' tilt of 30 deg.
+            off_mm = 4.5 * np.pi / 66.0 / np.sqrt(3.0 * pressed.salient.sum()) / np.cos(np.pi / 6.0)
+            pitch_mm = 2.0 * np.pi * float(free.omega @ free.v)
+            assert pitch_mm == pytest.approx(PITCH_MM, abs=3.0 * 2.0 * np.pi * off_mm), free

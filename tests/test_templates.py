@@ -15,7 +15,7 @@ from gelstereo import MeshError, Params, RegisterError, ShapeError, Template, Te
 from gelstereo.geometry import nearest, se3_exp, se3_log, shape_mesh
 from gelstereo.templates import MeshWarning, load_mesh
 from real_data import DATA
-from step_file import write_box
+from step_file import write_box, write_pin
 
 MESHES = [*sorted(DATA.glob("factory_meshes/*.obj")), *sorted(DATA.glob("meshes_realsense/*.stl"))]
 PLANE = Params().replace({"register.method": "filterreg_plane"})
@@ -263,6 +263,38 @@ def test_a_step_file_says_its_unit(unit: str, mm: float, tmp_path: Path) -> None
     (tmp_path / "no.step").write_text("nothing")
     with pytest.raises(MeshError, match="cannot be read as a triangle mesh"):
         Template.from_mesh(tmp_path / "no.step", units=None)
+
+
+@pytest.mark.parametrize("radius_mm", [0.5, 4.0, 50.0])
+def test_curved_faces_of_a_step_file_are_facets_within_a_hundredth(radius_mm: float, tmp_path: Path) -> None:
+    """OpenCASCADE's facets: 0.01 mm from the face at most, whatever the part's size and the file's unit."""
+    pytest.importorskip("cascadio")
+    write_pin(tmp_path / "pin.step", radius_mm * 1e-3, 0.01, "SI_UNIT($,.METRE.)")
+    template = Template.from_mesh(tmp_path / "pin.step", units=None, spacing_mm=0.1 * radius_mm)
+    points, normals = template.points_mm, template.normals
+    side = np.abs(normals[:, 2]) < 0.5
+    beneath_mm = radius_mm - np.hypot(points[side, 0], points[side, 1])
+    # Single precision of the file between, and what facets leave.
+    assert -1e-6 * radius_mm < beneath_mm.min() and beneath_mm.max() < 0.01
+    assert template.surface is not None and template.surface.is_closed
+    assert [axis.order for axis in template.with_symmetries().symmetries] == [None, 2]
+
+
+@pytest.mark.parametrize("kind", ["glb", "obj"])
+def test_parts_of_a_scene_are_joined_where_they_stand(kind: str, tmp_path: Path) -> None:
+    scene, half = trimesh.Scene(), np.array([2.0, 1.5, 8.0])
+    place = np.asarray(se3_exp([0.3, -0.2, 0.5, 4.0, 5.0, 6.0]))
+    scene.add_geometry(trimesh.creation.box(2.0 * half), transform=place)
+    scene.add_geometry(trimesh.creation.box(2.0 * half), transform=np.eye(4))
+    scene.export(tmp_path / f"two.{kind}")
+    template = Template.from_mesh(tmp_path / f"two.{kind}", units="mm", spacing_mm=0.5)
+    assert template.surface is not None
+    assert template.surface.volume_mm3 == pytest.approx(2.0 * 8.0 * half.prod(), rel=1e-5)
+    # On the faces of one or the other, by each one's own frame.
+    back = np.linalg.inv(place)
+    placed = template.points_mm @ back[:3, :3].T + back[:3, 3]
+    off = [np.abs((np.abs(points) - half).max(axis=1)) for points in (placed, template.points_mm)]
+    assert np.minimum(*off).max() < 1e-5
 
 
 def write_scan(path: Path, points: np.ndarray, normals: np.ndarray | None) -> None:

@@ -21,8 +21,8 @@ fn detect(params: &DetectParams, image: &[u8], width: usize) -> Markers {
     markers
 }
 
-/// An ellipse's blurred image: coverage by sampling, then a Gaussian, then slopes, noise and rounding. Independent of the
-/// fit's profile.
+/// An ellipse's blurred image: coverage by sampling, then a Gaussian, then slopes, noise and rounding. Independent of
+/// the fit's profile.
 #[derive(Clone, Copy, Debug)]
 struct Ellipse {
     centre: DVec2,
@@ -99,8 +99,8 @@ fn every_dot_of_a_lattice_is_fitted() {
     }
 }
 
-/// Normalised squared errors of n markers' centres are chi² with 2 n degrees of freedom when the covariance is right: their
-/// mean over 2 n is 1, with the standard deviation 1 / sqrt(n).
+/// Normalised squared errors of n markers' centres are chi² with 2 n degrees of freedom when the covariance is right:
+/// their mean over 2 n is 1, with the standard deviation 1 / sqrt(n).
 #[test]
 fn covariances_are_calibrated_in_white_noise() {
     let truth = paper_lattice();
@@ -124,13 +124,61 @@ fn covariances_are_calibrated_in_white_noise() {
             }
         }
         let nees = sum / (2.0 * count);
-        // 95 % of the means lie within 1.96 / sqrt(n); four settings, so 99 % each. The kernel's variance is 3 % uncertain.
+        // 95 % of the means lie within 1.96 / sqrt(n); four settings, so 99 % each. The kernel's variance is 3 %
+        // uncertain.
         let band = 2.6 / f64::sqrt(count) + 0.03;
         assert!((nees - 1.0).abs() < band, "noise {noise} contrast {contrast}: {nees}");
     }
 }
 
+/// The blur of an image is the same whatever its noise, though outlines follow the noise: they would take 0.024 px of
+/// it here, by (b - (b² - <u²>)^0.5) with <u²> = 5 σ² b / (sqrt(π) r C²). The mean of sixty images is known to a
+/// standard error of their own scatter, three of which must be less than that.
+#[test]
+fn strong_noise_takes_nothing_from_the_blur() {
+    const IMAGES: usize = 60;
+    let truth = paper_lattice();
+    let (radius_px, contrast) = (4.0, -110.0);
+    let levels = blurred_levels(
+        &Dots { radius_px, contrast, ..Dots::new(640, 480, truth.clone()) }.render_levels(),
+        640,
+    );
+    let spread_px2 = [[radius_px * radius_px, 0.0], [0.0, radius_px * radius_px]];
+    let starts: Vec<Start> =
+        truth.iter().map(|&centre_px| Start { centre_px, spread_px2, neighbour_px: f64::INFINITY }).collect();
+    let mut mask = vec![0_u8; levels.len()];
+    for at in &truth {
+        for (dx, dy) in (-5..=5).flat_map(|dx| (-5..=5).map(move |dy| (dx, dy))) {
+            mask[(at.y as isize + dy) as usize * 640 + (at.x as isize + dx) as usize] = 255;
+        }
+    }
+    let mut fit = DiscFit::new(&params());
+    let mut blur_px = |noise: f64, seed: u64| {
+        fit.learn(view(&noisy(&levels, noise, seed), 640), &mask, &starts);
+        fit.blur_px()
+    };
+    let quiet_px = blur_px(1.0, 0);
+    let found: Vec<f64> = (1..=IMAGES as u64).map(|seed| blur_px(24.0, seed)).collect();
+    let mean = found.iter().sum::<f64>() / IMAGES as f64;
+    let variance = found.iter().map(|b| (b - mean).powi(2)).sum::<f64>() / (IMAGES - 1) as f64;
+    let error = (variance / IMAGES as f64).sqrt();
+    let taken2 =
+        5.0 * 24.0 * 24.0 * quiet_px / (std::f64::consts::PI.sqrt() * radius_px * contrast * contrast);
+    let taken_px = quiet_px - (quiet_px * quiet_px - taken2).sqrt();
+    assert!(3.0 * error < taken_px, "{error} says nothing of {taken_px}");
+    assert!((mean - quiet_px).abs() < 3.0 * error, "{mean} of {quiet_px}, error {error}");
+}
+
 fn blurred(levels: &[f64], width: usize, noise: f64, seed: u64) -> Vec<u8> {
+    noisy(&blurred_levels(levels, width), noise, seed)
+}
+
+fn noisy(levels: &[f64], noise: f64, seed: u64) -> Vec<u8> {
+    let mut stream = Stream::new(seed, "white");
+    levels.iter().map(|l| (l + noise * stream.normal() + 0.5) as u8).collect()
+}
+
+fn blurred_levels(levels: &[f64], width: usize) -> Vec<f64> {
     let sigma = 0.8;
     let kernel: Vec<f64> = (-4..=4).map(|k| (-0.5 * (f64::from(k) / sigma).powi(2)).exp()).collect();
     let total: f64 = kernel.iter().sum();
@@ -142,9 +190,7 @@ fn blurred(levels: &[f64], width: usize, noise: f64, seed: u64) -> Vec<u8> {
             })
             .collect()
     };
-    let mut stream = Stream::new(seed, "white");
-    let blurred = pass(&pass(levels, 1), width as isize);
-    blurred.iter().map(|l| (l + noise * stream.normal() + 0.5) as u8).collect()
+    pass(&pass(levels, 1), width as isize)
 }
 
 proptest! {
@@ -166,7 +212,8 @@ proptest! {
         let mut fit = DiscFit::new(&params());
         fit.learn(view(&image, SIZE), &vec![0; image.len()], &[]);
         let (found, expected) = (fit.noise(), sigma * sigma + 1.0 / 12.0);
-        // Medians over at least 48 rows of 180 differences: 1.25 sqrt(2 * 1.5 / (48 * 180)) = 2.3 % of the variance, five times.
+        // Medians over at least 48 rows of 180 differences: 1.25 sqrt(2 * 1.5 / (48 * 180)) = 2.3 % of the variance,
+        // five times.
         prop_assert!((found.variance_levels2() / expected - 1.0).abs() < 5.0 * 0.023, "{found:?}, {expected}");
         // By chance pixels 2 px apart differ 3 % less or more than those next to each other; the finest grain there is
         // (x = 0.4 in `from_variogram`) is 1 / 0.37 times that. The slope itself would be up to 1.3 levels².

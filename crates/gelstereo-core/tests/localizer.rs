@@ -113,6 +113,27 @@ fn a_part_that_is_let_go_is_looked_for_where_it_was() {
     assert!(located.standing == Standing::Found && is_found(&back, &located));
 }
 
+/// A part that was followed far from where it is expected is looked for where it was last, too.
+#[test]
+fn a_part_that_turned_away_from_where_it_is_expected_is_found_where_it_was() {
+    let (part, template) = part("irregular peg");
+    let mut random = Stream::new(46, "turned away");
+    let mut pose = Problem::press(&part, Sensing::GOOD, &mut random).t_sensor_object;
+    let mut localizer = localizer(RegisterMethod::SurfaceClose, &pose);
+    // By 50 degrees, twice what the search looks through.
+    for frame in 0..14 {
+        let problem = sensed(&part, pose, &mut random);
+        let located = localizer.run(&problem.contact(), &template).unwrap();
+        assert!(located.standing != Standing::Lost, "frame {frame}");
+        pose = moved(pose, DVec3::Z * 0.0625, DVec3::ZERO);
+    }
+    // Steps of 3.6 degrees are more than some frames of the way are followed well by; the last one is.
+    assert!(localizer.run(&Contact::new(&[]), &template).is_err());
+    let back = sensed(&part, moved(pose, DVec3::Z * 0.1, DVec3::new(0.5, -0.5, 0.0)), &mut random);
+    let located = localizer.run(&back.contact(), &template).unwrap();
+    assert!(located.standing == Standing::Found && is_found(&back, &located));
+}
+
 #[test]
 fn another_part_is_not_taken_for_it_and_a_new_grasp_is_found() {
     let ((key, template), (plug, _)) = (part("key"), part("USB-A plug"));

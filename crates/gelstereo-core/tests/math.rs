@@ -81,6 +81,11 @@ proptest! {
         let (a, b) = (so3::canonical(q).unwrap(), so3::canonical(-q).unwrap());
         prop_assert_eq!(a, b);
         prop_assert!(a.w >= 0.0 && (a.length() - 1.0).abs() <= 2.0 * EPS);
+        prop_assert_eq!(so3::log(a), so3::log(-a));
+        // At half a turn w is 0 and tells nothing.
+        let half = DQuat::from_xyzw(v.x, v.y, v.z, 0.0);
+        let (one, other) = (so3::canonical(half).unwrap(), so3::canonical(-half).unwrap());
+        prop_assert_eq!(one, DQuat::from_xyzw(other.x, other.y, other.z, one.w));
     }
 
     #[test]
@@ -121,6 +126,25 @@ proptest! {
     fn eigen_always_returns_whatever_it_is_given(entries in prop::array::uniform16(any::<f64>())) {
         let matrix: Symmetric<4> = std::array::from_fn(|i| std::array::from_fn(|j| entries[4 * i.min(j) + i.max(j)]));
         let _ = eigen(&matrix);
+    }
+}
+
+/// Near half a turn the trace tells w badly: another of the four numbers has to be taken from the diagonal.
+#[test]
+fn row_04_a_matrix_gives_its_quaternion_back_at_every_angle() {
+    let axes = (0..27).map(|n| DVec3::new(f64::from(n % 3), f64::from(n / 3 % 3), f64::from(n / 9)) - 1.0);
+    let off_half_a_turn = (0..=120).map(|k| PI - 10.0_f64.powf(-0.1 * f64::from(k)));
+    let angles: Vec<f64> = (0..=600).map(|k| PI * f64::from(k) / 600.0).chain(off_half_a_turn).collect();
+    for axis in axes.filter(|a| *a != DVec3::ZERO).map(DVec3::normalize) {
+        for &angle in &angles {
+            let q = so3::canonical(so3::exp(axis * angle)).unwrap();
+            let back = so3::from_matrix(&DMat3::from_quat(q)).unwrap();
+            // Entries of the matrix are good to 3 U; the largest of the four numbers is at least 1/2, so that the
+            // others, sums of two entries over four times it, are good to 6 U, three of them to 10 U together. Both
+            // lengths add 2 U.
+            let apart = (back - q).length().min((back + q).length());
+            assert!(apart <= 7.0 * EPS, "{axis} {angle}: {apart:e}");
+        }
     }
 }
 

@@ -8,7 +8,7 @@ use contact_patch::{Contact, Shape};
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DQuat, DVec3, Pose, so3};
 use gelstereo_core::params::{RegisterMethod, RegisterParams};
-use gelstereo_core::register::{Motion, RegisterError, Registrar, Template};
+use gelstereo_core::register::{FreeDirection, Motion, RegisterError, Registrar, Template};
 use proptest::prelude::*;
 
 const EPS: f64 = f64::EPSILON;
@@ -178,6 +178,65 @@ fn row_10_free_directions_are_named_in_the_objects_own_axes() {
     }
 }
 
+/// Of a plane askew in the object's frame the first slide is along the coordinate axis that lies in it.
+#[test]
+fn row_10_slides_lie_as_near_to_the_objects_axes_as_they_can() {
+    let plate = Shape::Cuboid { half_mm: DVec3::new(20.0, 20.0, 3.0) };
+    let straight = plate.template(0.3);
+    let contact = Contact::press(&plate, Pose::IDENTITY, 0.9, 0.0, &mut Stream::new(22, "askew"));
+    // (axis of the turn, its cosine): 3-4-5 triangles, so that the names are exact.
+    let cases = [
+        (DVec3::Y, 0.8, ["slide along y", "slide along (0.80, 0.00, -0.60)"]),
+        (DVec3::Y, 0.6, ["slide along y", "slide along (-0.60, 0.00, 0.80)"]),
+        (DVec3::X, 0.8, ["slide along x", "slide along (0.00, 0.80, 0.60)"]),
+    ];
+    for (axis, cosine, expected) in cases {
+        let turn = Pose::exp(axis * f64::acos(cosine), DVec3::ZERO);
+        let askew = |v: &[DVec3]| v.iter().map(|&p| turn.transform_vector(p)).collect::<Vec<_>>();
+        let template = Template::new(&askew(straight.points_mm()), &askew(straight.normals()), 0.3).unwrap();
+        let guess = contact.t_sensor_object * turn.inverse();
+        let found = Registrar::new(&params(RegisterMethod::FilterregPlane))
+            .run(&contact.points_mm, &template, &guess)
+            .unwrap();
+        let said: Vec<String> = found.free.iter().map(ToString::to_string).collect();
+        assert_eq!(&said[..2], expected, "{said:?}");
+    }
+}
+
+/// From the truth noise moves nothing along what is free: steps there would be made of noise alone.
+#[test]
+fn row_10_noise_takes_no_step_along_what_is_free() {
+    let shape = Shape::Cylinder { a_mm: 4.0, b_mm: 4.0, half_length_mm: 12.0 };
+    let template = shape.template(0.3);
+    let mut random = Stream::new(23, "no step");
+    let settings = RegisterParams { point_sigma_mm: 0.06, ..params(RegisterMethod::FilterregPlane) };
+    for _ in 0..10 {
+        let turn = Pose::exp(DVec3::Y * 1.5, DVec3::ZERO);
+        let contact = Contact::press(&shape, turn, 1.0, 0.06, &mut random);
+        let truth = contact.t_sensor_object;
+        let found = Registrar::new(&settings).run(&contact.points_mm, &template, &truth).unwrap();
+        let moved = found.t_sensor_object.inverse() * truth;
+        let rho = found.observability.radius_mm;
+        assert!(found.converged && found.free.len() == 2, "{found:?}");
+        for d in found.free.iter() {
+            let along = along_mm(d, &moved, rho);
+            // What is known changes by 0.06 / sqrt(60) mm along each of four directions. By that over the radius turns
+            // what is free, and by half a spacing over 4 mm the normals that tell it: three times their product.
+            let known_mm: f64 = 2.0 * 0.06 / 60.0_f64.sqrt();
+            let bound_mm = 3.0 * known_mm * (known_mm / rho + 0.15 / 4.0);
+            assert!(along.abs() < bound_mm, "{along} mm along {d}");
+        }
+    }
+}
+
+/// How far a motion of the patch over the object goes along a direction, mm rms of the patch's radius ρ.
+fn along_mm(d: &FreeDirection, moved: &Pose, rho: f64) -> f64 {
+    let about = Pose::from_translation_mm(d.centre_mm);
+    let (omega, v) = (about.inverse() * *moved * about).log();
+    let length = (d.omega.length_squared() * rho * rho + d.v.length_squared()).sqrt();
+    (omega.dot(d.omega) * rho * rho + v.dot(d.v)) / length
+}
+
 #[test]
 fn row_10_covariance_is_finite_and_inverts_the_information_where_it_can() {
     let mut random = Stream::new(3, "covariance");
@@ -222,10 +281,7 @@ fn row_10_free_directions_stay_at_the_guess() {
             let moved = found.t_sensor_object.inverse() * guess;
             let rho = found.observability.radius_mm;
             for d in found.free.iter() {
-                let about = Pose::from_translation_mm(d.centre_mm);
-                let (omega, v) = (about.inverse() * moved * about).log();
-                let length = (d.omega.length_squared() * rho * rho + d.v.length_squared()).sqrt();
-                let along = (omega.dot(d.omega) * rho * rho + v.dot(d.v)) / length;
+                let along = along_mm(d, &moved, rho);
                 // Steps avoid the free directions at the pose where they are taken; these turn with the patch, by up to
                 // 0.1 rad (0.05 of the guess and 0.5 mm over 4 mm) while it moves by up to 0.5 mm.
                 assert!(along.abs() < 0.05, "{method:?}: {along} mm along {d}");

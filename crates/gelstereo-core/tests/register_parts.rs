@@ -128,6 +128,41 @@ fn row_05_coplanar_collinear_single_and_identical_points_turn_no_more_than_they_
     }
 }
 
+proptest! {
+    /// Collinear points turn by the angle between their lines, about the axis across both: others turn more.
+    #[test]
+    fn row_05_a_line_turns_no_more_than_it_must(
+        (a, b) in (vector(1.0), vector(1.0)), steps in prop::collection::vec(-3.0..3.0_f64, 2..12),
+        from in vector(1e3), to in vector(1e3),
+    ) {
+        let (a, b) = (a.normalize_or(DVec3::X), b.normalize_or(DVec3::Y));
+        let spread = steps.iter().fold(0.0_f64, |m, s| m.max((s - steps[0]).abs()));
+        prop_assume!(spread > 0.1 && a.dot(b).abs() < 0.99);
+        let line = |at: DVec3, along: DVec3| steps.iter().map(|s| at + along * *s).collect::<Vec<_>>();
+        let fit = rigid_fit(&line(from, a), &line(to, b), &[]).unwrap();
+        prop_assert_eq!(fit.free_rotations, 1);
+        let least = so3::exp(a.cross(b).normalize() * a.angle_between(b));
+        // A direction is known to the coordinates' rounding over the line's length, and the axis of the turn to that
+        // over the sine of the angle.
+        let bound = 64.0 * EPS * 1e3 / spread / a.cross(b).length();
+        prop_assert!(angle_between(fit.t_target_source.rotation, least) <= bound.max(1e-14));
+    }
+}
+
+/// Sums over far-off clouds are taken from their means, not from the origin.
+#[test]
+fn row_09_a_fit_of_many_points_far_away_rounds_no_more_than_their_coordinates() {
+    let mut random = Stream::new(9, "far");
+    let source: Vec<DVec3> =
+        (0..40_000).map(|_| DVec3::new(random.normal(), random.normal(), random.normal())).collect();
+    let far = DVec3::new(1e9, -1e9, 5e8);
+    let target: Vec<DVec3> = source.iter().map(|&p| p + far).collect();
+    let shift = rigid_fit(&source, &target, &[]).unwrap().t_target_source;
+    // Every coordinate is rounded by eps/2 of 1e9 at most, and their mean by as much again; the source is where it was.
+    let mean = gelstereo_core::math::centroid(&source);
+    assert!((shift.transform_point(mean) - mean - far).length() <= 3.0 * EPS * 1e9);
+}
+
 #[test]
 fn row_05_a_mirrored_tetrahedron_has_no_unique_rotation_and_gets_a_valid_one() {
     let source =
@@ -174,7 +209,8 @@ fn row_07_weights_that_all_underflow_keep_their_ratios() {
 
 #[test]
 fn row_08_a_vanishing_width_sees_the_nearest_point_alone() {
-    for sigma in [1e-2, 1e-4, 1e-8, 1e-12] {
+    // The last one's square is 0.
+    for sigma in [1e-2, 1e-4, 1e-8, 1e-12, 1e-170] {
         let soft = soft_match(&along_x(&[1.0, 2.0, 1.5]), DVec3::new(0.7, 0.0, 0.0), sigma);
         assert_eq!((soft.nearest, soft.spread_mm2), (0, 0.0), "{sigma}");
         assert!((soft.offset_mm.x - 0.3).abs() <= EPS);

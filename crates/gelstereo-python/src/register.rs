@@ -85,8 +85,8 @@ pub struct Localization {
     /// alone does, and it only where markers show what the gel does.
     gel_decay_mm: Option<f64>,
     /// Whether that stands at an end of where it is looked for, 0.22 and 2.1 times ``contact.decay_mm``: the gel is another
-    /// than it is said to be, and the pose is to be believed the less.
-    gel_decay_at_limit: bool,
+    /// than it is said to be, and the pose is to be believed the less. None where the gel was not asked.
+    gel_decay_at_limit: Option<bool>,
     /// How a `Localizer` came to the pose: ``"followed"`` from the frame before, ``"found"`` by a search, or ``"lost"``: the
     /// search found nothing that explains the contact, and this is its best. None from `localize`.
     standing: Option<&'static str>,
@@ -108,7 +108,7 @@ impl Localization {
             log_likelihood: found.log_likelihood,
             log_odds: found.log_odds,
             gel_decay_mm: found.gel_decay.map(|gel| gel.length_mm),
-            gel_decay_at_limit: found.gel_decay.is_some_and(|gel| gel.is_at_limit),
+            gel_decay_at_limit: found.gel_decay.map(|gel| gel.is_at_limit),
             standing: standing.map(|standing| match standing {
                 core::Standing::Followed => "followed",
                 core::Standing::Found => "found",

@@ -162,9 +162,9 @@ fn row_34_one_thread_or_two_and_any_repeat_give_the_same_bits() {
 fn row_34_the_bits_of_a_fixed_scene_are_known() {
     let known = [
         ("paper", 0x2e1f_d6b4_a3b5_cb78),
-        ("fast", 0x2c47_3df7_07d2_1b1e),
-        ("balanced", 0x3d09_a5a0_787a_5a5e),
-        ("exact", 0xbc6b_8d24_1dc4_1343),
+        ("fast", 0x77cc_9713_acac_6f3f),
+        ("balanced", 0xddb8_5c16_2da8_1288),
+        ("exact", 0xc152_cc7e_d5d9_017c),
     ];
     assert_eq!(known.map(|(preset, _)| preset), Params::PRESETS, "every preset has its digest");
     let found = known.map(|(preset, _)| {

@@ -1,6 +1,6 @@
 //! A day at 30 frames a second is 2.6 million frames: identities must not wander, and memory must not grow.
 //!
-//! The test runs as many as a test may; `GELSTEREO_SOAK_FRAMES=2600000` runs them all (in release mode an hour).
+//! The test runs as many as a test may; `GELSTEREO_SOAK_FRAMES=2600000` runs them all (in release mode 25 minutes).
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 mod counting;

@@ -9,11 +9,12 @@ import numpy as np
 
 from gelstereo import Surface, Symmetry, Template
 from gelstereo.cli.files import write_image
-from gelstereo.templates import MM_PER_UNIT, load_mesh
+from gelstereo.templates import MM_PER_UNIT, load_part
 
 EXAMPLES = """examples:
   gelstereo template plug.stl --units m --output preview.png               what the mesh is, and a picture of it
   gelstereo template plug.stl --units m --save plug.template               to localize with, without the mesh
+  gelstereo template scan.ply --units mm --output preview.png              points with outward normals
 
 Faces that are inside out are turned; holes and symmetries are told of. STEP files say their unit themselves.
 """
@@ -38,21 +39,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Check the mesh, print what it is, and write what was asked for; the exit code."""
-    vertices_mm, triangles = load_mesh(arguments.mesh, arguments.units)
-    template = Template.from_triangles(vertices_mm, triangles, spacing_mm=arguments.spacing_mm)
-    template = template.with_symmetries(tolerance_mm=arguments.tolerance_mm)
-    size = " x ".join(f"{side:.4g}" for side in np.ptp(vertices_mm, axis=0))
-    assert template.surface is not None  # as it was made of triangles
-    notes = [
-        f"{size} mm, {len(triangles)} triangles, {len(template)} points {template.spacing_mm:g} mm apart",
-        _surface_in_words(template.surface),
-        _symmetries_in_words(template.symmetries, arguments.tolerance_mm),
-    ]
-    print("\n".join([f"{arguments.mesh.name}: {notes[0]}", *notes[1:]]))
-    if arguments.output is not None:
-        from gelstereo.view.part import draw_template
+    from gelstereo.view.part import draw_scan, draw_template
 
-        picture = draw_template(vertices_mm, triangles, arguments.mesh.name, notes, template.symmetries)
+    name = arguments.mesh.name
+    vertices_mm, faces, spacing_mm = load_part(arguments.mesh, arguments.units, arguments.spacing_mm)
+    size = " x ".join(f"{side:.4g}" for side in np.ptp(vertices_mm, axis=0))
+    if spacing_mm is None:
+        template = Template.from_triangles(vertices_mm, faces, spacing_mm=arguments.spacing_mm)
+        template = template.with_symmetries(tolerance_mm=arguments.tolerance_mm)
+        assert template.surface is not None  # as it was made of triangles
+        notes = [
+            f"{size} mm, {len(faces)} triangles, {len(template)} points {template.spacing_mm:g} mm apart",
+            _surface_in_words(template.surface),
+            _symmetries_in_words(template.symmetries, arguments.tolerance_mm),
+        ]
+    else:
+        template = Template.from_points(vertices_mm, faces, spacing_mm)
+        notes = [
+            f"{size} mm, a scan without triangles, {len(template)} points {spacing_mm:.3g} mm apart",
+            "distances are those to its points; symmetries can be declared",
+        ]
+    print("\n".join([f"{name}: {notes[0]}", *notes[1:]]))
+    if arguments.output is not None:
+        if spacing_mm is None:
+            triangles = np.asarray(faces, dtype=np.int64)
+            picture = draw_template(vertices_mm, triangles, name, notes, template.symmetries)
+        else:
+            picture = draw_scan(template.points_mm, template.normals, spacing_mm, name, notes)
         write_image(arguments.output, picture)
         print(f"wrote {arguments.output}")
     if arguments.save is not None:

@@ -126,7 +126,7 @@ def _tables(
     targets += more
     speeds = measure_speed(rounds, source, report, LATTICES[:1] if quick else LATTICES)
     targets += speed_targets(speeds)
-    saliency, more = measure_saliency(seeds, report)
+    saliency, more = measure_saliency(1 if quick else 12, report)
     targets += more
     boards, more = measure_boards(1 if quick else 5, report)
     targets += more

@@ -39,8 +39,13 @@ _FITS = [
     "membrane off",
     "its l mm",
 ]
-_SHOWN_MM = (4.0, 6.0, 9.0, 14.0)
-_FIGURES = ["part", "beside the contact", "recorded", *(f"layer of {t:g} mm" for t in _SHOWN_MM)]
+_SHOWN_MM = (4.0, 6.0, 9.0, 11.0, 14.0)
+_FIGURES = [
+    "part",
+    "beside the contact",
+    "recorded (least to most)",
+    *(f"layer of {t:g} mm" for t in _SHOWN_MM),
+]
 _LENGTHS_MM = (0.2, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
 
 
@@ -182,12 +187,15 @@ def fit(frames: Sequence[Press], pitch_mm: float) -> list[str]:
 
 
 def figures(frames: Sequence[Press], pitch_mm: float) -> dict[str, list[str]]:
-    """Median figures of the gel beside the contact: recorded, and of incompressible layers of several thicknesses."""
+    """Median figures of the gel beside the contact and of incompressible layers; of recorded ones the range, too."""
     groups = [[beside(p.motion_mm, p) for p in frames]]
     groups += [[beside(of_layer(p, Gel(t, 0.5), pitch_mm), p) for p in frames] for t in _SHOWN_MM]
 
     def median(of: Callable[[Beside], float], form: str) -> list[str]:
-        return [format(float(np.median([of(b) for b in group])), form) for group in groups]
+        recorded = [of(b) for b in groups[0]]
+        medians = [format(float(np.median([of(b) for b in group])), form) for group in groups]
+        medians[0] += f" ({min(recorded):{form}} to {max(recorded):{form}})"
+        return medians
 
     return {
         "rise, um": median(lambda b: 1e3 * b.rise_mm, ".0f"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +10,7 @@ import numpy.typing as npt
 from gelstereo._native import Symmetry
 from gelstereo.view.canvas import FAINT, SALIENT, Canvas, Image
 from gelstereo.view.moment import Part
-from gelstereo.view.solid import Projection, draw_axes, draw_part
+from gelstereo.view.solid import Projection, draw_axes, draw_part, draw_surfels
 
 _WIDTH, _HEIGHT, _HEADER, _MARGIN = 640, 560, 76, 28
 _LINE = 20
@@ -41,6 +41,51 @@ def draw_template(
     (H, W, 3) uint8
         Blue, green, red, as ``cv2.imwrite`` takes it.
     """
+    part = Part(vertices_mm, triangles)
+    return _picture(
+        vertices_mm, lambda view, project: draw_part(view, project, part), title, notes, symmetries
+    )
+
+
+def draw_scan(
+    points_mm: npt.NDArray[np.float64],
+    normals: npt.NDArray[np.float64],
+    spacing_mm: float,
+    title: str,
+    notes: Sequence[str],
+) -> Image:
+    """Draw a part that is known by points alone, each as wide as its neighbours are apart.
+
+    Parameters
+    ----------
+    points_mm, normals : (N, 3) float64
+        Object frame; outward.
+    spacing_mm
+        How far neighbours are apart.
+    title, notes
+        As in `draw_template`.
+
+    Returns
+    -------
+    (H, W, 3) uint8
+        Blue, green, red, as ``cv2.imwrite`` takes it.
+    """
+    return _picture(
+        points_mm,
+        lambda view, project: draw_surfels(view, project, points_mm, normals, spacing_mm),
+        title,
+        notes,
+        (),
+    )
+
+
+def _picture(
+    vertices_mm: npt.NDArray[np.float64],
+    draw: Callable[[Canvas, Projection], None],
+    title: str,
+    notes: Sequence[str],
+    symmetries: Sequence[Symmetry],
+) -> Image:
     top = _HEADER + _LINE * max(0, len(notes) - 1)
     canvas = Canvas(_WIDTH, top + _HEIGHT)
     canvas.text(title, _MARGIN, 40, 20.0, bold=True)
@@ -48,7 +93,7 @@ def draw_template(
         canvas.text(note, _MARGIN, 64 + _LINE * line, 13.0, FAINT)
     view = Canvas(_WIDTH, _HEIGHT)
     project = Projection(vertices_mm, _WIDTH, _HEIGHT, margin=0.14)
-    draw_part(view, project, Part(vertices_mm, triangles))
+    draw(view, project)
     for symmetry in symmetries:
         # As far as the part reaches along it, and some more on either side.
         along = (vertices_mm - symmetry.centre_mm) @ symmetry.axis

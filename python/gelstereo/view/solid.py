@@ -83,13 +83,29 @@ def draw_part(canvas: Canvas, project: Projection, part: Part) -> None:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1)
     normals = normals / np.where(lengths > 0.0, lengths, 1.0)[:, None]
-    facing = project.nearness(normals)
-    light = np.array([0.35, -0.45, 0.82])
-    shade = 0.62 + 0.38 * np.clip(normals @ light, 0.0, 1.0)
+    facing, shade = project.nearness(normals), _lit(normals)
     flat = project(corners)
     front = np.flatnonzero(facing > 0.0)
     for index in front[np.argsort(project.nearness(corners[front].mean(axis=1)), kind="stable")]:
         canvas.polygon(flat[index], _colour(_PART_COLOUR * shade[index]))
+
+
+def draw_surfels(
+    canvas: Canvas, project: Projection, points_mm: Floats, normals: Floats, spacing_mm: float
+) -> None:
+    """Draw points that look this way as discs as wide as neighbours are apart, the farthest first, lit from above."""
+    shade, flat = _lit(normals), project(points_mm)
+    # Discs of this radius leave no gap between neighbours on a square.
+    radius = project.scale * spacing_mm / np.sqrt(2.0)
+    front = np.flatnonzero(project.nearness(normals) > 0.0)
+    for index in front[np.argsort(project.nearness(points_mm[front]), kind="stable")]:
+        canvas.circle(flat[index], radius, _colour(_PART_COLOUR * shade[index]))
+
+
+def _lit(normals: Floats) -> Floats:
+    """Share of the part's colour on faces with these unit normals, lit from above."""
+    shade: Floats = 0.62 + 0.38 * np.clip(normals @ np.array([0.35, -0.45, 0.82]), 0.0, 1.0)
+    return shade
 
 
 def draw_axes(canvas: Canvas, height: int) -> None:

@@ -164,3 +164,144 @@ impl Kriging {
         }
     }
 }
+
+/// Markers whose weights are found at once.
+pub(super) const LANES: usize = 4;
+
+/// Of one number for each of them.
+type Lane = [f64; LANES];
+
+/// Weights of whole windows of free markers, of several markers side by side at once: the same bits as by [`Kriging`].
+pub(super) struct Windows {
+    /// As those of [`Kriging`].
+    band: [[Lane; BAND]; PADDED],
+    cross: [Lane; PADDED],
+}
+
+impl Windows {
+    pub(super) const fn new() -> Self {
+        Self { band: [[[0.0; LANES]; BAND]; PADDED], cross: [[0.0; LANES]; PADDED] }
+    }
+
+    /// Gives the weights of all places of the windows about marker `first` and those right of it, which all lie within the
+    /// lattice, that of the judged marker left out; and returns their variances.
+    pub(super) fn weights(
+        &mut self,
+        covariances: &Covariances,
+        first: usize,
+        mut give: impl FnMut(usize, Lane),
+    ) -> Lane {
+        self.fill(covariances, first);
+        self.eliminate();
+        let mut weights = [[0.0; LANES]; PADDED];
+        let mut variance = core::array::from_fn(|lane| covariances.variance(first + lane));
+        for k in (0..WINDOW - 1).rev() {
+            let (row, cross) = (&self.band[k], &self.cross[k]);
+            let mut sum = [0.0; LANES];
+            for (x, w) in row[1..].iter().zip(&weights[k + 1..]) {
+                for lane in 0..LANES {
+                    sum[lane] += x[lane] * w[lane];
+                }
+            }
+            for lane in 0..LANES {
+                weights[k][lane] = (cross[lane] - sum[lane]) / row[0][lane];
+                variance[lane] -= cross[lane] * cross[lane] / row[0][lane];
+            }
+            give(k + usize::from(k >= WINDOW / 2), weights[k]);
+        }
+        variance
+    }
+
+    fn fill(&mut self, covariances: &Covariances, first: usize) {
+        // Elimination leaves the padding's zeros.
+        self.band.iter_mut().take(WINDOW - 1).for_each(|row| *row = [[0.0; LANES]; BAND]);
+        self.cross = [[0.0; LANES]; PADDED];
+        let judged = WINDOW / 2;
+        // Number of a place among those that are not judged.
+        let number = |slot: usize| slot - usize::from(slot > judged);
+        for (row, col) in (0..SIDE).flat_map(|row| (0..SIDE).map(move |col| (row, col))) {
+            let slot = row * SIDE + col;
+            let marker = first + row * covariances.cols + col - REACH * covariances.cols - REACH;
+            let shared = &covariances.shared[marker..marker + LANES];
+            for (q, &(down, across)) in SHARED.iter().enumerate() {
+                let col = col.wrapping_add_signed(across);
+                if row + down >= SIDE || col >= SIDE {
+                    continue;
+                }
+                let other = (row + down) * SIDE + col;
+                let value = core::array::from_fn(|lane| shared[lane][q]);
+                match (slot == judged, other == judged) {
+                    (true, true) => {}
+                    (true, false) => self.cross[number(other)] = value,
+                    (false, true) => self.cross[number(slot)] = value,
+                    (false, false) => self.band[number(slot)][number(other) - number(slot)] = value,
+                }
+            }
+        }
+    }
+
+    /// As [`Kriging::eliminate`].
+    fn eliminate(&mut self) {
+        let least: [Lane; WINDOW] = core::array::from_fn(|k| self.band[k][0].map(|own| 1e-12 * own));
+        for (k, least) in least.iter().enumerate().take(WINDOW - 1) {
+            for lane in 0..LANES {
+                self.band[k][0][lane] = self.band[k][0][lane].max(least[lane]);
+            }
+            let (pivot, cross) = (self.band[k], self.cross[k]);
+            let inverse = pivot[0].map(|own| 1.0 / own);
+            for d in 1..BAND {
+                let factor: Lane = core::array::from_fn(|lane| pivot[d][lane] * inverse[lane]);
+                for (x, p) in self.band[k + d].iter_mut().zip(&pivot[d..]) {
+                    for lane in 0..LANES {
+                        x[lane] -= factor[lane] * p[lane];
+                    }
+                }
+                for lane in 0..LANES {
+                    self.cross[k + d][lane] -= factor[lane] * cross[lane];
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Covariances, Kriging, LANES, REACH, SIDE, WINDOW, Windows};
+    use crate::math::random::Stream;
+    use alloc::vec::Vec;
+
+    /// Bit by bit, on a lattice of stencils and variances that differ.
+    #[test]
+    fn windows_give_the_weights_of_kriging() {
+        let (rows, cols) = (7, 11);
+        let mut stream = Stream::new(5, "stencils");
+        let mut near = |exists: bool| if exists { -4.0 - stream.uniform() } else { 0.0 };
+        let stencils: Vec<[f64; 5]> = (0..rows * cols)
+            .map(|i| {
+                let (row, col) = (i / cols, i % cols);
+                let around = [near(col > 0), near(col + 1 < cols), near(row > 0), near(row + 1 < rows)];
+                let [left, right, up, down] = around;
+                [1.0 - left - right - up - down, left, right, up, down]
+            })
+            .collect();
+        let variances: Vec<f64> = (0..rows * cols).map(|_| 0.5 + stream.uniform()).collect();
+        let mut covariances = Covariances::default();
+        covariances.measure(cols, &stencils, &variances);
+        let mut windows = Windows::new();
+        for first in [2 * cols + 2, 4 * cols + 5] {
+            let mut found = [[0.0; LANES]; WINDOW];
+            let variance = windows.weights(&covariances, first, |slot, weights| found[slot] = weights);
+            for lane in 0..LANES {
+                let i = first + lane;
+                let corner = i - REACH * cols - REACH;
+                let window = (0..WINDOW).map(|slot| corner + slot / SIDE * cols + slot % SIDE);
+                let mut expected = [0.0; WINDOW];
+                let least = Kriging::new(&covariances, i, window, |_| true).weights(|j, weight| {
+                    expected[(j - corner) / cols * SIDE + (j - corner) % cols] = weight;
+                });
+                assert_eq!(found.map(|weights| weights[lane].to_bits()), expected.map(f64::to_bits));
+                assert_eq!(variance[lane].to_bits(), least.to_bits());
+            }
+        }
+    }
+}

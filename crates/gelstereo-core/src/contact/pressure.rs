@@ -11,7 +11,7 @@
 //! weights are those of a gel that nothing touches, which are kept; only markers that these do not explain, and those
 //! around contacts, are predicted anew.
 
-use super::kriging::{Covariances, Kriging, REACH, SIDE, WINDOW};
+use super::kriging::{Covariances, Kriging, LANES, REACH, SIDE, WINDOW, Windows};
 use super::rule::{self, LEAST_SIGMA_MM, START};
 use super::stencils::{Regions, Stencils};
 use super::{ContactError, RestSurface};
@@ -82,8 +82,30 @@ impl Pressure {
         self.covariances.measure(self.stencils.cols, &self.stencils.weights, &self.variance_mm2);
         let mut filters = core::mem::take(&mut self.filters);
         filters.clear();
-        filters.extend((0..self.len()).map(|i| self.filter(i)));
+        filters.reserve_exact(self.len());
+        let mut windows = Windows::new();
+        while filters.len() < self.len() {
+            let i = filters.len();
+            // Both ends, and with them all between, as the row goes on.
+            let last = i + LANES - 1;
+            let inside = |i: usize| i < self.len() && self.stencils.is_inside(i, REACH);
+            if inside(i) && inside(last) && i / self.stencils.cols == last / self.stencils.cols {
+                filters.extend(self.filters_from(i, &mut windows));
+            } else {
+                filters.push(self.filter(i));
+            }
+        }
         self.filters = filters;
+    }
+
+    /// Filters of a marker and those right of it.
+    fn filters_from(&self, i: usize, windows: &mut Windows) -> [Filter; LANES] {
+        let mut weights = [[0.0_f32; WINDOW]; LANES];
+        weights.iter_mut().for_each(|weights| weights[WINDOW / 2] = 1.0);
+        let variance = windows.weights(&self.covariances, i, |slot, found| {
+            weights.iter_mut().zip(found).for_each(|(weights, weight)| weights[slot] = -weight as f32);
+        });
+        core::array::from_fn(|lane| Filter { weights: weights[lane], variance: variance[lane] as f32 })
     }
 
     fn filter(&self, i: usize) -> Filter {

@@ -9,6 +9,7 @@ mod profile;
 
 use super::fit::{CLEARANCE_PX, Noise};
 use super::glance::{Eye, Eyes, Kind};
+use super::row_bits::RowBits;
 use super::{Detector, Markers, rows_between, searched};
 use crate::image::GrayView;
 use crate::math::{DVec2, exp};
@@ -131,7 +132,7 @@ impl Detector {
         let (eyes, every) = (Eyes::new(*kind, self.flip()), rows_between(image.height(), NOISE_ROWS));
         let Self { segments, half, meter, bands, band_noise: Some(learned), .. } = self else { return };
         let (segments, scale) = searched(segments, half.as_ref());
-        let cover = |rows, near: &mut [u8]| segments.components.cover(rows, scale, near);
+        let cover = |rows, near: &mut RowBits| segments.components.cover(rows, scale, near);
         let noise = meter.run_rows(image, every, CLEARANCE_PX, cover).unwrap_or_default();
         eyes.learn(learned, image, &noise, &out.centres_px, bands);
         for (covariance, &mut band) in out.covariance_px2.iter_mut().zip(bands) {

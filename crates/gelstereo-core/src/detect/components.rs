@@ -1,5 +1,6 @@
 //! Connected components of a mask: runs joined by union-find.
 
+use super::row_bits::RowBits;
 use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
 use alloc::vec::Vec;
@@ -137,13 +138,13 @@ impl Components {
         (self.rows, self.above, self.pieces) = (0, 0, 0);
     }
 
-    /// Sets the bytes of `row` that some component has in the same column of these rows of an image each pixel of whose mask
+    /// Sets the pixels of `row` that some component has in the same column of these rows of an image each pixel of whose mask
     /// has `scale` columns and rows.
-    pub fn cover(&self, rows: core::ops::RangeInclusive<usize>, scale: usize, row: &mut [u8]) {
+    pub fn cover(&self, rows: core::ops::RangeInclusive<usize>, scale: usize, row: &mut RowBits) {
         let (start, end) = (*rows.start() / scale, *rows.end() / scale);
         let first = self.runs.partition_point(|run| (run.y as usize) < start);
         for run in self.runs[first..].iter().take_while(|run| run.y as usize <= end) {
-            row[run.start as usize * scale..run.end as usize * scale].fill(u8::MAX);
+            row.set(run.start as usize * scale..run.end as usize * scale);
         }
     }
 

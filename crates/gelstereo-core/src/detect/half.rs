@@ -60,17 +60,23 @@ impl Halved {
 
     /// Whether all of some components are markers that lie whole in the image, or specks.
     fn is_clear(&self, sieve: &Sieve, params: &DetectParams, counts: impl Fn(&Blob) -> bool) -> bool {
-        let blobs = || self.segments.components.blobs().iter().filter(|blob| counts(blob));
-        let is_one = |blob: &&Blob| {
-            MARKER.contains(&(f64::from(blob.area_px2) / sieve.usual_px2)) && sieve.passes_whole(blob)
-        };
+        // Areas of the least marker, and of the largest component that is none.
+        let (mut least_px2, mut largest_px2) = (u32::MAX, None);
+        for blob in self.segments.components.blobs().iter().filter(|blob| counts(blob)) {
+            let share = f64::from(blob.area_px2) / sieve.usual_px2;
+            if MARKER.contains(&share) && sieve.passes_whole(blob) {
+                least_px2 = least_px2.min(blob.area_px2);
+            } else {
+                largest_px2 = largest_px2.max(Some(blob.area_px2));
+            }
+        }
         // A speck at any size: too small beside the least marker, which may be the usual one there. There is room for what a disc
         // covers: a pixel less where it is a marker, two more where it is a speck.
-        let least_px2 = blobs().filter(is_one).map(|blob| blob.area_px2).min().unwrap_or(0);
+        let least_px2 = if least_px2 == u32::MAX { 0 } else { least_px2 };
         let (speck_px2, _) = area_range_px2(params.threshold, f64::from(least_px2.saturating_sub(1)));
         sieve.usual_px2 >= LEAST_PX2
             && !self.segments.feel_noise()
-            && blobs().all(|blob| blob.area_px2 + 2 < speck_px2 || is_one(&blob))
+            && largest_px2.is_none_or(|area_px2| area_px2 + 2 < speck_px2)
     }
 }
 

@@ -16,6 +16,7 @@ pub mod morphology;
 pub mod near;
 pub mod noise;
 pub mod pieces;
+pub mod row_bits;
 mod segments;
 mod sieve;
 pub mod smooth;

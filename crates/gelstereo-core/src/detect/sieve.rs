@@ -36,10 +36,14 @@ impl Sieve {
         let &DetectParams { min_area_px2, max_area_px2, min_fill, .. } = params;
         let mut sieve =
             Self { size_px, min_area_px2, max_area_px2, min_fill, usual_px2: 0.0, range_px2: (0, u32::MAX) };
-        let markers = || blobs.iter().filter(|blob| sieve.is_marker(blob));
-        let found = markers().count();
+        let mut found = 0;
         areas_px2.clear();
-        areas_px2.extend(markers().filter(|blob| !sieve.is_cut(blob)).map(|blob| blob.area_px2));
+        for blob in blobs.iter().filter(|blob| sieve.is_marker(blob)) {
+            found += 1;
+            if !sieve.is_cut(blob) {
+                areas_px2.push(blob.area_px2);
+            }
+        }
         sieve.usual_px2 = usual_area_px2(areas_px2);
         sieve.range_px2 = area_range_px2(params.threshold, sieve.usual_px2);
         (sieve, found)

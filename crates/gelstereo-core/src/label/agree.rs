@@ -2,7 +2,7 @@
 
 use super::canvas::{Canvas, STEPS};
 use super::found::Place;
-use super::predict::{predict, predict_at};
+use super::predict::{neighbours, predict, predict_amid};
 use crate::math::{DVec2, sqrt};
 use crate::track::grid::Grid;
 use alloc::vec::Vec;
@@ -261,12 +261,9 @@ fn among<'a>(list: &'a [u32], canvas: &'a Canvas) -> impl Iterator<Item = (usize
 /// Distance of a detection from where its neighbours say, in steps to the nearest of them.
 fn off(points: &[DVec2], canvas: &Canvas, m: usize, place: Place) -> f64 {
     let Some(cell) = canvas.cell(place) else { return 0.0 };
-    let Some(predicted) = predict_at(canvas, points, cell) else { return 0.0 };
-    let mut step2 = f64::INFINITY;
-    for (rows, cols) in STEPS {
-        if let Some(near) = canvas.at_offset(cell, rows, cols) {
-            step2 = step2.min(points[near].distance_squared(points[m]));
-        }
-    }
+    let near = neighbours(canvas, points, cell);
+    let Some(predicted) = predict_amid(canvas, points, cell, near) else { return 0.0 };
+    let step2 =
+        near.iter().flatten().fold(f64::INFINITY, |step2, near| step2.min(near.distance_squared(points[m])));
     sqrt(predicted.at.distance_squared(points[m]) / step2)
 }

@@ -314,12 +314,13 @@ impl LatticeFinder {
 
     fn step_from(&mut self, points: &[DVec2], from: usize, tolerance: f64, sources: u32) {
         let Some(place) = self.canvas.places[from] else { return };
+        let Some(here) = self.canvas.cell(place) else { return };
         for step in STEPS {
-            let to = place.step(step);
-            let Some(cell) = self.canvas.cell(to) else { continue };
-            if self.canvas.at_offset(cell, 0, 0).is_some() {
+            if self.canvas.at_offset(here, step.0, step.1).is_some() {
                 continue;
             }
+            let to = place.step(step);
+            let Some(cell) = self.canvas.cell(to) else { continue };
             let Some(predicted) = predict_at(&self.canvas, points, cell) else { continue };
             let length = predicted.at.distance(points[from]);
             let agree = predicted.spread2 < MOST_SPREAD2 * length * length;

@@ -19,6 +19,7 @@ pub use anchor::{Anchor, AnchorEvidence, anchor};
 pub use finder::LatticeFinder;
 pub use foresight::foresight_sort;
 pub use found::{FoundLattice, Place, Side, Sites};
+pub(crate) use rest::rest_lattice_by;
 pub use rest::{rest_lattice, rest_lattice_of};
 
 use crate::math::DVec2;
@@ -215,9 +216,7 @@ fn check_regular(
             }
             if row + 1 < rows
                 && col + 1 < cols
-                && folds(
-                    [(row, col), (row, col + 1), (row + 1, col + 1), (row + 1, col)].map(|(r, c)| at(r, c)),
-                )
+                && folds([at(row, col), at(row, col + 1), at(row + 1, col + 1), at(row + 1, col)])
             {
                 return Err(LabelError::Irregular { row, col, off_px: f64::INFINITY, most_px });
             }

@@ -46,29 +46,47 @@ pub(super) fn predict(canvas: &Canvas, points: &[DVec2], place: Place) -> Option
 }
 
 /// As [`predict`], of a place's cell.
+#[inline(never)]
 pub(super) fn predict_at(canvas: &Canvas, points: &[DVec2], cell: usize) -> Option<Prediction> {
-    let at = |rows: i32, cols: i32| canvas.at_offset(cell, rows, cols);
-    let [right, down, left, up] = [at(0, 1), at(1, 0), at(0, -1), at(-1, 0)];
-    let origin = points[right.or(down).or(left).or(up)?];
+    predict_amid(canvas, points, cell, neighbours(canvas, points, cell))
+}
+
+/// What stands right of, below, left of and above a cell.
+#[inline(always)]
+pub(super) fn neighbours(canvas: &Canvas, points: &[DVec2], cell: usize) -> [Option<DVec2>; 4] {
+    let at = |rows: i32, cols: i32| canvas.seen_from(points, cell, rows, cols);
+    [at(0, 1), at(1, 0), at(0, -1), at(-1, 0)]
+}
+
+/// As [`predict_at`], with the cell's [`neighbours`].
+#[inline(always)]
+pub(super) fn predict_amid(
+    canvas: &Canvas,
+    points: &[DVec2],
+    cell: usize,
+    [right, down, left, up]: [Option<DVec2>; 4],
+) -> Option<Prediction> {
+    let origin = right.or(down).or(left).or(up)?;
     let mut between = Mean::default();
     for (one, other) in [(right, left), (down, up)] {
         if let (Some(one), Some(other)) = (one, other) {
-            between.add((points[one] + points[other]) * 0.5, origin);
+            between.add((one + other) * 0.5, origin);
         }
     }
     if between.count > 0 {
         return between.prediction(origin);
     }
+    let at = |rows: i32, cols: i32| canvas.seen_from(points, cell, rows, cols);
     let near = [right, down, left, up, right];
     let mut beyond = Mean::default();
     for k in 0..4 {
         let Some(here) = near[k] else { continue };
-        let (here, (dr, dc), (er, ec)) = (points[here], STEPS[k], STEPS[(k + 1) % 4]);
+        let ((dr, dc), (er, ec)) = (STEPS[k], STEPS[(k + 1) % 4]);
         if let Some(before) = at(2 * dr, 2 * dc) {
-            beyond.add(here * 2.0 - points[before], origin);
+            beyond.add(here * 2.0 - before, origin);
         }
         if let (Some(next), Some(corner)) = (near[k + 1], at(dr + er, dc + ec)) {
-            beyond.add(here + points[next] - points[corner], origin);
+            beyond.add(here + next - corner, origin);
         }
     }
     beyond.prediction(origin)

@@ -32,7 +32,8 @@ pub fn rest_lattice(
     lattice: &LatticeParams,
     tolerance_pitches: f64,
 ) -> Result<RestLattice, LabelError> {
-    label_all(detected_px, detected_px.len(), lattice, tolerance_pitches)
+    let finder = &mut LatticeFinder::default();
+    label_all(finder, detected_px, detected_px.len(), lattice, tolerance_pitches)
 }
 
 /// As [`rest_lattice`]; where the whole markers make no lattice, those that the image's border cuts tell that their rows and
@@ -47,8 +48,18 @@ pub fn rest_lattice_of(
     lattice: &LatticeParams,
     tolerance_pitches: f64,
 ) -> Result<RestLattice, LabelError> {
+    rest_lattice_by(&mut LatticeFinder::default(), detected, lattice, tolerance_pitches)
+}
+
+/// As [`rest_lattice_of`], in the room of a finder that has perhaps found another lattice.
+pub(crate) fn rest_lattice_by(
+    finder: &mut LatticeFinder,
+    detected: &Markers,
+    lattice: &LatticeParams,
+    tolerance_pitches: f64,
+) -> Result<RestLattice, LabelError> {
     let whole = &detected.centres_px;
-    let without = rest_lattice(whole, lattice, tolerance_pitches);
+    let without = label_all(finder, whole, whole.len(), lattice, tolerance_pitches);
     if detected.cut.is_empty()
         || !matches!(without, Err(LabelError::Border { .. } | LabelError::Shape { .. }))
     {
@@ -57,17 +68,18 @@ pub fn rest_lattice_of(
     let all_px: Vec<DVec2> =
         whole.iter().copied().chain(detected.cut.iter().map(|cut| cut.centre_px)).collect();
     // What cut markers do not help is best told by the whole ones.
-    label_all(&all_px, whole.len(), lattice, tolerance_pitches).or(without)
+    label_all(finder, &all_px, whole.len(), lattice, tolerance_pitches).or(without)
 }
 
 /// Labels detections of which the first `whole` are as good as they get; the others only show that there is a marker.
 fn label_all(
+    finder: &mut LatticeFinder,
     detected_px: &[DVec2],
     whole: usize,
     lattice: &LatticeParams,
     tolerance_pitches: f64,
 ) -> Result<RestLattice, LabelError> {
-    let (mut finder, mut found) = (LatticeFinder::default(), FoundLattice::default());
+    let mut found = FoundLattice::default();
     finder.run_with_specks(detected_px, &mut found)?;
     let sites = found.sites();
     let window = Window::choose(&sites, whole, lattice)?;
@@ -77,7 +89,7 @@ fn label_all(
     let at = detection.iter().map(|d| d.map(|m| detected_px[m as usize])).collect();
     let partial = Partial { rows, cols, at };
     let most_px = tolerance_pitches * found.pitch_px;
-    check_regular(rows, cols, most_px, |r, c| partial.get(r as isize, c as isize))?;
+    check_regular(rows, cols, most_px, |r, c| partial.at[r * cols + c])?;
     let positions_px = partial.filled().ok_or(LabelError::NoLattice { found: detected_px.len() })?;
     check_gaps(detected_px, &positions_px, &taken, most_px, cols)?;
     let rest = RestLattice { rows, cols, positions_px, detection, pitch_px: found.pitch_px };

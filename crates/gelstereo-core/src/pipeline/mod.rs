@@ -13,6 +13,7 @@ pub use rest_record::{RestRecord, RestRecordError, RestView};
 
 use crate::contact::{self, Decay, DecayFit, LabelSlips, Pressure, QuickPressure, RestSurface};
 use crate::image::GrayView;
+use crate::label::LatticeFinder;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, DVec3};
 use crate::params::{DiscBias, Params, Saliency};
@@ -171,8 +172,10 @@ impl Pipeline {
 
     /// The rest frame: here a pair that makes no point is an error.
     fn start(&mut self, out: &mut Frame) -> Result<(), PipelineError> {
-        let left_rest = self.left.start(&self.params, None)?;
-        self.right.start(&self.params, Some(&left_rest))?;
+        let mut finder = LatticeFinder::default();
+        let left_rest = self.left.start(&self.params, &mut finder, None)?;
+        self.right.start(&self.params, &mut finder, Some(&left_rest))?;
+        drop(finder);
         let side = |view: &ViewStages| (view.rows, view.cols);
         if side(&self.left) != side(&self.right) {
             return Err(PipelineError::Lattices { left: side(&self.left), right: side(&self.right) });

@@ -6,7 +6,7 @@ use super::rest_record::RestView;
 use super::windows::Windows;
 use crate::detect::{DetectError, Detector, Markers, most_markers};
 use crate::image::GrayView;
-use crate::label::{self, RestLattice};
+use crate::label::{self, LatticeFinder, RestLattice};
 use crate::math::DVec2;
 use crate::params::{LabelMethod, Params, Search};
 use crate::track::{CheckedTracker, MarkerState, Tracker, Tracks, Verdict};
@@ -140,10 +140,11 @@ impl ViewStages {
     pub fn start(
         &mut self,
         params: &Params,
+        finder: &mut LatticeFinder,
         other: Option<&RestLattice>,
     ) -> Result<RestLattice, PipelineError> {
         let tolerance_pitches = params.label.tolerance_pitches;
-        let rest = label::rest_lattice_of(&self.markers, &params.lattice, tolerance_pitches)
+        let rest = label::rest_lattice_by(finder, &self.markers, &params.lattice, tolerance_pitches)
             .map_err(|error| PipelineError::Label { view: self.view, error })?;
         let rest = match other {
             Some(other) => rest.turned_like(other),

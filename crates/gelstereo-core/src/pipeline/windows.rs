@@ -45,7 +45,7 @@ impl Windows {
         self.places_px.clear();
         self.places_px.extend_from_slice(&tracks.positions_px);
         add_sentinels(&tracks.positions_px, cols, &mut self.places_px);
-        self.tracks.clone_from(tracks);
+        self.tracks.reserve_like(tracks);
         if let Some(kind) = &self.kind {
             detector.reserve_windows(self.places_px.len(), kind, size_px, &mut self.found);
         }

@@ -167,10 +167,11 @@ impl Scratch {
         self.soft.clear();
     }
 
-    /// How far a motion in the object's frame moves the point of the patch that it moves most.
+    /// How far a motion in the object's frame moves the point of the patch that it moves most; NaN if it is no motion,
+    /// which the larger of two numbers would hide and call a short step.
     fn largest_move_mm(&self, motion: &Pose) -> f64 {
         let squared = |p: &DVec3| motion.transform_point(*p).distance_squared(*p);
-        sqrt(self.placed.iter().map(squared).fold(0.0, f64::max))
+        sqrt(self.placed.iter().map(squared).fold(0.0, |most, d| if d <= most { most } else { d }))
     }
 }
 

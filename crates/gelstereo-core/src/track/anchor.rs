@@ -40,9 +40,11 @@ pub(super) enum Expectation {
 pub(super) struct Anchor {
     taken: Vec<bool>,
     present: Vec<u8>,
-    /// How many are present above and to the left of each place, itself not counted; a row and a column more than places.
-    before: Vec<u32>,
-    expected: Vec<u8>,
+    /// Places in view that show nothing.
+    empty: Vec<bool>,
+    /// How many are present, and how many empty, above and to the left of each place, itself not counted; a row and a column more
+    /// than places.
+    before: Vec<[u32; 2]>,
     /// Cost of each shift, rows first.
     costs: Vec<u32>,
     stretches: Vec<Stretch>,
@@ -115,17 +117,14 @@ impl Anchor {
         let (height, width) = (rows + 2 * rings, cols + 2 * rings);
         self.taken.clear();
         self.taken.reserve(detections);
-        for (list, most) in [(&mut self.present, height * width), (&mut self.expected, rows * cols)] {
-            list.clear();
-            list.reserve(most);
-        }
-        for (list, most) in [
-            (&mut self.before, (height + 1) * (width + 1)),
-            (&mut self.costs, (2 * rings + 1) * (2 * rings + 1)),
-        ] {
-            list.clear();
-            list.reserve(most);
-        }
+        self.present.clear();
+        self.present.reserve(height * width);
+        self.empty.clear();
+        self.empty.reserve(height * width);
+        self.before.clear();
+        self.before.reserve((height + 1) * (width + 1));
+        self.costs.clear();
+        self.costs.reserve((2 * rings + 1) * (2 * rings + 1));
         self.stretches.clear();
         self.stretches.reserve(height * width.div_ceil(STRETCH));
     }
@@ -135,7 +134,7 @@ impl Anchor {
         &mut self,
         canvas: &Canvas,
         detected_px: &[DVec2],
-        expectations: impl Iterator<Item = Expectation> + Clone,
+        expectations: impl Iterator<Item = Expectation>,
         size_px: (usize, usize),
         pitch_px: f64,
     ) -> Anchored {
@@ -210,56 +209,54 @@ impl Anchor {
     fn add_up_costs(
         &mut self,
         canvas: &Canvas,
-        expectations: impl Iterator<Item = Expectation> + Clone,
+        expectations: impl Iterator<Item = Expectation>,
         in_view: impl Fn(DVec2) -> bool,
     ) {
         let (rows, cols, rings) = (canvas.rows, canvas.cols, canvas.rings);
         let (width, side) = (canvas.width(), 2 * rings + 1);
-        self.sum_up_present(width);
-        self.expected.clear();
-        self.expected.extend(expectations.clone().map(|e| u8::from(e == Expectation::Present)));
-        // Places from the first one on, above and to the left of a corner of the shifted lattice.
-        let before = |row: usize, col: usize| self.before[row * (width + 1) + col];
-        let all = before(rows + 2 * rings, width);
-        self.costs.clear();
-        for (row, col) in (0..side).flat_map(|row| (0..side).map(move |col| (row, col))) {
-            let inside = before(row + rows, col + cols) + before(row, col)
-                - before(row, col + cols)
-                - before(row + rows, col);
-            self.costs.push(STRAY * (all - inside));
-        }
-        // Which shifts bring a marker to a place: from the last marker's to the first one's.
-        let shifts = |at: usize, markers: usize| (at + 1).saturating_sub(markers)..(at + 1).min(side);
+        self.empty.clear();
+        self.empty.resize(self.present.len(), false);
         for site in (0..self.present.len()).filter(|&s| self.present[s] == 0) {
-            if !(canvas.located[site] && in_view(canvas.position_px(site))) {
-                continue;
-            }
-            let (row, col) = (site / width, site % width);
-            for down in shifts(row, rows) {
-                for right in shifts(col, cols) {
-                    let expected = self.expected[(row - down) * cols + col - right];
-                    self.costs[down * side + right] += u32::from(expected);
-                }
-            }
+            self.empty[site] = canvas.located[site] && in_view(canvas.position_px(site));
         }
-        for (n, _) in expectations.enumerate().filter(|&(_, e)| e == Expectation::Absent) {
-            for (shift, cost) in self.costs.iter_mut().enumerate() {
-                let (row, col) = (n / cols + shift / side, n % cols + shift % side);
-                *cost += STRAY * u32::from(self.present[row * width + col]);
+        self.sum_up(width);
+        let Self { present, empty, before, costs, .. } = self;
+        let shifts = || (0..side).flat_map(|row| (0..side).map(move |col| (row, col)));
+        let [all, _] = before.last().copied().unwrap_or_default();
+        costs.clear();
+        costs.extend(shifts().map(|(row, col)| {
+            // Of the places that the lattice covers, moved so far.
+            let before = |row: usize, col: usize| before[row * (width + 1) + col];
+            let (low, high) = (before(row, col), before(row + rows, col + cols));
+            let (right, below) = (before(row, col + cols), before(row + rows, col));
+            let [present, empty] = [0, 1].map(|k| high[k] + low[k] - right[k] - below[k]);
+            STRAY * (all - present) + empty
+        }));
+        for (n, expectation) in expectations.enumerate().filter(|&(_, e)| e != Expectation::Present) {
+            for ((row, col), cost) in shifts().zip(costs.iter_mut()) {
+                let place = (n / cols + row) * width + n % cols + col;
+                // It may be empty; and must be, if none was printed.
+                *cost -= u32::from(empty[place]);
+                if expectation == Expectation::Absent {
+                    *cost += STRAY * u32::from(present[place]);
+                }
             }
         }
     }
 
-    fn sum_up_present(&mut self, width: usize) {
-        self.before.clear();
-        self.before.resize(width + 1, 0);
-        for row in self.present.chunks_exact(width) {
-            let above = self.before.len() - width;
-            self.before.push(0);
-            let mut sum = 0;
-            for (col, &present) in row.iter().enumerate() {
-                sum += u32::from(present);
-                self.before.push(self.before[above + col] + sum);
+    fn sum_up(&mut self, width: usize) {
+        let Self { present, empty, before, .. } = self;
+        before.clear();
+        before.resize(width + 1, [0; 2]);
+        for (present, empty) in present.chunks_exact(width).zip(empty.chunks_exact(width)) {
+            let above = before.len() - width;
+            before.push([0; 2]);
+            let mut sums = [0; 2];
+            for (col, (&present, &empty)) in present.iter().zip(empty).enumerate() {
+                sums[0] += u32::from(present);
+                sums[1] += u32::from(empty);
+                let [above, above_empty] = before[above + col];
+                before.push([above + sums[0], above_empty + sums[1]]);
             }
         }
     }

@@ -102,6 +102,23 @@ impl Tracks {
         (self.steady, self.stale) = (false, false);
     }
 
+    /// Makes room for as many markers as others have.
+    pub(crate) fn reserve_like(&mut self, other: &Self) {
+        let count = other.positions_px.len();
+        for list in [&mut self.positions_px, &mut self.own_px, &mut self.previous_px] {
+            list.clear();
+            list.reserve(count);
+        }
+        self.covariance_px2.clear();
+        self.covariance_px2.reserve(count);
+        self.state.clear();
+        self.state.reserve(count);
+        for list in [&mut self.unseen_frames, &mut self.missed_frames] {
+            list.clear();
+            list.reserve(count);
+        }
+    }
+
     /// Whether the positions are those of the last frame; [`Tracker`] never says otherwise.
     #[must_use]
     pub const fn is_current(&self) -> bool {

@@ -107,7 +107,8 @@ impl Triangulator {
     }
 
     /// Fits the polynomial map around the points of the rest surface (sensor frame), when the method is
-    /// [`TriangulateMethod::Polynomial`]; until then, and where no polynomial comes within 1 um, points are exact.
+    /// [`TriangulateMethod::Polynomial`]; until then, and where no polynomial comes within 1 um, points are those of
+    /// [`TriangulateMethod::Rays`] to less than 0.1 um.
     pub fn fit_map(&mut self, rest_mm: &[DVec3]) {
         self.begin_map(rest_mm);
         while self.continue_map() {}
@@ -132,7 +133,7 @@ impl Triangulator {
         self.fitting.is_some()
     }
 
-    /// Forgets the map, finished or not: points are exact until the next [`Self::fit_map`].
+    /// Forgets the map, finished or not: points are those of rays until the next [`Self::fit_map`].
     pub fn clear_map(&mut self) {
         (self.map, self.fitting) = (None, None);
     }
@@ -267,7 +268,8 @@ impl<'a> Ready<'a> {
         let pair = stage.pair(index, [left, right], roots)?;
         match stage.params.method {
             TriangulateMethod::Q => q::point(&stage.rectification, stage.to_sensor, index, &pair),
-            TriangulateMethod::Polynomial | TriangulateMethod::Rays => rays::point(views, index, &pair),
+            TriangulateMethod::Polynomial => rays::point(views, index, &pair, rays::NEAR_AS_MAPPED),
+            TriangulateMethod::Rays => rays::point(views, index, &pair, rays::NEAR),
         }
     }
 }

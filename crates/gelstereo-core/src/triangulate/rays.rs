@@ -81,13 +81,15 @@ fn take(column: &mut [f64; 4], unit: &[f64; 4]) -> f64 {
 /// The most likely point, in the sensor frame, with the inverse of the information as its covariance.
 ///
 /// From the middle of the two refracted rays on, Gauss and Newton minimise the sum of the squared pixel residuals,
-/// each weighted by its covariance (Hartley and Zisserman 2004, section 12.3).
+/// each weighted by its covariance (Hartley and Zisserman 2004, section 12.3). A first step that ends as `near` to both rays
+/// is the last ([`NEAR`]).
 pub(super) fn point(
     views: &[RigView<'_>; 2],
     index: usize,
     pair: &Pair<'_>,
+    near: f64,
 ) -> Result<StereoPoint, TriangulateError> {
-    let (first, slopes) = start(views, index, pair)?;
+    let (first, slopes) = start(views, index, pair, near)?;
     let mut point_mm = match first {
         Start::Done(found) => return finite(index, found),
         Start::At(point_mm) => point_mm,
@@ -121,7 +123,10 @@ enum Start {
 
 /// A step that ends nearer than this to both rays, in units of sqrt(mm · depth), is the last: it leaves pixel residuals
 /// of f (distance / depth)², 3e-6 px, and so less than a thousandth of the standard deviation of centres good to 0.01 px.
-const NEAR: f64 = 2.4e-4;
+pub(super) const NEAR: f64 = 2.4e-4;
+
+/// The same for points that need be no better than a map's: 3e-4 px at most, and less than 0.1 um.
+pub(super) const NEAR_AS_MAPPED: f64 = 10.0 * NEAR;
 
 /// One step from the middle of the refracted rays, and the slope of both rays in air. It needs no search for a light
 /// path, because the nearest points of both rays are seen exactly at their pixels.
@@ -129,6 +134,7 @@ fn start(
     views: &[RigView<'_>; 2],
     index: usize,
     pair: &Pair<'_>,
+    near: f64,
 ) -> Result<(Start, [f64; 2]), TriangulateError> {
     let mut sights = [(Ray { origin_mm: DVec3::ZERO, direction: DVec3::Z }, 0.0); 2];
     for (k, view) in VIEWS.into_iter().enumerate() {
@@ -153,9 +159,9 @@ fn start(
     }
     let next = step(middle, &linear, &pair.roots).ok_or(TriangulateError::Unknown { index })?;
     let found = next.found;
-    let limit = NEAR * NEAR * found.point_mm.length();
-    let near = nearest.iter().all(|on_ray| (*on_ray - found.point_mm).length_squared() <= limit);
-    Ok((if near { Start::Done(found) } else { Start::At(found.point_mm) }, slopes))
+    let limit = near * near * found.point_mm.length();
+    let is_near = nearest.iter().all(|on_ray| (*on_ray - found.point_mm).length_squared() <= limit);
+    Ok((if is_near { Start::Done(found) } else { Start::At(found.point_mm) }, slopes))
 }
 
 /// The points of two lines that are nearest to each other; not finite for parallel lines.

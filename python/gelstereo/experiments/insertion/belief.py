@@ -5,6 +5,11 @@ them, only its edges tell, and an edge is seen by which markers it passes: the l
 markers stand apart, and several peaks. So these two motions are sampled. Every drawn pose is held there by a narrow
 prior while the rest is registered again, and counts by its likelihood. This is population Monte Carlo (Cappé et al.
 2004) with all rounds' proposals as one mixture (Cornuet et al. 2012).
+
+The likelihood takes what it does not know of the gel for independent from marker to marker. Beside an edge it is not:
+where a row of markers runs along it, all of them hang alike, and a part that is shifted and turned until its next face
+meets the row explains them all at once, by two numbers. Markers that lie alike to an edge count as one: logarithms are
+divided by how many they are (a power posterior; Bissiri et al. 2016).
 """
 
 from __future__ import annotations
@@ -85,8 +90,8 @@ class InPlane:
     middle: Array
 
     @classmethod
-    def of(cls, found: Found) -> InPlane:
-        """Take them about a pose that was found."""
+    def of(cls, found: Found, told: Array | None = None) -> InPlane:
+        """Take them about a pose that was found; `told` is what heights tell of it, (6, 6), or else its information."""
         axis, normal = found.t_sensor_object[:3, 2], np.array([0.0, 0.0, 1.0])
         origin, middle = found.t_sensor_object[:3, 3], np.eye(4)
         middle[:3, 3] = origin + np.dot(found.centre_mm - origin, axis) * axis
@@ -97,7 +102,9 @@ class InPlane:
         carry = adjoint(middle)
         # A motion is the likeliest of those that go as far: the heights and, where these tell nothing, the shortest.
         short = np.diag(np.repeat([_RADIUS_MM**2, 1.0], 3))
-        across_all = np.linalg.solve(carry.T @ found.information @ carry + short, reads.T)
+        across_all = np.linalg.solve(
+            carry.T @ (found.information if told is None else told) @ carry + short, reads.T
+        )
         ways = across_all @ np.linalg.inv(reads @ across_all)
         return cls(found.t_sensor_object, ways, reads, middle)
 
@@ -124,22 +131,31 @@ class InPlane:
         return float(np.sqrt(np.max(np.diag(there))))
 
 
-def believed(tried: Sequence[Found], held: Held, prior: Prior, seed: int) -> Belief:
+def believed(
+    tried: Sequence[Found],
+    held: Held,
+    prior: Prior,
+    seed: int,
+    told: Array | None = None,
+    alike: float = 1.0,
+) -> Belief:
     """What to believe of a part after some registrations, the best first.
 
     Where that knows both motions, and no other pose explains the contact, it is the best one with its covariance.
+    `told` is what heights tell of the best one, (6, 6) in the sensor's frame: its information, unless given. So many
+    markers as are `alike` to the part's edges count as one.
     """
     best, random = tried[0], np.random.default_rng([seed, 61])
-    plane = InPlane.of(best)
+    plane = InPlane.of(best, told)
     away_mm = _SCOUTS_MM[:, None] * random.normal(size=(len(_SCOUTS_MM), 2))
     scouts = [held(plane.pose(x), _LOOSE_MM) for x in away_mm]
     every = sorted([*tried, *(s for s in scouts if s is not None)], key=lambda f: -f.log_likelihood)
-    likely = [f for f in every if f.log_likelihood > every[0].log_likelihood - _HOPELESS]
+    likely = [f for f in every if f.log_likelihood > every[0].log_likelihood - alike * _HOPELESS]
     peaks = np.array([plane.along(f.t_sensor_object) for f in likely])
     alone = Belief.normal(every[0], prior)
     if max(np.ptp(peaks, axis=0).max(), plane.unsure_mm(alone.covariance)) < _SAME_MM:
         return alone
-    poses, weights = _sampled(plane, held, peaks, random)
+    poses, weights = _sampled(plane, held, peaks, alike, random)
     if len(poses) == 0:
         return alone
     return _belief(every[0], poses, weights, object_covariance(every[0], prior, plane.known()))
@@ -150,8 +166,10 @@ def drawn(beliefs: Sequence[Belief], random: np.random.Generator, count: int) ->
     return np.asarray(np.mean([belief.draw(random, count) for belief in beliefs], axis=0))
 
 
-def _sampled(plane: InPlane, held: Held, centres: Array, random: np.random.Generator) -> tuple[Array, Array]:
-    """Poses (N, 4, 4) and weights (N,), from kernels about `centres` at first."""
+def _sampled(
+    plane: InPlane, held: Held, centres: Array, alike: float, random: np.random.Generator
+) -> tuple[Array, Array]:
+    """Poses (N, 4, 4) and weights (N,), from kernels about `centres` at first; of markers `alike` are one."""
     weights, rounds = np.ones(len(centres)), []
     x, logs, poses, weighed = np.empty((0, 2)), np.empty(0), [], np.empty(0)
     for _ in range(_ROUNDS):
@@ -166,9 +184,9 @@ def _sampled(plane: InPlane, held: Held, centres: Array, random: np.random.Gener
         if not poses:
             break
         proposed = np.mean([_density(x, *one) for one in rounds], axis=0)
-        weighed = _tempered(logs, np.log(proposed))
+        weighed = _tempered(logs / alike, np.log(proposed))
         # The next round looks wider than what is believed so far.
-        centres, weights = x, _tempered(0.5 * logs, np.log(proposed))
+        centres, weights = x, _tempered(0.5 * logs / alike, np.log(proposed))
     return np.array(poses), weighed
 
 

@@ -107,8 +107,9 @@ def _success(found: Sequence[Verdict], fits: Mapping[str, Fit]) -> list[Block]:
         Paragraph(
             "All methods learn the goal by grasping the part over the hole: the paper's once, as the paper does, ours "
             f"{len(METHODS[-1].taught_rad)} times, turned otherwise among the markers each time. All start from the "
-            "same guess: along the patch, and otherwise as in that grasp; ours from three more, and it acts on the "
-            "mean of the poses that explain the contact. The paper's methods are given what the paper's sensing gives: "
+            "same guess: along the patch, and otherwise as in that grasp; ours from three more, and from about what it "
+            "found of a part with ridges, and it acts on the mean of the poses that explain the contact. The paper's "
+            "methods are given what the paper's sensing gives: "
             "all markers deeper than 0.35 mm, half of which the gel's shoulder lifts beside the part."
         ),
         Grid(caption, ["part", "clearance mm", "grasps", *methods], rows),

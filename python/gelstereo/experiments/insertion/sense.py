@@ -22,6 +22,7 @@ from gelstereo import (
     Template,
     localize,
 )
+from gelstereo.geometry import se3_exp
 from gelstereo.states import MarkerState
 
 __all__ = ["METHODS", "Found", "Method", "Registering", "Senses"]
@@ -50,6 +51,10 @@ class Method:
     def params(self) -> Params:
         """All settings."""
         return Params.preset(self.preset).replace({"register.method": self.register})
+
+    def near(self) -> Params:
+        """Settings of a search that is not wide."""
+        return self.params().replace({"register": {"start_sigma_mm": 0.5, "start_sigma_deg": 1.0}})
 
     def held(self, by_mm: float) -> Params:
         """Settings that look near a guess only, which holds the pose by a prior of so many mm."""
@@ -92,6 +97,14 @@ class Found:
             -np.inf if found.log_likelihood is None else found.log_likelihood,
         )
 
+    def moved(self, turn_rad: float, along_mm: float) -> Array:
+        """Pose of the part turned about the sensor's normal through the patch, and slid along its own axis, (4, 4)."""
+        turn = np.array(se3_exp([0.0, 0.0, turn_rad, 0.0, 0.0, 0.0]), np.float64)
+        turn[:3, 3] = self.centre_mm - turn[:3, :3] @ self.centre_mm
+        slid = np.array(self.t_sensor_object)
+        slid[:3, 3] += along_mm * slid[:3, 2]
+        return np.asarray(turn @ slid)
+
 
 class Senses:
     """Pipelines that know the sensor at rest, one for each preset."""
@@ -118,6 +131,14 @@ class Senses:
         return pipeline.process(grasp[-1].left, grasp[-1].right)
 
 
+#: Where a part may be instead of where it was found, by a search of the whole and by one of what is near: turns about
+#: the sensor's normal, rad, and slides along the part's axis, mm, as far as a hand may hold it from the guess.
+_WIDE = ((0.0, 0.0), (0.0, -3.0), (0.0, 3.0))
+_NEAR = ((-0.012, 0.0), (0.012, 0.0), (0.0, -2.0), (0.0, -1.0), (0.0, 1.0), (0.0, 2.0))
+#: By how much it has to be likelier there, in logarithms.
+_SURELY = 1.0
+
+
 @dataclass(frozen=True)
 class Registering:
     """A method at work on a frame's contact patch."""
@@ -138,10 +159,29 @@ class Registering:
         tried = [self._from(guess, params) for guess in guesses[: None if self.method.tries_all else 1]]
         return sorted(tried, key=lambda found: -found.log_likelihood)
 
+    def again(self, tried: Sequence[Found]) -> list[Found]:
+        """Register from about the best pose once more; the likeliest pose comes first, the others follow.
+
+        An end of the part that the gel just reaches tells where along its axis it lies, and edges how it is turned,
+        both from close by only. Where nothing tells, the part stays where it was found: what is hardly likelier is
+        left out.
+        """
+        found = list(tried)
+        best, whole, near = tried[0], self.method.params(), self.method.near()
+        for params, moves in ((whole, _WIDE), (near, _NEAR)):
+            for turn_rad, along_mm in moves:
+                other = self._tried(best.moved(turn_rad, along_mm), params)
+                if other is not None and other.log_likelihood > found[0].log_likelihood + _SURELY:
+                    found.insert(0, other)
+        return found
+
     def held(self, guess: Array, by_mm: float) -> Found | None:
         """Register close to a guess, `Method.held`; None if that leaves nothing to register."""
+        return self._tried(guess, self.method.held(by_mm))
+
+    def _tried(self, guess: Array, params: Params) -> Found | None:
         try:
-            return self._from(guess, self.method.held(by_mm))
+            return self._from(guess, params)
         except RegisterError:
             return None
 

@@ -15,8 +15,10 @@ from gelstereo.experiments.batch import Configuration
 from gelstereo.experiments.insertion.belief import Belief, believed, drawn
 from gelstereo.experiments.insertion.bound import Bound, SmoothSurface, least_covariance
 from gelstereo.experiments.insertion.chance import SAMPLES, Prior, chance, matters, weakest
+from gelstereo.experiments.insertion.face import Faces, is_ridged
 from gelstereo.experiments.insertion.grasp import GraspRanges, Hold, fit_of, guesses, lie
 from gelstereo.experiments.insertion.robot import over_hole
+from gelstereo.experiments.insertion.rows import markers_alike
 from gelstereo.experiments.insertion.sense import METHODS, Found, Method, Registering, Senses
 from gelstereo.experiments.store import Record
 from gelstereo.frontier.scenes import VGA
@@ -68,6 +70,7 @@ class Workplace:
         self.template = Template.from_mesh(self.fit.mesh, units="mm", spacing_mm=0.3).with_grid()
         scene = sensor_scene()
         gel = scene.to_dict()["gel"]
+        self.pitch_mm = gel["pitch_mm"]
         self.middle_mm = np.array([*gel["centre_mm"], gel["surface_mm"]])
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "part.stl"
@@ -76,6 +79,7 @@ class Workplace:
             self.simulator = Simulator(scene.replace({"indenter": indenter}))
         self.senses = Senses(self.simulator, {method.preset for method in METHODS})
         self.surface = SmoothSurface(self.fit.mesh)
+        self.faces, self.is_ridged = Faces(self.template), is_ridged(self.fit.mesh)
         self.nominal = Hold.nominal(self.part, RANGES)
         self._taught: dict[str, Taught] = {}
 
@@ -106,7 +110,15 @@ class Workplace:
         tried = registering.found(guesses(self.nominal, surface_mm, patch_mm, self.hole.tip_mm))
         if not method.tries_all:
             return tried[0], Belief.normal(tried[0], PRIOR)
-        return tried[0], believed(tried, registering.held, PRIOR, seed)
+        if not self.is_ridged:
+            return tried[0], believed(tried, registering.held, PRIOR, seed)
+        tried = registering.again(tried)
+        pose = tried[0].t_sensor_object
+        told = self.faces.information(
+            pose, patch_mm, np.asarray(frame.covariance_mm2)[np.asarray(frame.patch)]
+        )
+        alike = markers_alike(pose[:3, 2], patch_mm, self.pitch_mm)
+        return tried[0], believed(tried, registering.held, PRIOR, seed, told, alike)
 
     def least(self, t_sensor_object: Array, contact: SimulatedFrame, frame: Frame) -> Array:
         """Least covariance of the part's pose, in its own frame, (6, 6), from the heights of markers that touch."""

@@ -18,6 +18,7 @@ mod solve;
 mod template;
 
 pub(super) use influence::Influence;
+pub(super) use learn::Middle;
 pub use noise::Noise;
 pub(super) use noise::{CLEARANCE_PX, ENOUGH_ROWS, NoiseMeter};
 pub(super) use solve::Factor;

@@ -1,9 +1,11 @@
 //! Noise of the image, measured on the gel between the markers.
 
+use crate::detect::row_bits::RowBits;
 use crate::image::GrayView;
 use crate::math::{abs, exp, median, sqrt};
 use alloc::vec::Vec;
 use core::f64::consts::PI;
+use core::ops::Range;
 
 /// Variance of rounding to whole grey levels: no image has less noise.
 const ROUNDING_LEVELS2: f64 = 1.0 / 12.0;
@@ -30,6 +32,8 @@ const LEAST_GAIN: f64 = 2.0;
 const MOST_OFF: f64 = 7.0;
 /// Distances at which pixels are compared.
 const LAGS: [usize; 3] = [1, 2, 4];
+/// Half of the farthest.
+const HALF_LAG_PX: usize = LAGS[2] / 2;
 
 /// White noise, and grain whose neighbouring pixels are alike: variances in squared grey levels.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -136,8 +140,8 @@ struct Variogram {
 /// Measures [`Noise`], with its scratch.
 #[derive(Clone, Debug, Default)]
 pub(in crate::detect) struct NoiseMeter {
-    /// 255 where a row's pixel is near a marker, else 0.
-    near: Vec<u8>,
+    /// Set where a row's pixel is near a marker.
+    near: RowBits,
     rows: Vec<Row>,
     scratch: Vec<f64>,
 }
@@ -165,9 +169,7 @@ impl NoiseMeter {
         self.run_rows(image, every, clearance_px, |rows, near| {
             // A marker is at least two rows high.
             for row in rows.step_by(2) {
-                for (near, &set) in near.iter_mut().zip(&mask[row * width..]) {
-                    *near |= set;
-                }
+                near.set_where(&mask[row * width..]);
             }
         })
     }
@@ -178,7 +180,7 @@ impl NoiseMeter {
         image: GrayView<'_>,
         every: usize,
         clearance_px: usize,
-        mut cover: impl FnMut(core::ops::RangeInclusive<usize>, &mut [u8]),
+        mut cover: impl FnMut(core::ops::RangeInclusive<usize>, &mut RowBits),
     ) -> Option<Noise> {
         let (width, height) = (image.width(), image.height());
         self.rows.clear();
@@ -187,9 +189,10 @@ impl NoiseMeter {
         self.scratch.reserve(height);
         let (mut pairs, mut levels) = (0, 0);
         for y in (clearance_px..height.saturating_sub(clearance_px)).step_by(every) {
-            self.near.clear();
-            self.near.resize(width, 0);
+            self.near.start(width);
             cover(y - clearance_px..=y + clearance_px, &mut self.near);
+            // Most gaps between markers are too short to say anything: they close.
+            self.near.widen(clearance_px + HALF_LAG_PX);
             let row = spread_of(image.row(y), &self.near, clearance_px);
             if row.count >= LEAST_DIFFERENCES {
                 let [one, two, four] = row.sums.map(|sum| sum / (2 * row.count) as f64);
@@ -229,13 +232,19 @@ impl NoiseMeter {
     }
 }
 
-/// Differences of the gel of one row.
-fn spread_of(levels: &[u8], near: &[u8], clearance_px: usize) -> Spread {
+/// Differences of the gel of one row, of which all that is `clearance_px` and [`HALF_LAG_PX`] near to a marker is set.
+fn spread_of(levels: &[u8], near: &RowBits, clearance_px: usize) -> Spread {
     let (mut row, mut group) = (Spread::default(), Differences::default());
-    for clear in stretches(near) {
-        // What is left has its farthest partner clear of the next marker.
-        if clear.len() > 2 * clearance_px + LAGS[2] {
-            group.add(&levels[clear.start + clearance_px..clear.end - clearance_px]);
+    for clear in near.clear_stretches() {
+        // What is left has its farthest partner clear of the next marker. The row ends as a marker begins.
+        let start = if clear.start == 0 { clearance_px } else { clear.start - HALF_LAG_PX };
+        let end = if clear.end == levels.len() {
+            clear.end.saturating_sub(clearance_px)
+        } else {
+            clear.end + HALF_LAG_PX
+        };
+        if end > start + LAGS[2] {
+            group.add(levels, start..end);
         }
         if group.count >= SLOPE_DIFFERENCES {
             row.add(&core::mem::take(&mut group));
@@ -243,29 +252,6 @@ fn spread_of(levels: &[u8], near: &[u8], clearance_px: usize) -> Spread {
     }
     row.add(&group);
     row
-}
-
-/// Where a row of 0 and 255 is 0.
-fn stretches(near: &[u8]) -> impl Iterator<Item = core::ops::Range<usize>> {
-    let mut end = 0;
-    core::iter::from_fn(move || {
-        let start = end + alike(&near[end..], u8::MAX);
-        end = start + alike(&near[start..], 0);
-        (start < end).then_some(start..end)
-    })
-}
-
-/// How many bytes are the same from the first on; eight at a time.
-fn alike(bytes: &[u8], byte: u8) -> usize {
-    let (words, rest) = bytes.as_chunks::<8>();
-    let same = u64::from_le_bytes([byte; 8]);
-    for (n, &word) in words.iter().enumerate() {
-        let other = u64::from_le_bytes(word) ^ same;
-        if other != 0 {
-            return 8 * n + other.trailing_zeros() as usize / 8;
-        }
-    }
-    bytes.len() - rest.len() + rest.iter().take_while(|&&other| other == byte).count()
 }
 
 /// Differences at every lag between pixels of one region of a row.
@@ -281,21 +267,31 @@ struct Differences {
 }
 
 impl Differences {
-    /// Adds a stretch of gel longer than the farthest lag.
-    fn add(&mut self, stretch: &[u8]) {
+    /// Adds a stretch of gel, longer than the farthest lag, of a row.
+    fn add(&mut self, row: &[u8], gel: Range<usize>) {
+        let stretch = &row[gel.clone()];
         let count = stretch.len() - LAGS[2];
-        let level = |levels: &[u8]| {
-            let (whole, last) = levels.as_chunks::<LANES>();
-            let sum = |levels: &[u8]| levels.iter().map(|&level| u32::from(level)).sum::<u32>();
-            i64::from(whole.iter().map(|levels| sum(levels)).sum::<u32>() + sum(last))
-        };
         self.count += count;
-        self.levels += level(&stretch[..count]) as u64;
-        self.ends.iter_mut().zip(LAGS).for_each(|(ends, lag)| *ends += lag.min(count));
-        for ((sum, square), lag) in self.sums.iter_mut().zip(&mut self.squares).zip(LAGS) {
+        for ((sum, ends), lag) in self.sums.iter_mut().zip(&mut self.ends).zip(LAGS) {
             // All pixels but the first ones less all but the last ones: what both have is left out.
-            *sum += level(&stretch[count.max(lag)..][..lag.min(count)]) - level(&stretch[..lag.min(count)]);
-            *square += u64::from(squared_difference(&stretch[..count], &stretch[lag..]));
+            let both = lag.min(count);
+            let last = stretch[count.max(lag)..][..both].iter();
+            *sum += last.zip(stretch).map(|(&end, &start)| i64::from(end) - i64::from(start)).sum::<i64>();
+            *ends += both;
+        }
+        for at in (0..count).step_by(LANES) {
+            let masked = &MASK[LANES - LANES.min(count - at)..];
+            let (Some(mask), rest) = (masked.first_chunk(), &row[gel.start + at..]) else { return };
+            let mut end = [0; SPAN];
+            let pixels = rest.first_chunk().unwrap_or_else(|| {
+                end[..rest.len()].copy_from_slice(rest);
+                &end
+            });
+            self.levels += u64::from(sum_of_levels(pixels, mask));
+            let squares = [squares::<{ LAGS[0] }>, squares::<{ LAGS[1] }>, squares::<{ LAGS[2] }>];
+            for (sum, squares) in self.squares.iter_mut().zip(squares) {
+                *sum += u64::from(squares(pixels, mask));
+            }
         }
     }
 }
@@ -326,54 +322,115 @@ impl Spread {
     }
 }
 
-/// Pixels whose squares are added at once.
+/// Pixels whose squares are added at once, and those that they are compared with too.
 const LANES: usize = 32;
+const SPAN: usize = LANES + LAGS[2];
+/// From place [`LANES`] - n on it lets n pixels through.
+const MASK: [u8; 2 * LANES] = {
+    let (mut mask, mut x) = ([0; 2 * LANES], 0);
+    while x < LANES {
+        (mask[x], x) = (u8::MAX, x + 1);
+    }
+    mask
+};
 
-/// Σ (a - b)² over the shorter of the two; exact below 66 000 pixels.
-fn squared_difference(a: &[u8], b: &[u8]) -> u32 {
-    let count = a.len().min(b.len());
-    let ((a, last_a), (b, last_b)) = (a[..count].as_chunks::<LANES>(), b[..count].as_chunks::<LANES>());
-    let square = |(&a, &b): (&u8, &u8)| u32::from(a.abs_diff(b)) * u32::from(a.abs_diff(b));
-    let last = last_a.iter().zip(last_b).map(square).sum();
-    a.iter().zip(b).map(|(a, b)| squares(a, b)).fold(last, u32::wrapping_add)
+/// Squared differences of the pixels that a mask lets through from those at a lag. Differences as bytes, and products of 16
+/// bits: there are instructions for both, which are found in a function of its own.
+#[inline(never)]
+fn squares<const LAG: usize>(pixels: &[u8; SPAN], mask: &[u8; LANES]) -> u32 {
+    let mut apart = [0; LANES];
+    for x in 0..LANES {
+        let (a, b) = (pixels[x], pixels[x + LAG]);
+        apart[x] = (a.saturating_sub(b) | b.saturating_sub(a)) & mask[x];
+    }
+    apart.iter().map(|&d| u32::from(d) * u32::from(d)).sum()
 }
 
-/// Differences as bytes, and products of 16 bits: there are instructions for both, which are found in a function of its own.
 #[inline(never)]
-fn squares(a: &[u8; LANES], b: &[u8; LANES]) -> u32 {
-    let apart: [u8; LANES] = core::array::from_fn(|x| a[x].saturating_sub(b[x]) | b[x].saturating_sub(a[x]));
-    apart.iter().map(|&d| u32::from(d) * u32::from(d)).sum()
+fn sum_of_levels(pixels: &[u8; SPAN], mask: &[u8; LANES]) -> u32 {
+    pixels.iter().zip(mask).map(|(&level, &mask)| u32::from(level & mask)).sum()
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{LANES, squared_difference, stretches};
+    use super::{Differences, HALF_LAG_PX, LAGS, LANES, spread_of};
+    use crate::detect::row_bits::RowBits;
+    use crate::math::abs;
     use alloc::vec::Vec;
-    use core::ops::Range;
     use proptest::prelude::*;
 
+    /// A row of gel in stretches of these lengths, with a marker of this width after each: how long it is, and what is near
+    /// to markers.
+    fn masked(gel: &[usize], marker: usize, clearance: usize) -> (usize, RowBits) {
+        let mut near = RowBits::default();
+        let length = gel.iter().sum::<usize>() + gel.len() * marker;
+        near.start(length);
+        let mut end = 0;
+        for stretch in gel {
+            near.set(end + stretch..end + stretch + marker);
+            end += stretch + marker;
+        }
+        near.widen(clearance + HALF_LAG_PX);
+        (length, near)
+    }
+
     proptest! {
-        /// Against a look at one pixel after the other.
+        /// White noise has the same variance at all distances, whatever its mean difference took. Of independent pixels
+        /// of variance 1 the mean of a sum of squares is the sum of what it is of each pixel alone: no chance is left.
         #[test]
-        fn stretches_lie_between_set_pixels(runs in prop::collection::vec((any::<bool>(), 1..30_usize), 0..9)) {
-            let level = |set: bool| if set { u8::MAX } else { 0 };
-            let row: Vec<u8> = runs.iter().flat_map(|&(set, length)| (0..length).map(move |_| level(set))).collect();
-            let mut expected: Vec<Range<usize>> = Vec::new();
-            for x in (0..row.len()).filter(|&x| row[x] == 0) {
-                match expected.last_mut() {
-                    Some(stretch) if stretch.end == x => stretch.end = x + 1,
-                    _ => expected.push(x..x + 1),
-                }
+        fn a_slope_takes_no_more_noise_from_far_pixels_than_from_near_ones(
+            gel in prop::collection::vec(14..90_usize, 1..12), marker in 1..12_usize, clearance in 1..5_usize,
+        ) {
+            let (length, near) = masked(&gel, marker, clearance);
+            let (mut sums, mut levels) = ([0.0; 3], alloc::vec![0; length]);
+            for x in 0..length {
+                levels[x] = 1;
+                let alone = spread_of(&levels, &near, clearance).sums;
+                sums.iter_mut().zip(alone).for_each(|(sum, alone)| *sum += alone);
+                levels[x] = 0;
             }
-            prop_assert_eq!(stretches(&row).collect::<Vec<_>>(), expected);
+            let count = spread_of(&levels, &near, clearance).count as f64;
+            for (sum, lag) in sums.iter().zip(LAGS) {
+                prop_assert!(abs(sum - 2.0 * count) <= 1e-11 * count, "lag {}: {} of {}", lag, sum, 2.0 * count);
+            }
         }
 
-        /// Against one square after the other, for lengths about those that are added at once.
+        /// Light that rises evenly along the row leaves what differences leave without it.
         #[test]
-        fn squares_of_differences_add_up(pairs in prop::collection::vec(any::<(u8, u8)>(), 0..3 * LANES)) {
-            let (a, b): (Vec<u8>, Vec<u8>) = pairs.iter().copied().unzip();
-            let expected: i64 = pairs.iter().map(|&(a, b)| (i64::from(a) - i64::from(b)).pow(2)).sum();
-            prop_assert_eq!(i64::from(squared_difference(&a, &b)), expected);
+        fn a_slope_of_light_is_no_noise(
+            gel in prop::collection::vec(14..40_usize, 1..5), marker in 1..12_usize, level in 0..20_u8,
+            noise in prop::collection::vec(0..20_u8, 208),
+        ) {
+            let (length, near) = masked(&gel, marker, 1);
+            let dark = &noise[..length];
+            let lit: Vec<u8> = (0_u8..).zip(dark).map(|(x, noise)| noise + level + x).collect();
+            let (dark, lit) = (spread_of(dark, &near, 1).sums, spread_of(&lit, &near, 1).sums);
+            for (a, b) in dark.iter().zip(lit) {
+                // Round-off of squares below 2^17.
+                prop_assert!(abs(a - b) < 1e-9, "{} {}", a, b);
+            }
+        }
+    }
+
+    proptest! {
+        /// Against one pair after the other, for lengths about those that are added at once, at either end of a row too.
+        #[test]
+        fn differences_add_up(
+            row in prop::collection::vec(any::<u8>(), 5..4 * LANES), before in 0..9_usize, after in 0..40_usize
+        ) {
+            let start = before.min(row.len() - 5);
+            let gel = start..row.len().saturating_sub(after).max(start + 5);
+            let mut found = Differences::default();
+            found.add(&row, gel.clone());
+            let stretch = &row[gel];
+            let count = stretch.len() - LAGS[2];
+            prop_assert_eq!(found.count, count);
+            prop_assert_eq!(found.levels, stretch[..count].iter().map(|&x| u64::from(x)).sum::<u64>());
+            for (k, lag) in LAGS.into_iter().enumerate() {
+                let apart = (0..count).map(|x| i64::from(stretch[x + lag]) - i64::from(stretch[x]));
+                prop_assert_eq!(found.sums[k], apart.clone().sum::<i64>());
+                prop_assert_eq!(found.squares[k], apart.map(|d| (d * d) as u64).sum::<u64>());
+            }
         }
     }
 }

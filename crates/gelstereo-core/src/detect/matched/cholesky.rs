@@ -1,4 +1,4 @@
-//! Systems with the covariance of the pixels of a support.
+//! Symmetric systems for several right sides at once.
 
 use crate::math::sqrt;
 use alloc::vec::Vec;
@@ -9,68 +9,64 @@ const LANES: usize = 4;
 /// C = L Lᵀ with a lower triangle L (Golub and Van Loan, section 4.2).
 #[derive(Clone, Debug, Default)]
 pub(super) struct Cholesky {
-    /// Number, column and row of the pixels that count, in ascending order.
-    pixels: Vec<(usize, [usize; 2])>,
     /// Rows of L one after the other; the last of each is one over the diagonal.
     rows: Vec<f64>,
-    solved: Vec<f64>,
 }
 
 impl Cholesky {
-    /// Makes room for so many pixels.
-    pub fn reserve(&mut self, pixels: usize) {
-        self.pixels.clear();
-        self.pixels.reserve(pixels);
+    /// Makes room for so many unknowns.
+    pub fn reserve(&mut self, unknowns: usize) {
         self.rows.clear();
-        self.rows.reserve(pixels * (pixels + 1) / 2);
-        self.solved.clear();
-        self.solved.reserve(pixels);
+        self.rows.reserve(unknowns * (unknowns + 1) / 2);
     }
 
-    /// Of the covariance between any two of the pixels that are inside a square of this side, by columns and rows from one
-    /// to the other.
-    pub fn factor(
-        &mut self,
-        side: usize,
-        inside: impl Iterator<Item = bool>,
-        between: impl Fn(usize, usize) -> f64,
-    ) {
-        let Self { pixels, rows, .. } = self;
-        pixels.clear();
-        let inside = (0..).zip(inside).filter(|&(_, inside)| inside);
-        pixels.extend(inside.map(|(pixel, _)| (pixel, [pixel % side, pixel / side])));
+    /// Of a positive definite matrix, of which only the lower triangle (row, column) is asked for.
+    pub fn factor(&mut self, unknowns: usize, entry: impl Fn(usize, usize) -> f64) {
+        let rows = &mut self.rows;
         rows.clear();
-        for (i, &(_, [x, y])) in pixels.iter().enumerate() {
+        for i in 0..unknowns {
             let (start, mut above) = (rows.len(), 0);
-            for (j, &(_, other)) in pixels[..i].iter().enumerate() {
-                let left = between(x.abs_diff(other[0]), y - other[1]);
-                let entry = (left - dot(&rows[above..above + j], &rows[start..])) * rows[above + j];
-                rows.push(entry);
+            for j in 0..i {
+                let left = entry(i, j) - dot(&rows[above..above + j], &rows[start..]);
+                rows.push(left * rows[above + j]);
                 above += j + 1;
             }
-            let own = between(0, 0) - dot(&rows[start..], &rows[start..]);
+            let own = entry(i, i) - dot(&rows[start..], &rows[start..]);
             rows.push(1.0 / sqrt(own));
         }
     }
 
-    /// C⁻¹ v, for v with a number for every pixel; 0 for those that do not count.
-    pub fn solve(&mut self, v: &[f64], out: &mut Vec<f64>) {
-        let Self { pixels, rows, solved } = self;
-        solved.clear();
+    /// L⁻¹ b for as many b at once, in place: a row of numbers for every unknown.
+    pub fn forward<const N: usize>(&self, right: &mut [[f64; N]]) {
         let mut start = 0;
-        for (i, &(pixel, _)) in pixels.iter().enumerate() {
-            let row = &rows[start..=start + i];
-            solved.push((v[pixel] - dot(&row[..i], solved)) * row[i]);
+        for i in 0..right.len() {
+            let row = &self.rows[start..=start + i];
+            let (solved, rest) = right.split_at_mut(i);
+            let mut own = rest[0];
+            for (entry, solved) in row.iter().zip(solved) {
+                for k in 0..N {
+                    own[k] -= entry * solved[k];
+                }
+            }
+            rest[0] = own.map(|own| own * row[i]);
             start += i + 1;
         }
-        out.clear();
-        out.resize(v.len(), 0.0);
-        for (i, &(pixel, _)) in pixels.iter().enumerate().rev() {
+    }
+
+    /// L⁻ᵀ b, as [`Self::forward`].
+    pub fn backward<const N: usize>(&self, right: &mut [[f64; N]]) {
+        let mut start = right.len() * (right.len() + 1) / 2;
+        for i in (0..right.len()).rev() {
             start -= i + 1;
-            let row = &rows[start..=start + i];
-            let last = solved[i] * row[i];
-            out[pixel] = last;
-            solved.iter_mut().zip(&row[..i]).for_each(|(sum, entry)| *sum -= last * entry);
+            let row = &self.rows[start..=start + i];
+            let (before, rest) = right.split_at_mut(i);
+            let own = rest[0].map(|own| own * row[i]);
+            rest[0] = own;
+            for (entry, before) in row.iter().zip(before) {
+                for k in 0..N {
+                    before[k] -= entry * own[k];
+                }
+            }
         }
     }
 }

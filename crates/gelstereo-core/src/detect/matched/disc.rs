@@ -9,6 +9,9 @@ const PER_BLUR: f64 = 32.0;
 /// Blurs beyond the edge at which nothing is left: Φ(-6) = 1e-9.
 const REACH: f64 = 6.0;
 
+/// Blurs at which the Gaussian is below 1e-17 of its height.
+const TOO_FAR: f64 = 9.0;
+
 /// What a blurred disc of contrast 1 shows at one distance from its centre.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Share {
@@ -46,6 +49,7 @@ impl Disc {
         let angles = (ceil(4.0 * radius_px / blur_px) as usize + 8).min(MOST_ANGLES);
         let per_blur2 = 1.0 / (blur_px * blur_px);
         let scale = radius_px * per_blur2 / angles as f64;
+        let too_far2 = (TOO_FAR * blur_px) * (TOO_FAR * blur_px);
         self.step_px = step_px;
         self.cosines.clear();
         self.cosines.reserve(MOST_ANGLES);
@@ -55,8 +59,12 @@ impl Disc {
         for k in 0..count {
             let d = k as f64 * step_px;
             let (mut even, mut odd) = (0.0, 0.0);
+            // Cosines fall, and distances grow: what follows the first that is too far is farther.
             for cosine in &self.cosines {
                 let apart2 = d * d + radius_px * radius_px - 2.0 * d * radius_px * cosine;
+                if apart2 > too_far2 {
+                    break;
+                }
                 let density = exp(-0.5 * apart2 * per_blur2);
                 even += density;
                 odd += density * cosine;

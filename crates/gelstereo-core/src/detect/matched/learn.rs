@@ -1,8 +1,9 @@
 //! What an image's discs have in common, from some of them.
 
-use super::tables::{Conditions, Kind, REACH_PX};
-use super::{Matched, locate};
+use super::tables::{Conditions, Kind, PLACES, REACH_PX};
+use super::{MOST_MISFIT, Matched, Refined, Response, component_px, locate};
 use crate::detect::Markers;
+use crate::detect::fit::Middle;
 use crate::image::GrayView;
 use crate::math::{DVec2, median};
 use alloc::vec::Vec;
@@ -10,6 +11,12 @@ use alloc::vec::Vec;
 /// Markers that are looked at, spread evenly over the list.
 const SAMPLES: usize = 24;
 const ROUNDS: usize = 3;
+/// Columns and rows of places in the image whose nearest markers tell the response, along both axes. Its noise is that
+/// of the centre times the slopes' wave number, about 1 per pixel: a tenth where a centre is known to a tenth of a
+/// pixel, of which 24 numbers leave 2 %.
+const RESPONDING: [usize; 2] = [4, 3];
+/// Responses that are believed: weights serve a step and a half of blur off their design.
+const RESPONSES: core::ops::RangeInclusive<f64> = 0.6..=1.6;
 /// A pixel's own width and a little defocus.
 pub(super) const FIRST_BLUR_PX: f64 = 0.8;
 /// Contrast over the gel's level to begin with: paint that takes 70 % of the light, gel that does.
@@ -17,8 +24,12 @@ pub(super) const DARK_PER_GROUND: f64 = -0.7;
 pub(super) const BRIGHT_PER_GROUND: f64 = 2.3;
 /// Change of the usual radius that changes no weights.
 const SAME_RADIUS_PX: f64 = 0.1;
+/// The same for how radii follow those of components, which differ by a third of a pixel where much.
+const SAME_PER_PX: f64 = 0.3;
 /// Radius of a disc beyond that of its component, at most.
 const MOST_OFF_PX: f64 = 1.5;
+/// Radii of components that differ by less say nothing of those of discs.
+const ALIKE_PX: f64 = 0.03;
 /// Blurs that are believed.
 const BLURS_PX: core::ops::RangeInclusive<f64> = 0.4..=5.0;
 
@@ -26,9 +37,12 @@ const BLURS_PX: core::ops::RangeInclusive<f64> = 0.4..=5.0;
 #[derive(Clone, Debug, Default)]
 pub(super) struct Samples {
     radius: Vec<f64>,
+    /// Radii of components and of their discs.
+    radii: Vec<[f64; 2]>,
     blur: Vec<f64>,
     per_ground: Vec<f64>,
     contrast: Vec<f64>,
+    response: Vec<f64>,
 }
 
 /// What one marker says.
@@ -41,9 +55,10 @@ struct Form {
 }
 
 impl Matched {
-    /// Radius, blur and contrast by the weights for them, again with the weights for what they said. Weights once made are
-    /// kept as long as they serve: to make others takes some 10 ms.
+    /// Radius, blur and contrast by the weights for them, again with the weights for what they said. Weights once made
+    /// are kept as long as they serve: to make others takes some 10 ms.
     pub(super) fn learn(&mut self, image: GrayView<'_>, markers: &Markers) {
+        self.response = Response::default();
         let count = markers.centres_px.len();
         if count == 0 {
             return;
@@ -73,25 +88,85 @@ impl Matched {
             for k in (0..samples).map(sample) {
                 let radius_px = self.radius_px(markers.area_px2[k]);
                 if let Some(form) = self.form(image, markers.centres_px[k], radius_px) {
-                    self.samples.push(&form, radius_px);
+                    self.samples.push(&form, component_px(markers.area_px2[k]), radius_px);
                 }
             }
-            if !self.take_medians(keeps) {
+            if !self.take_medians(keeps, component_px(usual_px2)) {
                 break;
             }
         }
+        self.learn_response(image, markers);
     }
 
-    /// Takes over what the samples say, a radius that still serves excepted; whether there were any.
-    fn take_medians(&mut self, keeps: bool) -> bool {
-        let Samples { radius, blur, per_ground, contrast } = &mut self.samples;
-        let medians = (median(radius), median(blur), median(per_ground), median(contrast));
+    /// Response of the weights that were chosen to some of the markers, the same ones in whatever order they are
+    /// listed.
+    fn learn_response(&mut self, image: GrayView<'_>, markers: &Markers) {
+        self.samples.clear();
+        let [columns, rows] = RESPONDING;
+        let part = |k: usize, parts: usize, size: usize| (k as f64 + 0.5) / parts as f64 * size as f64;
+        let mut noise_px2 = 0.0;
+        for n in 0..columns * rows {
+            let at = DVec2::new(
+                part(n % columns, columns, image.width()),
+                part(n / columns, rows, image.height()),
+            );
+            let Some(k) = nearest(&markers.centres_px, at) else { return };
+            let radius_px = self.radius_px(markers.area_px2[k]);
+            if let Some((along, variance_px2)) = self.responses(image, markers.centres_px[k], radius_px)
+                && along.iter().all(|s| RESPONSES.contains(s))
+            {
+                self.samples.response.extend(along);
+                noise_px2 += along.len() as f64 * variance_px2;
+            }
+        }
+        let responses = &self.samples.response;
+        let count = responses.len() as f64;
+        if count < 2.0 {
+            return;
+        }
+        let mean = |of: &dyn Fn(f64) -> f64| responses.iter().map(|&s| of(s)).sum::<f64>() / count;
+        let usual = mean(&|s| s);
+        let variance = mean(&|s| (s - usual) * (s - usual)) * count / (count - 1.0);
+        // Noise of the slope is that of the place times the edge's mean square frequency.
+        let by_noise = noise_px2 / count * 0.5 / (self.tables.blur_px() * self.tables.blur_px());
+        let scatter = (variance - by_noise).max(0.0);
+        self.response = Response { mean: usual, per_square: mean(&|s| 1.0 / (s * s)), scatter };
+    }
+
+    /// How far steps along either axis go for each px, between the nearest place and the next one towards the disc,
+    /// and the variance of the place. `None` for markers that steps do not serve.
+    fn responses(&mut self, image: GrayView<'_>, near_px: DVec2, radius_px: f64) -> Option<([f64; 2], f64)> {
+        let start = self.step(image, near_px, radius_px)?;
+        let here = self.step(image, start.at_px + start.moved_px, radius_px)?;
+        let Refined { misfit, covariance_px2: [[xx, _], [_, yy]], .. } = self.judge(&here);
+        if misfit > MOST_MISFIT {
+            return None;
+        }
+        let mut along = |axis: DVec2| {
+            let apart_px = if here.moved_px.dot(axis) < 0.0 { -1.0 } else { 1.0 } / PLACES as f64;
+            let next = self.step(image, here.at_px + axis * apart_px, radius_px)?;
+            Some((here.moved_px - next.moved_px).dot(axis) / apart_px)
+        };
+        Some(([along(DVec2::X)?, along(DVec2::Y)?], 0.5 * (xx + yy)))
+    }
+
+    /// Takes over what the samples say, radii that still serve excepted; whether there were any.
+    fn take_medians(&mut self, keeps: bool, usual_px: f64) -> bool {
+        let Samples { radius, blur, per_ground, contrast, .. } = &mut self.samples;
+        let blur_px = Middle::of(blur).map(|blur| blur.mean);
+        let medians = (median(radius), blur_px, median(per_ground), median(contrast));
         let (Some(wider_px), Some(blur_px), Some(per_ground), Some(contrast_levels)) = medians else {
             return false;
         };
         if !keeps || crate::math::abs(wider_px) > SAME_RADIUS_PX {
             let off_px = self.radius_off_px + wider_px.clamp(-0.5, 0.5);
             self.radius_off_px = off_px.clamp(-MOST_OFF_PX, MOST_OFF_PX);
+        }
+        let radius_per_px = self.samples.radius_per_px();
+        if !keeps || crate::math::abs(radius_per_px - self.radius_per_px) > SAME_PER_PX {
+            (self.radius_per_px, self.usual_px) = (radius_per_px, usual_px);
+        } else if crate::math::abs(usual_px - self.usual_px) > SAME_RADIUS_PX {
+            self.usual_px = usual_px;
         }
         (self.per_ground, self.contrast_levels) = (per_ground, contrast_levels);
         if self.given_blur_px.is_none() {
@@ -123,18 +198,45 @@ impl Matched {
 impl Samples {
     /// Begins anew, with room for all.
     fn clear(&mut self) {
-        for list in [&mut self.radius, &mut self.blur, &mut self.per_ground, &mut self.contrast] {
+        let Self { radius, radii, blur, per_ground, contrast, response } = self;
+        for list in [radius, blur, per_ground, contrast, response] {
             list.clear();
             list.reserve(SAMPLES);
         }
+        radii.clear();
+        radii.reserve(SAMPLES);
     }
 
-    fn push(&mut self, form: &Form, began_px: f64) {
+    /// How much larger discs are whose component is larger by a pixel in radius: the line of regression, without those
+    /// farther off than any disc, and towards 1 where components are alike.
+    fn radius_per_px(&self) -> f64 {
+        let count = self.radii.len().max(1) as f64;
+        let [component_px, disc_px] = [0, 1].map(|n| self.radii.iter().map(|r| r[n]).sum::<f64>() / count);
+        let known = count * ALIKE_PX * ALIKE_PX;
+        let (mut product, mut square) = (known, known);
+        for [component, disc] in &self.radii {
+            let (larger, disc) = (component - component_px, disc - disc_px);
+            if crate::math::abs(disc) <= MOST_OFF_PX {
+                product += larger * disc;
+                square += larger * larger;
+            }
+        }
+        (product / square).clamp(0.0, 1.0)
+    }
+
+    fn push(&mut self, form: &Form, component_px: f64, began_px: f64) {
         self.radius.push(form.radius_px - began_px);
+        self.radii.push([component_px, form.radius_px]);
         self.blur.push(form.blur_px);
         self.per_ground.push(form.per_ground);
         self.contrast.push(form.contrast_levels);
     }
+}
+
+/// Index of the centre that is nearest to a place.
+fn nearest(centres_px: &[DVec2], at: DVec2) -> Option<usize> {
+    let distances = centres_px.iter().map(|centre| centre.distance_squared(at));
+    distances.enumerate().min_by(|(_, a), (_, b)| a.total_cmp(b)).map(|(k, _)| k)
 }
 
 /// Distance to the nearest other one.

@@ -9,6 +9,7 @@
 
 mod cholesky;
 mod correlate;
+mod covariance;
 mod design;
 mod disc;
 mod learn;
@@ -25,8 +26,8 @@ use tables::{Kind, PLACES, Tables};
 
 /// Steps at most. A binary centroid needs one, a prediction two to four.
 const MOST_STEPS: usize = 6;
-/// A displacement from the weights' own place over the blur, below which a step is the last: what is left of it is below
-/// 0.005 px.
+/// A displacement from the weights' own place over the blur, below which a step is the last: what is left of it is
+/// below 0.005 px.
 const SETTLED: f64 = 0.27;
 /// The same for later steps, which begin near a place of the weights.
 const SETTLED_LATER_PX: f64 = 0.4;
@@ -50,8 +51,8 @@ pub struct Refined {
     pub covariance_px2: Symmetric<2>,
     /// Level of the dot less that of the gel, grey levels.
     pub contrast_levels: f64,
-    /// Rms of what the disc leaves of the levels, noise and grain taken off, over the contrast. Below [`MOST_MISFIT`] for
-    /// one whole marker; neighbours within the support, merged pairs, covered halves and smears have more.
+    /// Rms of what the disc leaves of the levels, noise and grain taken off, over the contrast. Below [`MOST_MISFIT`]
+    /// for one whole marker; neighbours within the support, merged pairs, covered halves and smears have more.
     pub misfit: f64,
 }
 
@@ -62,12 +63,17 @@ pub struct Matched {
     bright: bool,
     noise: Noise,
     blur_px: f64,
-    /// Radius of discs less that of components of the same area.
+    /// Radius of discs less that of components of the same area, for the usual one.
     radius_off_px: f64,
+    /// Radius of the usual component, and how much larger discs are whose component is a pixel larger in radius: less
+    /// than 1 where uneven light has components grow with their contrast.
+    usual_px: f64,
+    radius_per_px: f64,
     /// Usual contrast, grey levels; 0 when nothing is known.
     contrast_levels: f64,
     /// Usual contrast over the gel's level.
     per_ground: f64,
+    response: Response,
     tables: Tables,
     patch: Patch,
     samples: learn::Samples,
@@ -79,8 +85,29 @@ struct Step {
     place: usize,
     at_px: DVec2,
     moved_px: DVec2,
+    /// What it is to first order.
+    linear_px: DVec2,
     contrast: f64,
     variances: [f64; 2],
+}
+
+/// How far steps go for each px that a disc of the image is away. The weights are made for a blur and a radius near
+/// by, and for a circle: where they answer by s instead of 1, noise that they take for one px puts the centre 1 / s px
+/// off.
+#[derive(Clone, Copy, Debug)]
+struct Response {
+    mean: f64,
+    /// Mean of 1 / s² over markers. Noise varies s too, along with which the error grows in second order as it does in
+    /// a fit.
+    per_square: f64,
+    /// Variance of s over markers that noise does not explain: of their radii and shapes.
+    scatter: f64,
+}
+
+impl Default for Response {
+    fn default() -> Self {
+        Self { mean: 1.0, per_square: 1.0, scatter: 0.0 }
+    }
 }
 
 impl Matched {
@@ -94,8 +121,11 @@ impl Matched {
             noise: Noise::default(),
             blur_px: params.fit.blur_px.unwrap_or(learn::FIRST_BLUR_PX),
             radius_off_px: 0.0,
+            usual_px: 0.0,
+            radius_per_px: 1.0,
             contrast_levels: 0.0,
             per_ground: if bright { learn::BRIGHT_PER_GROUND } else { learn::DARK_PER_GROUND },
+            response: Response::default(),
             tables: Tables::default(),
             patch: Patch::default(),
             samples: learn::Samples::default(),
@@ -107,13 +137,15 @@ impl Matched {
         self.noise = Noise::default();
         self.blur_px = self.given_blur_px.unwrap_or(learn::FIRST_BLUR_PX);
         (self.radius_off_px, self.contrast_levels) = (0.0, 0.0);
+        (self.usual_px, self.radius_per_px) = (0.0, 1.0);
         self.per_ground = if self.bright { learn::BRIGHT_PER_GROUND } else { learn::DARK_PER_GROUND };
+        self.response = Response::default();
         self.tables.forget();
     }
 
-    /// Learns blur and radius of an image's discs from some of its markers, given by their approximate centres and areas,
-    /// and chooses the weights for that, for its noise and for the distance of neighbours. Weights are kept from image to
-    /// image as long as they serve.
+    /// Learns blur and radius of an image's discs from some of its markers, given by their approximate centres and
+    /// areas, and chooses the weights for that, for its noise and for the distance of neighbours. Weights are kept
+    /// from image to image as long as they serve.
     pub fn prepare(&mut self, image: GrayView<'_>, noise: Noise, markers: &Markers) {
         self.noise = noise;
         self.learn(image, markers);
@@ -128,7 +160,8 @@ impl Matched {
     /// Radius of a disc whose component has this area, in the image that was last learned.
     #[must_use]
     pub fn radius_px(&self, area_px2: u32) -> f64 {
-        sqrt(f64::from(area_px2) * core::f64::consts::FRAC_1_PI) + self.radius_off_px
+        let larger_px = component_px(area_px2) - self.usual_px;
+        self.usual_px + self.radius_off_px + self.radius_per_px * larger_px
     }
 
     /// Replaces centre and covariance of a marker of the list, of which centre and area are known; whether it could.
@@ -156,8 +189,8 @@ impl Matched {
         UNFITTED * UNFITTED * (white + grain) / (self.contrast_levels * self.contrast_levels).max(1.0)
     }
 
-    /// Finds the disc of about this radius whose centre lies within about a pixel of `near_px`. `None` where the support
-    /// leaves the image, nothing of that polarity is there, or steps do not settle.
+    /// Finds the disc of about this radius whose centre lies within about a pixel of `near_px`. `None` where the
+    /// support leaves the image, nothing of that polarity is there, or steps do not settle.
     #[inline]
     pub fn refine(&mut self, image: GrayView<'_>, near_px: DVec2, radius_px: f64) -> Option<Refined> {
         let (mut near, mut settled_px) = (near_px, SETTLED * self.tables.blur_px());
@@ -186,15 +219,16 @@ impl Matched {
         {
             return None;
         }
-        let response = DVec2::new(sum(Kind::X), sum(Kind::Y)) * (set.px_per_unit / contrast);
-        let long2 = response.length_squared();
+        let px_per_unit = set.px_per_unit / (contrast * self.response.mean);
+        let linear_px = DVec2::new(sum(Kind::X), sum(Kind::Y)) * px_per_unit;
+        let long2 = linear_px.length_squared();
         let moved_px = if long2 < LONGEST_PX * LONGEST_PX {
-            response * (1.0 + set.bend_per_px2 * long2)
+            linear_px * (1.0 + set.bend_per_px2 * long2)
         } else {
             // Far away only its direction is good for something.
-            response * (LONGEST_PX / sqrt(long2))
+            linear_px * (LONGEST_PX / sqrt(long2))
         };
-        Some(Step { set: index, place, at_px, moved_px, contrast, variances })
+        Some(Step { set: index, place, at_px, moved_px, linear_px, contrast, variances })
     }
 
     /// Level of the gel, and variance of what a step's disc leaves of the levels.
@@ -218,18 +252,38 @@ impl Matched {
         let noise2 = self.noise.white_levels2 + grain_share * self.noise.grain_levels2;
         let chance2 = noise2 * (1.0 + CHANCE * sqrt(2.0 / pixels));
         let per_contrast2 = 1.0 / (step.contrast * step.contrast);
-        let variance = (step.variances[0] + grain_share * step.variances[1]) * per_contrast2;
+        let noise_px2 = (step.variances[0] + grain_share * step.variances[1]) * per_contrast2;
         Refined {
             centre_px: step.at_px + step.moved_px,
-            covariance_px2: [[variance, 0.0], [0.0, variance]],
+            covariance_px2: self.covariance_px2(step, noise_px2),
             contrast_levels: step.contrast,
             misfit: sqrt((rest2 - chance2).max(0.0) * per_contrast2),
         }
     }
+
+    /// Covariance of a centre whose noise has so large a variance to the weights: over the squared response, and a
+    /// step g (1 + κ g²) follows the noise of g by its derivatives, (1 + κ g²) I + 2 κ g gᵀ. What a marker's own
+    /// response differs by from the mean is that part of its step.
+    fn covariance_px2(&self, step: &Step, noise_px2: f64) -> Symmetric<2> {
+        let Response { per_square, scatter, .. } = self.response;
+        let all_px2 = noise_px2 * per_square;
+        let (g, bend) = (step.linear_px, self.tables.set(step.set).bend_per_px2);
+        let bent = bend * g.length_squared();
+        let even = all_px2 * (1.0 + bent) * (1.0 + bent);
+        let along = all_px2 * 4.0 * bend * (1.0 + 2.0 * bent) + scatter * per_square;
+        let entry = |one: f64, product: f64| even * one + along * product;
+        let xy = entry(0.0, g.x * g.y);
+        [[entry(1.0, g.x * g.x), xy], [xy, entry(1.0, g.y * g.y)]]
+    }
 }
 
-/// The place within its pixel that is nearest, the support's first pixel, and where that place is; `None` where the support
-/// leaves the image.
+/// Radius of a circle of this area.
+fn component_px(area_px2: u32) -> f64 {
+    sqrt(f64::from(area_px2) * core::f64::consts::FRAC_1_PI)
+}
+
+/// The place within its pixel that is nearest, the support's first pixel, and where that place is; `None` where the
+/// support leaves the image.
 #[inline]
 fn locate(image: GrayView<'_>, side: usize, near_px: DVec2) -> Option<(usize, (usize, usize), DVec2)> {
     let half = side as i64 / 2;

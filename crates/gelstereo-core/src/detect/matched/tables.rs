@@ -21,7 +21,9 @@ pub(super) enum Kind {
 }
 const KINDS: usize = 6;
 /// Largest weight: its products with levels fill 31 bits only for sums of more than 1000 pixels.
-const MOST_WEIGHT: f64 = 8191.0;
+const MOST_WEIGHT: i32 = 8191;
+/// Numbers beside it are whole: adding it rounds.
+const LIFT: f64 = 1.5 * (1_u64 << 52) as f64;
 /// The share of a disc is stored with so many fractional bits: its product with a contrast of 255 fits 16 bits.
 pub(super) const SHARE_BITS: u32 = 7;
 /// Sets there is room for, of discs as large as those of the first image. The markers of an image need two or three.
@@ -306,34 +308,38 @@ impl Tables {
         let (mut units, mut bend, mut gains) = ([0.0; 3], 0.0, [0.0; 4]);
         let half = PLACES / 2;
         let off = |k: usize| (k as f64 + 0.5) / PLACES as f64 - 0.5;
-        // One quarter of the places; the others are its mirror images.
-        for (n, (row, column)) in (0..half * half).map(|n| (n, (half + n / half, half + n % half))) {
+        let sizes = SIZES.map(|size| size * noise.grain_size_px);
+        // Of a quarter of the places those on its diagonal and above it; the others are mirror images.
+        for (row, column) in (half..PLACES).flat_map(|row| (row..PLACES).map(move |column| (row, column))) {
             let at = DVec2::new(off(column), off(row));
             self.design.run(&self.disc, support, at, 0.25 * f64::from(self.conditions.dot_slope))?;
-            let sizes = SIZES.map(|size| size * noise.grain_size_px);
-            for (sum, gain) in gains.iter_mut().zip(self.design.gains(support, &sizes)) {
-                *sum += gain / (half * half) as f64;
-            }
-            let weights = &self.design.weights;
-            bend += weights.bend_per_px2 / (half * half) as f64;
-            if n == 0 {
-                // Others differ little; 1/2 leaves room.
-                let unit = |list: &[f64]| {
-                    list.iter().fold(0.0, |most: f64, &w| most.max(abs(w))) / (0.5 * MOST_WEIGHT)
-                };
-                units = [
-                    unit(&weights.x).max(unit(&weights.y)),
-                    unit(&weights.contrast),
-                    unit(&weights.radius).max(unit(&weights.blur)),
-                ];
-            }
-            let mirrors = [(false, false), (true, false), (false, true), (true, true)];
-            for (left, up) in mirrors {
-                let place = |at: usize, mirrored: bool| if mirrored { PLACES - 1 - at } else { at };
-                let place = place(row, up) * PLACES + place(column, left);
-                let count = numbers(support.side);
-                let kernels = &mut self.numbers[first + place * KINDS * count..][..KINDS * count];
-                write(kernels, weights, &units, support.side, (left, up));
+            let transposed = if row == column { &[false][..] } else { &[false, true] };
+            for &transposed in transposed {
+                for (sum, gain) in gains.iter_mut().zip(self.design.gains(transposed, &sizes)) {
+                    *sum += gain / (half * half) as f64;
+                }
+                let weights = &self.design.weights;
+                bend += weights.bends_per_px2[usize::from(transposed)] / (half * half) as f64;
+                if (row, column) == (half, half) {
+                    // Others differ little; 1/2 leaves room.
+                    let unit = |list: &[f64]| {
+                        list.iter().fold(0.0, |most: f64, &w| most.max(abs(w)))
+                            / (0.5 * f64::from(MOST_WEIGHT))
+                    };
+                    units = [
+                        unit(&weights.x).max(unit(&weights.y)),
+                        unit(&weights.contrast),
+                        unit(&weights.radius).max(unit(&weights.blur)),
+                    ];
+                }
+                let (row, column) = if transposed { (column, row) } else { (row, column) };
+                for (left, up) in [(false, false), (true, false), (false, true), (true, true)] {
+                    let place = |at: usize, mirrored: bool| if mirrored { PLACES - 1 - at } else { at };
+                    let place = place(row, up) * PLACES + place(column, left);
+                    let count = numbers(support.side);
+                    let kernels = &mut self.numbers[first + place * KINDS * count..][..KINDS * count];
+                    write(kernels, weights, &units, support.side, Mirror { left, up, transposed });
+                }
             }
         }
         Some([units[0], units[1], units[2], bend, gains[0], gains[1], gains[2], gains[3]])
@@ -345,26 +351,45 @@ const fn needed(side: usize) -> usize {
     (PLACES * PLACES * KINDS + 1) * numbers(side)
 }
 
-/// Writes the kernels of one place, mirrored about the middle column, row or both.
-fn write(kernels: &mut [i16], weights: &Weights, units: &[f64; 3], side: usize, (left, up): (bool, bool)) {
+/// How the weights of another place follow: columns and rows swapped first, then mirrored about the middle column or row.
+#[derive(Clone, Copy)]
+struct Mirror {
+    left: bool,
+    up: bool,
+    transposed: bool,
+}
+
+/// Writes the kernels of one place.
+fn write(kernels: &mut [i16], weights: &Weights, units: &[f64; 3], side: usize, mirror: Mirror) {
+    let Mirror { left, up, transposed } = mirror;
+    let (x, y) = if transposed { (&weights.y, &weights.x) } else { (&weights.x, &weights.y) };
     let lists: [(&[f64], f64); KINDS] = [
-        (&weights.x, if left { -1.0 } else { 1.0 } / units[0]),
-        (&weights.y, if up { -1.0 } else { 1.0 } / units[0]),
+        (x, if left { -1.0 } else { 1.0 } / units[0]),
+        (y, if up { -1.0 } else { 1.0 } / units[0]),
         (&weights.contrast, 1.0 / units[1]),
         (&weights.share, f64::from(1 << SHARE_BITS)),
         (&weights.radius, 1.0 / units[2]),
         (&weights.blur, 1.0 / units[2]),
     ];
+    // Where the first number comes from, and those a row and a column further.
+    let (row_step, column_step) = if transposed { (1, side) } else { (side, 1) };
+    let from = |row: usize, column: usize| {
+        let row = if up { side - 1 - row } else { row };
+        let column = if left { side - 1 - column } else { column };
+        row * row_step + column * column_step
+    };
     for (kernel, (list, per_unit)) in kernels.chunks_exact_mut(numbers(side)).zip(lists) {
         // What rounding leaves goes to the next pixel, so that sums and slopes stay right.
         let mut left_over = 0.0;
-        for row in 0..side {
-            for column in 0..side {
-                let from = |at: usize, mirrored: bool| if mirrored { side - 1 - at } else { at };
-                let exact = list[from(row, up) * side + from(column, left)] * per_unit;
-                let number = if exact == 0.0 { 0.0 } else { round(exact + left_over) };
-                left_over += exact - number;
-                kernel[row * columns(side) + column] = number.clamp(-MOST_WEIGHT, MOST_WEIGHT) as i16;
+        for (row, kernel) in kernel.chunks_exact_mut(columns(side)).take(side).enumerate() {
+            for (column, kernel) in kernel.iter_mut().take(side).enumerate() {
+                let exact = list[from(row, column)] * per_unit;
+                if exact != 0.0 {
+                    // Its last bits are the whole number, which fits 31 of them by far.
+                    let lifted = exact + left_over + LIFT;
+                    left_over += exact - (lifted - LIFT);
+                    *kernel = (lifted.to_bits() as i32).clamp(-MOST_WEIGHT, MOST_WEIGHT) as i16;
+                }
             }
         }
     }

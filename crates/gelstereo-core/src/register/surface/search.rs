@@ -327,14 +327,20 @@ impl Search<'_> {
 /// order of the starts.
 fn keep(candidates: &mut Vec<Candidate>, most: usize, radius_mm: f64, same_mm: f64) {
     insertion_sort(candidates);
+    if same_mm == 0.0 {
+        return candidates.truncate(most);
+    }
     let mut kept = 0;
     for k in 0..candidates.len() {
+        if kept == most {
+            break;
+        }
         let one = candidates[k];
         let is_new = candidates[..kept].iter().all(|other| {
             let (omega, v) = one.placement.since(&other.placement);
             sqrt((omega * radius_mm).length_squared() + v.length_squared()) > same_mm
         });
-        if (same_mm == 0.0 || is_new) && kept < most {
+        if is_new {
             candidates[kept] = one;
             kept += 1;
         }
