@@ -101,25 +101,48 @@ fn params(method: RegisterMethod) -> RegisterParams {
     RegisterParams { method, ..RegisterParams::default() }
 }
 
-/// Coordinates of up to 200 mm are rounded by 3e-14 mm, and the weakest direction that counts amplifies that by less than
-/// 1e4.
-const ROUNDING_MM: f64 = 3e-10;
+/// Normal equations lose eps times their condition, 1e7 between faces that are known to half a micrometre and what the prior
+/// alone holds to 2 mm, of steps of some millimetres in all.
+const ROUNDING_MM: f64 = 1e-8;
+
+/// How far apart a rung's answers in two frames are, mm over the patch's points.
+fn apart_in_frames(seed: u64, motion: &Pose, method: RegisterMethod) -> f64 {
+    let given = Given::new(seed);
+    let here = given.register(&params(method), &part().1);
+    let there = given.moved(motion).register(&params(method), &part().1);
+    assert_eq!(here.free.len(), there.free.len());
+    given.apart_mm(&here.t_sensor_object, &(motion.inverse() * there.t_sensor_object))
+}
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(6))]
 
+    /// Whether a step is the last one, or which of two triangles is nearer, may turn on rounding; then by what steps are told
+    /// apart.
     #[test]
     fn the_answer_moves_with_all_that_is_sensed(
         seed in 0..1000_u64, omega in prop::array::uniform3(-1.8..1.8_f64), v in prop::array::uniform3(-100.0..100.0_f64),
     ) {
-        let (given, motion) = (Given::new(seed), Pose::exp(DVec3::from_array(omega), DVec3::from_array(v)));
+        let motion = Pose::exp(DVec3::from_array(omega), DVec3::from_array(v));
         for method in RUNGS {
-            let here = given.register(&params(method), &part().1);
-            let there = given.moved(&motion).register(&params(method), &part().1);
-            let apart_mm = given.apart_mm(&here.t_sensor_object, &(motion.inverse() * there.t_sensor_object));
-            prop_assert!(apart_mm <= ROUNDING_MM, "{method:?} {apart_mm}");
-            prop_assert_eq!(here.free.len(), there.free.len());
+            let apart_mm = apart_in_frames(seed, &motion, method);
+            prop_assert!(apart_mm <= STEPS_MM, "{method:?} {apart_mm}");
         }
+    }
+}
+
+#[test]
+fn all_but_few_answers_move_to_rounding() {
+    for method in RUNGS {
+        let moves = |seed: &u64| {
+            let mut random = Stream::new(*seed, "frame");
+            let mut vector =
+                |size: f64| DVec3::from_array(std::array::from_fn(|_| size * (2.0 * random.uniform() - 1.0)));
+            let motion = Pose::exp(vector(1.8), vector(100.0));
+            apart_in_frames(*seed, &motion, method) > ROUNDING_MM
+        };
+        // 2 of 1000 seeds did when this was written; of 100, more than 2 are then met once in 900 times.
+        assert!((0..100).filter(moves).count() <= 2, "{method:?}");
     }
 }
 
