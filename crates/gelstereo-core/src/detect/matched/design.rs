@@ -82,6 +82,8 @@ pub(super) struct Design {
     /// L⁻¹ J, by parity.
     whitened: [Vec<[f64; COLUMNS]>; 4],
     wanted: Vec<[f64; WANTED]>,
+    /// Weights for x at another place, and then of the response.
+    slope: Vec<f64>,
     covariance: Covariance,
     pub weights: Weights,
 }
@@ -103,6 +105,8 @@ impl Design {
         }
         self.wanted.clear();
         self.wanted.reserve(quarter);
+        self.slope.clear();
+        self.slope.reserve(side * side);
         self.covariance.reserve(side);
     }
 
@@ -174,11 +178,32 @@ impl Design {
     /// Variance of a sum with these weights per variance of white noise, and per variance of grain of each size.
     pub fn gains(&mut self, along_y: bool, sizes_px: &[f64; 3]) -> [f64; 4] {
         let Self { weights, covariance, .. } = self;
-        let weights = if along_y { &weights.y } else { &weights.x };
-        let white = weights.iter().map(|weight| weight * weight).sum();
-        let [small, medium, large] = sizes_px.map(|size_px| covariance.grain_gain(weights, size_px).max(0.0));
-        [white, small, medium, large]
+        gains(covariance, if along_y { &weights.y } else { &weights.x }, sizes_px)
     }
+
+    /// Keeps the weights for x until [`Self::response_gains`].
+    pub fn keep_x(&mut self) {
+        self.slope.clear();
+        self.slope.extend(&self.weights.x);
+    }
+
+    /// As [`Self::gains`], of the response along x between the place of [`Self::keep_x`] and this one, so far to the
+    /// right of it: of what the displacement falls by for each px, less that share of it by which the contrast is too
+    /// large.
+    pub fn response_gains(&mut self, apart_px: f64, sizes_px: &[f64; 3]) -> [f64; 4] {
+        let Self { weights, covariance, slope, .. } = self;
+        for (slope, (x, contrast)) in slope.iter_mut().zip(weights.x.iter().zip(&weights.contrast)) {
+            *slope = (*slope - x) / apart_px - contrast;
+        }
+        gains(covariance, slope, sizes_px)
+    }
+}
+
+/// Variance of a sum with these weights per variance of white noise, and per variance of grain of each size.
+fn gains(covariance: &mut Covariance, weights: &[f64], sizes_px: &[f64; 3]) -> [f64; 4] {
+    let white = weights.iter().map(|weight| weight * weight).sum();
+    let [small, medium, large] = sizes_px.map(|size_px| covariance.grain_gain(weights, size_px).max(0.0));
+    [white, small, medium, large]
 }
 
 /// Rows of (Jᵀ C⁻¹ J)⁻¹ for what is wanted, of Jᵀ C⁻¹ J.
@@ -224,4 +249,55 @@ fn derive(columns: &mut Vec<[f64; COLUMNS]>, disc: &Disc, support: Support, off_
             share.by_blur,
         ]
     }));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::{abs, exp};
+
+    /// Against the response to a disc on the first of both places, when one pixel after the other is brighter by a little,
+    /// and the sum over all pairs of pixels. What is neglected is of second order in the distance of the places over
+    /// the blur.
+    #[test]
+    fn response_gains_are_those_of_steps_from_two_places() {
+        let (mut disc, mut design) = (Disc::default(), Design::default());
+        let (support, near, apart_px) = (Support::new(6.9), DVec2::splat(0.125), 0.05);
+        for (grain_levels2, blur_px) in [(0.0, 0.8), (0.25, 0.8), (1.0, 0.9)] {
+            let noise = Noise { white_levels2: 1.0, grain_levels2, grain_size_px: 1.3, gel_level: 0.0 };
+            disc.draw(4.0, blur_px);
+            design.start(support, &noise);
+            let here = design.run(&disc, support, near, -0.75).unwrap().clone();
+            design.keep_x();
+            let next = design.run(&disc, support, near + DVec2::X * apart_px, -0.75).unwrap().clone();
+            let levels: Vec<f64> = support.places().map(|at| disc.at((at - near).length()).inside).collect();
+            let response = |levels: &[f64]| {
+                let sum = |weights: &[f64]| weights.iter().zip(levels).map(|(w, x)| w * x).sum::<f64>();
+                (sum(&here.x) / sum(&here.contrast) - sum(&next.x) / sum(&next.contrast)) / apart_px
+            };
+            let by_pixel: Vec<f64> = (0..levels.len())
+                .map(|n| {
+                    let by = |more: f64| {
+                        let mut levels = levels.clone();
+                        levels[n] += more;
+                        response(&levels)
+                    };
+                    (by(1e-4) - by(-1e-4)) / 2e-4
+                })
+                .collect();
+            let pairs = |size_px: f64| {
+                let all = || support.places().zip(&by_pixel);
+                let alike = |a: DVec2, b: DVec2| exp(-0.25 * a.distance_squared(b) / (size_px * size_px));
+                all().flat_map(|(a, x)| all().map(move |(b, y)| x * y * alike(a, b))).sum::<f64>()
+            };
+            let sizes_px = [0.9, 1.3, 1.8];
+            let [small, medium, large] = sizes_px.map(pairs);
+            let white = by_pixel.iter().map(|x| x * x).sum::<f64>();
+            let tolerance = (apart_px / blur_px) * (apart_px / blur_px);
+            let found = design.response_gains(apart_px, &sizes_px);
+            for (found, expected) in found.into_iter().zip([white, small, medium, large]) {
+                assert!(abs(found / expected - 1.0) < tolerance, "{found} {expected}");
+            }
+        }
+    }
 }

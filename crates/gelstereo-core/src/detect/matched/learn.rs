@@ -104,7 +104,7 @@ impl Matched {
         self.samples.clear();
         let [columns, rows] = RESPONDING;
         let part = |k: usize, parts: usize, size: usize| (k as f64 + 0.5) / parts as f64 * size as f64;
-        let mut noise_px2 = 0.0;
+        let mut by_noise = 0.0;
         for n in 0..columns * rows {
             let at = DVec2::new(
                 part(n % columns, columns, image.width()),
@@ -112,11 +112,11 @@ impl Matched {
             );
             let Some(k) = nearest(&markers.centres_px, at) else { return };
             let radius_px = self.radius_px(markers.area_px2[k]);
-            if let Some((along, variance_px2)) = self.responses(image, markers.centres_px[k], radius_px)
+            if let Some((along, noise)) = self.responses(image, markers.centres_px[k], radius_px)
                 && along.iter().all(|s| RESPONSES.contains(s))
             {
                 self.samples.response.extend(along);
-                noise_px2 += along.len() as f64 * variance_px2;
+                by_noise += along.len() as f64 * noise;
             }
         }
         let responses = &self.samples.response;
@@ -127,14 +127,12 @@ impl Matched {
         let mean = |of: &dyn Fn(f64) -> f64| responses.iter().map(|&s| of(s)).sum::<f64>() / count;
         let usual = mean(&|s| s);
         let variance = mean(&|s| (s - usual) * (s - usual)) * count / (count - 1.0);
-        // Noise of the slope is that of the place times the edge's mean square frequency.
-        let by_noise = noise_px2 / count * 0.5 / (self.tables.blur_px() * self.tables.blur_px());
-        let scatter = (variance - by_noise).max(0.0);
+        let scatter = (variance - by_noise / count).max(0.0);
         self.response = Response { mean: usual, per_square: mean(&|s| 1.0 / (s * s)), scatter };
     }
 
     /// How far steps along either axis go for each px, between the nearest place and the next one towards the disc,
-    /// and the variance of the place. `None` for markers that steps do not serve.
+    /// and the variance that noise gives it. `None` for markers that steps do not serve.
     fn responses(&mut self, image: GrayView<'_>, near_px: DVec2, radius_px: f64) -> Option<([f64; 2], f64)> {
         let start = self.step(image, near_px, radius_px)?;
         let here = self.step(image, start.at_px + start.moved_px, radius_px)?;
@@ -147,7 +145,9 @@ impl Matched {
             let next = self.step(image, here.at_px + axis * apart_px, radius_px)?;
             Some((here.moved_px - next.moved_px).dot(axis) / apart_px)
         };
-        Some(([along(DVec2::X)?, along(DVec2::Y)?], 0.5 * (xx + yy)))
+        let along = [along(DVec2::X)?, along(DVec2::Y)?];
+        let per_px2 = self.tables.set(here.set).response_per_px2(&self.noise);
+        Some((along, 0.5 * (xx + yy) * per_px2))
     }
 
     /// Takes over what the samples say, radii that still serve excepted; whether there were any.

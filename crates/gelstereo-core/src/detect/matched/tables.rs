@@ -123,13 +123,25 @@ pub(super) struct Set {
     pub bend_per_px2: f64,
     /// Variances for a contrast of 1 and of white noise, and of grain of the design's size times [`SIZES`].
     gains: [f64; 4],
+    /// The same of the response.
+    response_gains: [f64; 4],
     grain_size_px: f64,
 }
 
 impl Set {
     /// Variances of one coordinate for a contrast of one level, px²: from white noise and from grain.
     fn variances(&self, noise: &Noise) -> [f64; 2] {
-        let [white, grain @ ..] = self.gains;
+        self.variances_of(self.gains, noise)
+    }
+
+    /// Variance of the response over that of a coordinate, 1/px²: the weights' mean square wave number in this noise.
+    pub fn response_per_px2(&self, noise: &Noise) -> f64 {
+        let [response, coordinate] = [self.response_gains, self.gains]
+            .map(|gains| self.variances_of(gains, noise).iter().sum::<f64>());
+        response / coordinate
+    }
+
+    fn variances_of(&self, [white, grain @ ..]: [f64; 4], noise: &Noise) -> [f64; 2] {
         // Lagrange's parabola over the logarithm of the size.
         let at = SIZES.map(ln);
         let size = ln(noise.grain_size_px / self.grain_size_px).clamp(2.0 * at[0], 2.0 * at[2]);
@@ -269,7 +281,7 @@ impl Tables {
         let first = self.numbers.len();
         self.numbers.resize(first + needed, 0);
         let found = self.fill(first, support, radius_px);
-        let Some([px_per_unit, contrast_per_unit, form_per_unit, bend_per_px2, gains @ ..]) = found else {
+        let Some(([px_per_unit, contrast_per_unit, form_per_unit], bend_per_px2, gains)) = found else {
             self.numbers.truncate(first);
             return None;
         };
@@ -294,18 +306,25 @@ impl Tables {
             contrast_per_unit,
             form_per_unit,
             bend_per_px2,
-            gains,
+            gains: gains[0],
+            response_gains: gains[1],
             grain_size_px: self.conditions.noise().grain_size_px,
         });
         Some(self.sets.len() - 1)
     }
 
-    /// Fills a set's kernels: units of displacement, contrast and form, bend and four gains.
-    fn fill(&mut self, first: usize, support: Support, radius_px: f64) -> Option<[f64; 8]> {
+    /// Fills a set's kernels: units of displacement, contrast and form, bend, and gains of coordinates and response.
+    fn fill(
+        &mut self,
+        first: usize,
+        support: Support,
+        radius_px: f64,
+    ) -> Option<([f64; 3], f64, [[f64; 4]; 2])> {
         let noise = self.conditions.noise();
         self.disc.draw(radius_px, self.blur_px);
         self.design.start(support, &noise);
-        let (mut units, mut bend, mut gains) = ([0.0; 3], 0.0, [0.0; 4]);
+        let (mut units, mut bend) = ([0.0; 3], 0.0);
+        let (mut gains, mut response_gains) = ([0.0; 4], [0.0; 4]);
         let half = PLACES / 2;
         let off = |k: usize| (k as f64 + 0.5) / PLACES as f64 - 0.5;
         let sizes = SIZES.map(|size| size * noise.grain_size_px);
@@ -313,6 +332,12 @@ impl Tables {
         for (row, column) in (half..PLACES).flat_map(|row| (row..PLACES).map(move |column| (row, column))) {
             let at = DVec2::new(off(column), off(row));
             self.design.run(&self.disc, support, at, 0.25 * f64::from(self.conditions.dot_slope))?;
+            // One of its neighbours stands for all: others differ little.
+            if (row, column) == (half, half) {
+                self.design.keep_x();
+            } else if (row, column) == (half, half + 1) {
+                response_gains = self.design.response_gains(1.0 / PLACES as f64, &sizes);
+            }
             let transposed = if row == column { &[false][..] } else { &[false, true] };
             for &transposed in transposed {
                 for (sum, gain) in gains.iter_mut().zip(self.design.gains(transposed, &sizes)) {
@@ -342,7 +367,7 @@ impl Tables {
                 }
             }
         }
-        Some([units[0], units[1], units[2], bend, gains[0], gains[1], gains[2], gains[3]])
+        Some((units, bend, [gains, response_gains]))
     }
 }
 
