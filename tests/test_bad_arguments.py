@@ -51,6 +51,8 @@ def parallelogram(a_mm: float) -> FingerKinematics:
         (lambda: Template.from_triangles(np.eye(3), [[0, NAN, 2]]), "MeshError", "names vertex NaN"),
         (lambda: Template.from_triangles(np.eye(3), [[0, 1, 2]], seed=-1), "ShapeError", "-1"),
         (lambda: BOX.closest([[0, 0, 0], [0, NAN, 0]]), "TemplateError", "point 1 is"),
+        (lambda: BOX.nearest([[0, 0, 0], [0, NAN, 0]]), "TemplateError", "point 1 is"),
+        (lambda: BOX.nearest([[0, 0], [0, 1]]), "ShapeError", "points_mm"),
         (lambda: BOX.closest([[0, 0, 0]], facing=[0, INF, 0]), "TemplateError", "direction 0 is"),
         (lambda: BOX.closest([[0, 0, 0]], reach_mm=NAN), "TemplateError", "reach_mm is NaN"),
         (lambda: BOX.with_grid(cell_mm=NAN), "TemplateError", "2 to 1000 cells"),

@@ -15,7 +15,7 @@ from gelstereo.cli import main
 from gelstereo.frontier.baseline_fast import FastBaseline
 from gelstereo.frontier.covariance import Calibration
 from gelstereo.frontier.nearest import PARTS as NEAREST_PARTS
-from gelstereo.frontier.nearest import methods, points_around
+from gelstereo.frontier.nearest import SAMPLES, SCIPY, methods, points_around
 from gelstereo.frontier.page import SECTIONS, check_page, write_page
 from gelstereo.frontier.registering import Patch, observable_error_mm
 from gelstereo.frontier.rungs import RUNGS, rungs_of
@@ -380,6 +380,8 @@ def test_all_ways_to_a_distance_agree_on_what_they_measure() -> None:
             limit = 1e-12 if "closest" in name or "signed" in name else 0.3
             if "plane" not in name:
                 assert np.abs(distances - exact).max() < limit, name
+        # The two trees are of the same samples, and both are right to some roundings.
+        np.testing.assert_allclose(found[SAMPLES], found[SCIPY], rtol=1e-15)
 
 
 def test_speed_is_judged_by_its_time_and_by_its_ratio_to_opencv() -> None:

@@ -5,7 +5,7 @@
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 use gelstereo_core::math::linalg::{Symmetric, eigen};
-use gelstereo_core::math::random::Stream;
+use gelstereo_core::math::random::{Stream, keyed};
 use gelstereo_core::math::so3::{self, RotationError};
 use gelstereo_core::math::{DMat3, DQuat, DVec3, Pose};
 use proptest::prelude::*;
@@ -278,4 +278,13 @@ mod poses_in_files {
             assert!(message.contains(words), "{message}");
         }
     }
+}
+
+#[test]
+fn keyed_numbers_are_those_of_splitmix64() {
+    // The first of the sequence from 0, as its authors' program prints them.
+    let printed = [0xE220_A839_7B1D_CDAF_u64, 0x6E78_9E6A_A1B9_65F4, 0x06C4_5D18_8009_454F];
+    assert_eq!([0, 1, 2].map(|index| keyed(0, index)), printed);
+    // From any place of the sequence: a key is its state.
+    assert_eq!(keyed(0x9E37_79B9_7F4A_7C15, 1), printed[2]);
 }

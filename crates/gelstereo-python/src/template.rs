@@ -4,7 +4,7 @@ use crate::arrays::{self, Array1, Count, Matrix, Numbers};
 use crate::closest::{self, Closest, Surface, Symmetry};
 use crate::errors::{MeshError, ShapeError, TemplateError, raise};
 use crate::tree;
-use gelstereo_core::math::DVec3;
+use gelstereo_core::math::{DVec3, sqrt};
 use gelstereo_core::register as core;
 use gelstereo_core::surface::{Solid, TriangleMesh};
 use pyo3::prelude::*;
@@ -150,6 +150,35 @@ impl Template {
     #[getter]
     fn surface(&self) -> Option<Surface> {
         self.inner.solid().map(|solid| Surface { inner: *solid.report() })
+    }
+
+    /// The template's own points that are nearest; of several equally near ones the first.
+    ///
+    /// Works on every template, by a tree that was made with it: `closest` asks the exact surface instead.
+    ///
+    /// Parameters
+    /// ----------
+    /// points_mm : (N, 3) array_like
+    ///     Object frame.
+    ///
+    /// Returns
+    /// -------
+    /// indices : (N,) int64
+    ///     Rows of the template's `points_mm` and `normals`.
+    /// distances_mm : (N,) float64
+    ///
+    /// Raises
+    /// ------
+    /// TemplateError
+    ///     If a number is not finite.
+    fn nearest(&self, py: Python<'_>, points_mm: &Bound<'_, PyAny>) -> PyResult<(Array1<i64>, Array1<f64>)> {
+        let points = Numbers::new(points_mm, "points_mm")?;
+        let points = finite(points.rows::<DVec3, 3>()?, "point")?;
+        let tree = self.inner.tree();
+        let (indices, distances): (Vec<i64>, Vec<f64>) = py.detach(|| {
+            points.iter().filter_map(|&p| tree.nearest(p)).map(|(k, d)| (k as i64, sqrt(d))).unzip()
+        });
+        Ok((arrays::list(py, indices), arrays::list(py, distances)))
     }
 
     /// The nearest points of the exact surface.

@@ -13,7 +13,18 @@ from gelstereo import Template
 from gelstereo.frontier.table import Report, Table, Target, figure
 from gelstereo.frontier.timing import time_side_by_side
 
-__all__ = ["EXACT", "GRID", "PARTS", "WARM", "Method", "measure_nearest", "methods", "points_around"]
+__all__ = [
+    "EXACT",
+    "GRID",
+    "PARTS",
+    "SAMPLES",
+    "SCIPY",
+    "WARM",
+    "Method",
+    "measure_nearest",
+    "methods",
+    "points_around",
+]
 
 Array = npt.NDArray[np.float64]
 #: Unsigned or signed distances of (N, 3) points.
@@ -21,6 +32,8 @@ Method = Callable[[Array], Array]
 
 EXACT, WARM = "`Template.closest`", "`Template.closest`, near the last answer"
 GRID, TRIMESH = "`Template.grid_distance`", "trimesh `closest_point`"
+SAMPLES = "`Template.nearest`, samples 0.25 mm apart"
+SCIPY = "SciPy `cKDTree`, the same samples"
 
 #: What is looked at: 5120 triangles of a ball, and few large ones that meet in edges.
 PARTS: Mapping[str, Callable[[], trimesh.Trimesh]] = {
@@ -67,7 +80,8 @@ def methods(mesh: trimesh.Trimesh) -> dict[str, Method]:
         WARM: warm,
         EXACT: lambda points: template.closest(points).distances_mm,
         GRID: lambda points: template.grid_distance(points)[0],
-        "SciPy `cKDTree`, samples 0.25 mm apart": lambda points: np.asarray(tree.query(points)[0]),
+        SAMPLES: lambda points: template.nearest(points)[1],
+        SCIPY: lambda points: np.asarray(tree.query(points)[0]),
         "the same, to the sample's plane": plane,
         TRIMESH: lambda points: np.asarray(trimesh.proximity.closest_point(mesh, points)[1]),
         "trimesh `signed_distance`": lambda points: np.asarray(

@@ -54,8 +54,17 @@ impl Stream {
     }
 }
 
-fn split_mix(key: &mut u64) -> u64 {
-    *key = key.wrapping_add(0x9E37_79B9_7F4A_7C15);
+/// 64 uniform bits that depend on key and index alone: the index-th of SplitMix64 from that key.
+#[must_use]
+pub const fn keyed(key: u64, index: usize) -> u64 {
+    split_mix(&mut key.wrapping_add((index as u64).wrapping_mul(GOLDEN)))
+}
+
+/// Odd, and 2^64 over the golden ratio: the step of SplitMix64 (Steele, Lea and Flood 2014).
+const GOLDEN: u64 = 0x9E37_79B9_7F4A_7C15;
+
+const fn split_mix(key: &mut u64) -> u64 {
+    *key = key.wrapping_add(GOLDEN);
     let mut z = *key;
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);

@@ -1,11 +1,14 @@
 //! A template's points and normals in the order of its tree, a few at a time, for sums that run over them.
 
-use super::tree::Tree;
+use super::tree::{LEAF, Tree};
 use crate::math::DVec3;
 use alloc::vec::Vec;
 
 /// Points that are handled together.
 pub(super) const LANES: usize = 4;
+
+// A leaf's points have blocks of their own.
+const _: () = assert!(LEAF.is_multiple_of(LANES));
 
 /// One number of each of the points of a block.
 pub(super) type Lanes = [f64; LANES];
@@ -23,7 +26,8 @@ pub(super) struct Block {
 /// Of these points, in the order of the tree; lanes of the last block that are left stand nowhere.
 pub(super) fn blocks(points_mm: &[DVec3], normals: &[DVec3], tree: &Tree) -> Vec<Block> {
     let mut out = Vec::with_capacity(points_mm.len().div_ceil(LANES));
-    for indices in tree.indices().chunks(LANES) {
+    let order: Vec<u32> = tree.indices().collect();
+    for indices in order.chunks(LANES) {
         let mut block = Block { points_mm: [[NOWHERE_MM; LANES]; 3], normals: [[0.0; LANES]; 3] };
         for (lane, &index) in indices.iter().enumerate() {
             let (point, normal) = (points_mm[index as usize], normals[index as usize]);

@@ -5,7 +5,7 @@ use super::filterreg::width_floor_mm;
 use super::observe::{PatchFrame, Sighting, System};
 use super::rigid::rigid_fit;
 use super::{Problem, RegisterError, Scratch, check_reach, compose};
-use crate::math::random::Stream;
+use crate::math::random::{Stream, keyed};
 use crate::math::{DVec3, Pose, centroid};
 
 /// The best of `ransac_hypotheses` poses near the guess; the guess itself competes.
@@ -84,7 +84,8 @@ fn hypothesis(problem: &Problem<'_>, placed: &[DVec3], random: &mut Stream) -> O
     rigid_fit(&[a, b, c], &targets, &[]).ok().map(|fit| fit.t_target_source)
 }
 
-/// A uniformly drawn template point within reach of `near` that suits; one random number per candidate.
+/// A uniformly drawn template point within reach of `near` that suits: the one with the least random key, so that the order
+/// in which the tree shows them, which ties of a part's extents turn, does not matter.
 fn draw(
     problem: &Problem<'_>,
     near: DVec3,
@@ -92,16 +93,15 @@ fn draw(
     random: &mut Stream,
     suits: impl Fn(DVec3) -> bool,
 ) -> Option<usize> {
-    let (mut chosen, mut seen) = (None, 0);
+    let key = random.next_u64();
+    let mut least: Option<(u64, usize)> = None;
     problem.template.tree().within(near, reach_mm * reach_mm, &mut |k, _| {
-        if suits(problem.template.points_mm()[k]) {
-            seen += 1;
-            if random.below(seen) == 0 {
-                chosen = Some(k);
-            }
+        let drawn = (keyed(key, k), k);
+        if suits(problem.template.points_mm()[k]) && least.is_none_or(|least| drawn < least) {
+            least = Some(drawn);
         }
     });
-    chosen
+    least.map(|(_, k)| k)
 }
 
 /// Mean limited squared distance of the moved patch; gives up, above `limit`, as soon as it is certain to be worse.

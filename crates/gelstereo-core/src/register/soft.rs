@@ -59,12 +59,8 @@ pub fn soft_match(template: &Template, point: DVec3, sigma_mm: f64) -> SoftMatch
     let twice_variance = 2.0 * sigma_mm * sigma_mm;
     let reach = least + twice_variance * (ln(template.points_mm().len() as f64) - LOG_LEFT_OUT);
     let mut sums = Sums::new(point, template.points_mm()[nearest], least, twice_variance);
-    // Ranges may share a block with the one before.
-    let mut done = 0;
     tree.ranges(point, reach, &mut |range| {
-        let (from, to) = (done.max(range.start / LANES), range.end.div_ceil(LANES));
-        blocks[from..to.max(from)].iter().for_each(|block| sums.add(block));
-        done = done.max(to);
+        blocks[range.start / LANES..range.end.div_ceil(LANES)].iter().for_each(|block| sums.add(block));
     });
     sums.soft_match(template, nearest)
 }

@@ -2,23 +2,52 @@
 
 use crate::math::DVec3;
 use alloc::vec::Vec;
+use core::array;
 use core::ops::Range;
 
-/// A range this short is searched point by point.
-const LEAF: usize = 8;
+/// Points of a leaf, which are looked at together.
+pub(super) const LEAF: usize = 8;
+/// More than the depth of a tree of fewer than 2³² points.
+const DEPTH: usize = 32;
+/// The root; the children of a node are 2 node and 2 node + 1.
+const ROOT: usize = 1;
 
 /// Nearest point and points within a radius, exactly as a search through all of them would say.
 ///
-/// Ranges are split at their median in the total order (coordinate, index), so that thousands of duplicate or
-/// coplanar points split as evenly as any others and the depth stays below log2 N. Queries allocate nothing.
+/// Ranges are split in the total order (coordinate, index), where the left half is full, so that thousands of duplicate
+/// or coplanar points split as evenly as any others and all leaves are equally deep. Queries allocate nothing.
+///
+/// A branch is passed over by the plane that cuts it off, which is one product, and then by its box. A point that is off
+/// a surface is about as far from every cell of the planes beside it as from the plane; the boxes lie in the surface.
 #[derive(Clone, Debug)]
 pub struct Tree {
-    /// The points in the order of the tree: every range's median stands in its middle.
-    points: Vec<DVec3>,
-    /// Their indices in the order they came.
-    indices: Vec<u32>,
-    /// Axis that the range around this middle is split along.
-    axes: Vec<u8>,
+    /// The points in the order of the tree; of the last one some lanes may be left.
+    leaves: Vec<Leaf>,
+    /// Of every node above the leaves.
+    cuts: Vec<Cut>,
+    /// Of every node; empty ones where no leaf is.
+    boxes: Vec<Bounds>,
+    len: usize,
+}
+
+/// Points by coordinate, and their indices in the order they came. A lane without a point is infinitely far.
+#[derive(Clone, Copy, Debug)]
+struct Leaf {
+    points: [[f64; LEAF]; 3],
+    indices: [u32; LEAF],
+}
+
+/// No point on the left is above it, none on the right below.
+#[derive(Clone, Copy, Debug)]
+struct Cut {
+    value: f64,
+    axis: u32,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Bounds {
+    low: DVec3,
+    high: DVec3,
 }
 
 /// The best point so far: least squared distance, then least index.
@@ -28,15 +57,25 @@ struct Best {
     index: u32,
 }
 
+// All descents may pass over branches exactly: rounding is monotone, so a point beyond a plane or in a box is never
+// closer in f64 than the plane or the box itself, when the squares are added in the same order.
 impl Tree {
     /// Over these points, which must be finite and fewer than 2³².
     #[must_use]
     pub fn new(points: &[DVec3]) -> Self {
-        let mut indices: Vec<u32> = (0..points.len() as u32).collect();
-        let mut axes = alloc::vec![0; points.len()];
-        split(points, &mut indices, &mut axes);
-        let points = indices.iter().map(|&i| points[i as usize]).collect();
-        Self { points, indices, axes }
+        let mut order: Vec<u32> = (0..points.len() as u32).collect();
+        let first_leaf = points.len().div_ceil(LEAF).next_power_of_two();
+        let mut cuts = alloc::vec![Cut { value: 0.0, axis: 0 }; first_leaf];
+        split(points, &mut order, ROOT, &mut cuts);
+        let mut boxes = alloc::vec![Bounds::EMPTY; 2 * first_leaf];
+        for (bounds, indices) in boxes[first_leaf..].iter_mut().zip(order.chunks(LEAF)) {
+            *bounds = Bounds::of(points, indices);
+        }
+        for node in (ROOT..first_leaf).rev() {
+            boxes[node] = boxes[2 * node].with(&boxes[2 * node + 1]);
+        }
+        let leaves = order.chunks(LEAF).map(|indices| Leaf::new(points, indices)).collect();
+        Self { leaves, cuts, boxes, len: points.len() }
     }
 
     /// Index of the nearest point and its squared distance; `None` for a tree without points.
@@ -45,145 +84,174 @@ impl Tree {
     #[must_use]
     pub fn nearest(&self, query: DVec3) -> Option<(usize, f64)> {
         let mut best = Best { distance_squared: f64::INFINITY, index: u32::MAX };
-        self.search(query, 0, self.points.len(), &mut best);
-        (!self.points.is_empty()).then_some((best.index as usize, best.distance_squared))
+        // What was passed on the way down, one a level, and how far the plane before it is.
+        let mut passed = [(0, 0.0); DEPTH];
+        let mut count = 0;
+        let mut node = ROOT;
+        loop {
+            while let Some(cut) = self.cuts.get(node) {
+                let offset = query[cut.axis as usize] - cut.value;
+                let near = 2 * node + usize::from(offset >= 0.0);
+                passed[count] = (near ^ 1, offset * offset);
+                count += 1;
+                node = near;
+            }
+            if let Some(leaf) = self.leaves.get(node - self.cuts.len()) {
+                leaf.search(query, &mut best);
+            }
+            let reach = best.distance_squared;
+            node = loop {
+                if count == 0 {
+                    return (best.index != u32::MAX).then_some((best.index as usize, best.distance_squared));
+                }
+                count -= 1;
+                let (next, plane) = passed[count];
+                if plane <= reach && self.boxes[next].distance_squared(query) <= reach {
+                    break next;
+                }
+            };
+        }
     }
 
     /// Calls `visit(index, squared distance)` for every point with squared distance at most `radius_squared`, in the
     /// order of the tree.
     pub fn within(&self, query: DVec3, radius_squared: f64, visit: &mut impl FnMut(usize, f64)) {
-        self.collect(query, radius_squared, 0, self.points.len(), visit);
+        self.reached(query, radius_squared, ROOT, &mut |k| {
+            let leaf = &self.leaves[k];
+            for (distance_squared, &index) in leaf.distances_squared(query).into_iter().zip(&leaf.indices) {
+                if distance_squared <= radius_squared && index != u32::MAX {
+                    visit(index as usize, distance_squared);
+                }
+            }
+        });
     }
 
     /// Indices of the points, in the order of the tree.
-    pub(super) fn indices(&self) -> &[u32] {
-        &self.indices
+    pub(super) fn indices(&self) -> impl Iterator<Item = u32> {
+        self.leaves.iter().flat_map(|leaf| leaf.indices).take(self.len)
     }
 
-    /// Calls `visit` with short ranges of places in the order of the tree, ascending, that together hold every point
-    /// with squared distance at most `radius_squared`, and others beside them.
+    /// Calls `visit` with ranges of places in the order of the tree, ascending, that together hold every point with
+    /// squared distance at most `radius_squared`, and others beside them. Each begins at a multiple of [`LEAF`].
     pub(super) fn ranges(&self, query: DVec3, radius_squared: f64, visit: &mut impl FnMut(Range<usize>)) {
-        self.cover(query, radius_squared, 0..self.points.len(), visit);
+        self.reached(query, radius_squared, ROOT, &mut |k| visit(LEAF * k..self.len.min(LEAF * (k + 1))));
     }
 
-    // All descents may prune exactly: rounding is monotone, so a point beyond the plane is never closer in f64 than
-    // the plane itself.
-    fn search(&self, query: DVec3, low: usize, high: usize, best: &mut Best) {
-        if high - low <= LEAF {
-            (low..high).for_each(|k| self.consider(query, k, best));
+    /// Calls `visit` with the leaves whose boxes are as near as this, ascending.
+    fn reached(&self, query: DVec3, radius_squared: f64, node: usize, visit: &mut impl FnMut(usize)) {
+        if self.boxes[node].distance_squared(query) > radius_squared {
             return;
         }
-        let middle = low.midpoint(high);
-        self.consider(query, middle, best);
-        let axis = usize::from(self.axes[middle]);
-        let offset = query[axis] - self.points[middle][axis];
-        let (near, far) = if offset < 0.0 {
-            ((low, middle), (middle + 1, high))
-        } else {
-            ((middle + 1, high), (low, middle))
-        };
-        self.search(query, near.0, near.1, best);
-        if offset * offset <= best.distance_squared {
-            self.search(query, far.0, far.1, best);
-        }
-    }
-
-    fn consider(&self, query: DVec3, k: usize, best: &mut Best) {
-        let distance_squared = query.distance_squared(self.points[k]);
-        let index = self.indices[k];
-        if distance_squared < best.distance_squared
-            || (distance_squared == best.distance_squared && index < best.index)
-        {
-            *best = Best { distance_squared, index };
-        }
-    }
-
-    fn cover(
-        &self,
-        query: DVec3,
-        radius_squared: f64,
-        range: Range<usize>,
-        visit: &mut impl FnMut(Range<usize>),
-    ) {
-        if range.len() <= LEAF {
-            visit(range);
-            return;
-        }
-        let middle = range.start.midpoint(range.end);
-        let axis = usize::from(self.axes[middle]);
-        let offset = query[axis] - self.points[middle][axis];
-        let across = offset * offset <= radius_squared;
-        if offset <= 0.0 || across {
-            self.cover(query, radius_squared, range.start..middle, visit);
-        }
-        if across {
-            visit(middle..middle + 1);
-        }
-        if offset >= 0.0 || across {
-            self.cover(query, radius_squared, middle + 1..range.end, visit);
-        }
-    }
-
-    fn collect(
-        &self,
-        query: DVec3,
-        radius_squared: f64,
-        low: usize,
-        high: usize,
-        visit: &mut impl FnMut(usize, f64),
-    ) {
-        let mut look = |k: usize| {
-            let distance_squared = query.distance_squared(self.points[k]);
-            if distance_squared <= radius_squared {
-                visit(self.indices[k] as usize, distance_squared);
+        match node.checked_sub(self.cuts.len()) {
+            Some(leaf) if leaf < self.leaves.len() => visit(leaf),
+            Some(_) => {}
+            None => {
+                self.reached(query, radius_squared, 2 * node, visit);
+                self.reached(query, radius_squared, 2 * node + 1, visit);
             }
-        };
-        if high - low <= LEAF {
-            (low..high).for_each(look);
-            return;
-        }
-        let middle = low.midpoint(high);
-        look(middle);
-        let axis = usize::from(self.axes[middle]);
-        let offset = query[axis] - self.points[middle][axis];
-        let across = offset * offset <= radius_squared;
-        if offset <= 0.0 || across {
-            self.collect(query, radius_squared, low, middle, visit);
-        }
-        if offset >= 0.0 || across {
-            self.collect(query, radius_squared, middle + 1, high, visit);
         }
     }
 }
 
-/// Orders `indices` as a tree and notes the axes.
-fn split(points: &[DVec3], indices: &mut [u32], axes: &mut [u8]) {
-    if indices.len() <= LEAF {
+impl Leaf {
+    fn new(points: &[DVec3], indices: &[u32]) -> Self {
+        let mut leaf = Self { points: [[f64::INFINITY; LEAF]; 3], indices: [u32::MAX; LEAF] };
+        for (lane, &index) in indices.iter().enumerate() {
+            leaf.indices[lane] = index;
+            for (axis, coordinates) in leaf.points.iter_mut().enumerate() {
+                coordinates[lane] = points[index as usize][axis];
+            }
+        }
+        leaf
+    }
+
+    /// As glam's, lane by lane.
+    #[inline(always)]
+    fn distances_squared(&self, query: DVec3) -> [f64; LEAF] {
+        let [x, y, z] = &self.points;
+        array::from_fn(|k| {
+            let (dx, dy, dz) = (query.x - x[k], query.y - y[k], query.z - z[k]);
+            dx * dx + dy * dy + dz * dz
+        })
+    }
+
+    #[inline(always)]
+    fn search(&self, query: DVec3, best: &mut Best) {
+        let distances_squared = self.distances_squared(query);
+        let least = distances_squared.iter().fold(f64::INFINITY, |a, &b| if b < a { b } else { a });
+        if least > best.distance_squared {
+            return;
+        }
+        for (distance_squared, &index) in distances_squared.into_iter().zip(&self.indices) {
+            if distance_squared < best.distance_squared
+                || (distance_squared == best.distance_squared && index < best.index)
+            {
+                *best = Best { distance_squared, index };
+            }
+        }
+    }
+}
+
+impl Bounds {
+    const EMPTY: Self = Self { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY };
+
+    fn of(points: &[DVec3], indices: &[u32]) -> Self {
+        indices
+            .iter()
+            .map(|&i| points[i as usize])
+            .fold(Self::EMPTY, |bounds, p| Self { low: bounds.low.min(p), high: bounds.high.max(p) })
+    }
+
+    fn with(&self, other: &Self) -> Self {
+        Self { low: self.low.min(other.low), high: self.high.max(other.high) }
+    }
+
+    /// Of the box from a point: 0 inside.
+    #[inline(always)]
+    fn distance_squared(&self, query: DVec3) -> f64 {
+        let off = |low: f64, high: f64, q: f64| {
+            let (below, above) = (low - q, q - high);
+            let most = if below > above { below } else { above };
+            if most > 0.0 { most } else { 0.0 }
+        };
+        let x = off(self.low.x, self.high.x, query.x);
+        let y = off(self.low.y, self.high.y, query.y);
+        let z = off(self.low.z, self.high.z, query.z);
+        x * x + y * y + z * z
+    }
+
+    fn widest_axis(&self) -> usize {
+        let extent = self.high - self.low;
+        if extent.x >= extent.y && extent.x >= extent.z {
+            0
+        } else if extent.y >= extent.z {
+            1
+        } else {
+            2
+        }
+    }
+}
+
+/// Orders the indices below a node as a tree and notes the cuts.
+fn split(points: &[DVec3], order: &mut [u32], node: usize, cuts: &mut [Cut]) {
+    if order.is_empty() || node >= cuts.len() {
         return;
     }
-    let axis = widest_axis(points, indices);
-    let middle = indices.len() / 2;
-    indices.select_nth_unstable_by(middle, |&a, &b| {
+    // A node at depth d holds the leaves of a full tree whose root is there.
+    let leaves = cuts.len() >> node.ilog2();
+    let middle = leaves / 2 * LEAF;
+    if order.len() <= middle {
+        // All are on the left.
+        cuts[node].value = f64::INFINITY;
+        split(points, order, 2 * node, cuts);
+        return;
+    }
+    let axis = Bounds::of(points, order).widest_axis();
+    let (_, &mut first, _) = order.select_nth_unstable_by(middle, |&a, &b| {
         points[a as usize][axis].total_cmp(&points[b as usize][axis]).then(a.cmp(&b))
     });
-    axes[middle] = axis as u8;
-    let (below, above) = indices.split_at_mut(middle);
-    let (axes_below, axes_above) = axes.split_at_mut(middle);
-    split(points, below, axes_below);
-    split(points, &mut above[1..], &mut axes_above[1..]);
-}
-
-fn widest_axis(points: &[DVec3], indices: &[u32]) -> usize {
-    let first = points[indices[0] as usize];
-    let (low, high) = indices
-        .iter()
-        .fold((first, first), |(low, high), &i| (low.min(points[i as usize]), high.max(points[i as usize])));
-    let extent = high - low;
-    if extent.x >= extent.y && extent.x >= extent.z {
-        0
-    } else if extent.y >= extent.z {
-        1
-    } else {
-        2
-    }
+    cuts[node] = Cut { value: points[first as usize][axis], axis: axis as u32 };
+    let (left, right) = order.split_at_mut(middle);
+    split(points, left, 2 * node, cuts);
+    split(points, right, 2 * node + 1, cuts);
 }
