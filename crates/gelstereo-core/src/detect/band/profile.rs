@@ -285,7 +285,7 @@ fn bessel_i1_scaled(x: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Frame, Kept, Profile, bessel_i1_scaled};
+    use super::{Frame, Kept, Profile, RING_PX, bessel_i1_scaled};
     use crate::detect::fit::Noise;
     use crate::math::{abs, erf, exp, ln, sqrt};
     use alloc::vec::Vec;
@@ -360,20 +360,151 @@ mod tests {
         profile
     }
 
-    /// Rings and integrals around them against every pixel and every pair of pixels. A ring's pixels are taken for one distance, and
-    /// rings that the window cuts for whole. Radii differ by parts of a ring.
+    /// What a profile approximates: the marker in the mean over places within a pixel, which is a marker on pixels of an eighth. White
+    /// noise, grain, and what of the grain rings hold that the window cuts, or the corners have in common with the marker.
+    struct MeanMarker {
+        white: f64,
+        grain: f64,
+        cut: f64,
+        common: f64,
+        /// Part of white noise and grain that comes by the slope of the gel.
+        tilted: [f64; 2],
+        weight: f64,
+    }
+
+    fn mean_marker(radius_px: f64, band: f64, noise: &Noise) -> MeanMarker {
+        const FINE: usize = 8 * SIDE;
+        let at = |n: usize| (n as f64 - 0.5 * (FINE as f64 - 1.0)) / 8.0;
+        let white = (noise.white_levels2 + 1.0 / 12.0) / (band * band);
+        let grain = noise.grain_levels2 / (band * band);
+        let alike = |apart: f64| exp(-0.25 * apart * apart / (noise.grain_size_px * noise.grain_size_px));
+        let places: Vec<[f64; 2]> = (0..FINE * FINE).map(|n| [at(n % FINE), at(n / FINE)]).collect();
+        let share = |[x, y]: &[f64; 2]| share(radius_px, sqrt(x * x + y * y));
+        let kept: Vec<Kept> = places.iter().map(|at| Kept::of(share(at), sqrt(white + grain))).collect();
+        let weight = kept.iter().map(|kept| kept.mean).sum::<f64>() / 64.0;
+        let squares = places.iter().zip(&kept).map(|([x, _], kept)| x * x * kept.within);
+        let per = squares.sum::<f64>() / 64.0 / weight / (2 * CORNER * CORNER * (SIDE - CORNER)) as f64;
+        let end = |n: usize| f64::from(u8::from(n >= SIDE - CORNER)) - f64::from(u8::from(n < CORNER));
+        let plane = |n: usize| per * end(n % SIDE) * abs(end(n / SIDE));
+        // What each pixel of a window has in common with its corners.
+        let cornered: Vec<f64> = (0..SIDE * SIDE)
+            .map(|n| {
+                let apart = |m: usize| [m % SIDE, m / SIDE].map(|k| k as f64);
+                let [x, y] = apart(n);
+                (0..SIDE * SIDE).map(|m| plane(m) * alike(x - apart(m)[0]) * alike(y - apart(m)[1])).sum()
+            })
+            .collect();
+        let pixel = |n: usize| n % FINE / 8 + n / FINE / 8 * SIDE;
+        let answers: Vec<f64> = (0..FINE * FINE).map(|n| -kept[n].within * places[n][0] / weight).collect();
+        let rows: Vec<f64> = (0..FINE * FINE)
+            .map(|n| {
+                (0..FINE).map(|k| alike(at(k) - at(n % FINE)) * answers[n / FINE * FINE + k]).sum::<f64>()
+            })
+            .collect();
+        let around = |n: usize| -> f64 {
+            answers[n]
+                * (0..FINE).map(|k| alike(at(k) - at(n / FINE)) * rows[k * FINE + n % FINE]).sum::<f64>()
+        };
+        let tilted = (0..SIDE * SIDE).map(|n| plane(n) * cornered[n]).sum::<f64>() * grain;
+        let plane2 = (0..SIDE * SIDE).map(|n| plane(n) * plane(n)).sum::<f64>() * white;
+        let mut sums =
+            MeanMarker { white: 0.0, grain: tilted, cut: 0.0, common: 0.0, tilted: [plane2, tilted], weight };
+        for n in 0..FINE * FINE {
+            let [x, y] = places[n];
+            let more = kept[n].variance - (white + grain) * kept[n].within * kept[n].within;
+            let answer = answers[n] + plane(pixel(n));
+            sums.white += (white * answer * answer + more * x * x / (weight * weight)) / 64.0;
+            let common = 2.0 * cornered[pixel(n)] * answers[n] / 64.0 * grain;
+            sums.grain += common + around(n) / (64.0 * 64.0) * grain;
+            sums.common += abs(common);
+            // The side of a window is so near where its marker is half a pixel off its middle.
+            if sqrt(x * x + y * y) > 0.5 * SIDE as f64 - 0.9375 {
+                sums.cut += abs(common);
+            }
+        }
+        sums
+    }
+
+    const CASES: [(f64, f64, f64, f64); 6] = [
+        (4.6, 60.0, 4.0, 4.0),
+        (4.6, 14.0, 4.0, 0.2),
+        (4.6, 73.0, 324.0, 4.0),
+        (3.5, 60.0, 4.0, 4.0),
+        (4.1, 40.0, 4.0, 1.0),
+        (5.0, 60.0, 1.0, 4.0),
+    ];
+
+    fn noise_of(white_levels2: f64, grain_levels2: f64) -> Noise {
+        Noise { white_levels2, grain_levels2, grain_size_px: 1.38, gel_level: 150.0 }
+    }
+
+    /// Width of the edge over which weights grow, px: where the blurred contrast is between 0.2 and 0.7 of all.
+    const EDGE_PX: f64 = (0.8416 + 0.5244) * 0.86;
+
+    /// Rings and integrals around them against the mean marker on pixels of an eighth, which they approximate.
+    ///
+    /// White noise: shares of half a ring, even over a width of variance σ², are taken for normal ones, so that Var(kept | noise)
+    /// loses <P>² σ² for its mean, not <P²> σ². Where weights end, P = Φ(z / s) in noise s, and ∫ <P²> - <P>² = (t - s) / π^0.5 with
+    /// t² = s² + σ²: at both ends together at most 2 σ² (t - s) / π^0.5 more than the white noise over the band. A ring's points
+    /// lie off its middle by the mean of so many, which is less than if they lay at random: three such deviations to either side.
+    ///
+    /// Grain: of an edge of width w, a ring of width δ that is half in it is put a quarter of δ outwards, which makes the variance of radii
+    /// larger by up to δ² / 4, and that within rings is left out, δ² / 12: of two radii twice that, by half the kernel's curvature
+    /// 1 / (2 l²). What corners have in common with the marker is taken from the window's middle, off which markers are by 1 / 12 px² in
+    /// either direction: half the kernel's Laplacian, largest at the outermost pixel. And it is spread evenly over rings that the window
+    /// cuts, whose pixels lie by the corners: at most all that these have is missing.
     #[test]
-    fn variances_are_those_of_the_pixels() {
-        let cases =
-            [(4.6, 60.0, 4.0, 4.0), (4.6, 14.0, 4.0, 0.2), (4.6, 73.0, 324.0, 4.0), (3.5, 60.0, 4.0, 4.0)];
-        for (radius_px, band, white_levels2, grain_levels2) in cases {
-            let noise = Noise { white_levels2, grain_levels2, grain_size_px: 1.38, gel_level: 150.0 };
+    fn variances_are_those_of_the_mean_marker() {
+        for (radius_px, band, white_levels2, grain_levels2) in CASES {
+            let noise = noise_of(white_levels2, grain_levels2);
             let found = profile(radius_px, band).variances(&noise).unwrap();
+            let mean = mean_marker(radius_px, band, &noise);
+            let white = (white_levels2 + 1.0 / 12.0) / (band * band);
+            let s = sqrt(white + grain_levels2 / (band * band));
+            let steepest = 2.0 / (0.86 * sqrt(2.0 * PI)) * RING_PX;
+            let spread = steepest * steepest / 48.0;
+            let rings = 2.0 * spread * (sqrt(s * s + spread) - s) / sqrt(PI) / white;
+            let points = 64.0 * 2.0 * PI * radius_px * EDGE_PX;
+            let off = 3.0 * 2.0 * RING_PX / sqrt(12.0) / radius_px / sqrt(points);
+            let whites = found.white / mean.white - 1.0;
+            let text = alloc::format!("{radius_px} px, band {band}: {whites:.5}, {off:.5} {rings:.5}");
+            assert!((-off..off + rings).contains(&whites), "white {text}");
+
+            let l2 = noise.grain_size_px * noise.grain_size_px;
+            let curved = RING_PX * RING_PX / 4.0 / (2.0 * l2);
+            let far_px = 0.5 * (SIDE as f64 - 1.0) * sqrt(2.0) - radius_px;
+            let offset = (far_px * far_px / (4.0 * l2 * l2) - 1.0 / l2).max(1.0 / l2) / 24.0;
+            let around = mean.grain + mean.common;
+            let most = (curved + off) * around + offset * mean.common + mean.cut;
+            let grains = found.grain - mean.grain;
+            let text =
+                alloc::format!("{radius_px} px, band {band}: {grains:e} of {:e}, {most:e}", mean.grain);
+            assert!(abs(grains) < most, "grain {text}");
+        }
+    }
+
+    /// The mean marker against every pixel and every pair of pixels, where in a pixel its centre may lie: these variances, of squares of
+    /// what differs from place to place, are larger.
+    ///
+    /// By Poisson's summation a sum over the grid's pixels differs from place to place by the Fourier transform of its terms
+    /// at the wave vectors 2π n. Of x P on an edge of radius r and width w that is at most 2π r² cos ψ J1(q r) B(q) with J1² <= 2 / (π q r)
+    /// and B <= 2 / q, q = 2π |n|, of which grain of variance 1 shows the square; and of x² P, π r³ w in the mean,
+    /// 2π r³ cos² ψ J0(q r) B(q). Sums over all n of |n|^-3 are 9.034, of cos² ψ half of that, of cos⁴ ψ less.
+    #[test]
+    fn what_differs_from_place_to_place_adds_little_to_the_mean_marker() {
+        const ALIASES: f64 = 9.034 / (8.0 * PI * PI * PI);
+        for (radius_px, band, white_levels2, grain_levels2) in CASES {
+            let noise = noise_of(white_levels2, grain_levels2);
+            let mean = mean_marker(radius_px, band, &noise);
             let [white, grain] = reference(radius_px, band, &noise);
-            let whites = found.white / white;
-            let sums = (found.white + found.grain) / (white + grain);
-            let text = alloc::format!("{radius_px} px, band {band}: {whites} {sums}");
-            assert!(abs(whites - 1.0) < 0.015 && abs(sums - 1.0) < 0.03, "{text}");
+            let slopes = 32.0 / (PI * radius_px * EDGE_PX * EDGE_PX) * 0.5 * ALIASES;
+            let most_white = slopes * mean.tilted[0];
+            let around = 32.0 * PI * radius_px.powi(3) / (mean.weight * mean.weight) * 0.5 * ALIASES;
+            let most_grain = around * grain_levels2 / (band * band) + slopes * mean.tilted[1];
+            let more = [white - mean.white, grain - mean.grain];
+            let text = alloc::format!("{radius_px} px, band {band}: {more:?} {most_white} {most_grain}");
+            assert!((-1e-4 * white..most_white + 1e-4 * white).contains(&more[0]), "white {text}");
+            assert!((0.0..most_grain).contains(&more[1]), "grain {text}");
         }
     }
 
