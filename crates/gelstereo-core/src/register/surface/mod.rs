@@ -18,6 +18,7 @@ mod part;
 mod polish;
 mod raster;
 mod relief;
+mod rest;
 mod search;
 mod settled;
 mod starts;
@@ -26,7 +27,7 @@ mod step;
 pub use contact::{Contact, unpressed};
 pub use evidence::{Alternative, Alternatives};
 pub(super) use relief::Relief;
-pub use settled::GelDecay;
+pub use rest::GelDecay;
 
 use super::error::LEAST_PATCH;
 use super::{RegisterError, Registration, Template};

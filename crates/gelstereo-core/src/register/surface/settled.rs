@@ -8,10 +8,11 @@ use super::contact::Samples;
 use super::gel::{Gel, Node};
 use super::part::{Coarse, Exact, Foot, UNDER_MM};
 use super::polish::End;
+use super::rest::{DECAY_LOGS, Rest};
 use super::search::Candidate;
 use super::step::{Normal, Prior, cholesky};
 use crate::math::linalg::{Symmetric, eigen};
-use crate::math::{DVec2, DVec3, abs, exp, ln, sqrt};
+use crate::math::{DVec3, abs, exp, ln, sqrt};
 use crate::params::RegisterParams;
 use alloc::vec::Vec;
 
@@ -23,9 +24,7 @@ type Row = [f64; UNKNOWN];
 
 /// Standard deviation of the logarithm of l²: a third of l.
 const DECAY_SIGMA: f64 = 0.6;
-/// That logarithm goes no farther: a fifth of the nominal l to twice that.
-const DECAY_LOGS: core::ops::RangeInclusive<f64> = -3.0..=1.5;
-/// And of the plane of rest as it is first guessed.
+/// Standard deviation of the plane of rest as it is first guessed.
 const PLANE_SIGMA_MM: f64 = 1.0;
 /// No free height is wrong by more than this share of its gap to the part.
 const GAP_SHARE: f64 = 0.5;
@@ -52,41 +51,6 @@ const MOST_SWEEPS: u32 = 80;
 const FEW_SWEEPS: u32 = 8;
 /// Work of a sweep over a node, in lookups of the field.
 const SWEEPS_A_LOOKUP: u64 = 8;
-
-/// A decay length that was fitted with the pose.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct GelDecay {
-    /// The length that explains the contact best.
-    pub length_mm: f64,
-    /// Whether it stands at an end of where it is looked for, 0.22 and 2.1 times [`Contact::decay_mm`]: the gel is another
-    /// than it is said to be, and the pose is to be believed the less.
-    ///
-    /// [`Contact::decay_mm`]: super::Contact::decay_mm
-    pub is_at_limit: bool,
-}
-
-/// What is unknown of the gel.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Rest {
-    /// Height of the plane of rest at the patch's centroid, and its rise over a radius of the patch.
-    pub plane_mm: [f64; 3],
-    /// Logarithm of l² over the nominal one.
-    pub log_decay: f64,
-}
-
-impl Rest {
-    pub const UNKNOWN: Self = Self { plane_mm: [0.0; 3], log_decay: 0.0 };
-
-    /// The decay length, of a gel whose nominal one is `decay_mm`.
-    pub fn decay(&self, decay_mm: f64) -> GelDecay {
-        let is_within = *DECAY_LOGS.start() < self.log_decay && self.log_decay < *DECAY_LOGS.end();
-        GelDecay { length_mm: decay_mm * exp(0.5 * self.log_decay), is_at_limit: !is_within }
-    }
-
-    fn at(&self, across: DVec2) -> f64 {
-        self.plane_mm[0] + self.plane_mm[1] * across.x + self.plane_mm[2] * across.y
-    }
-}
 
 /// What a pose predicts of one node.
 #[derive(Clone, Copy, Debug)]
