@@ -17,6 +17,7 @@ from gelstereo import simulate
 from gelstereo.cli import main
 from gelstereo.cli.extras import module_of
 from gelstereo.cli.main import COMMANDS
+from test_templates import ball_points, write_scan
 
 SCENES = Path(__file__).parents[1] / "scenes"
 PRESS = """
@@ -54,6 +55,8 @@ def press(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copy(folder / "out" / "press" / "rig.toml", folder)
     trimesh.creation.icosphere(5, 0.004).export(folder / "plug.stl")
     trimesh.creation.cylinder(4.0, 40.0, sections=256).export(folder / "peg.stl")
+    scan = ball_points(2000, 4.0)
+    write_scan(folder / "scan.ply", scan, scan / 4.0)
     truth = simulate(PEG)[0]
     np.save(folder / "patch.npy", truth.points_mm[truth.in_contact])
     return folder
