@@ -7,7 +7,7 @@ use super::search::Candidate;
 use super::settled::SettledScratch;
 use super::step::Placement;
 use crate::math::linalg::Symmetric;
-use crate::math::{Pose, sqrt};
+use crate::math::{DVec3, Pose, sqrt};
 use crate::params::RegisterParams;
 use crate::register::observe::{PatchFrame, Sighting, System};
 use crate::register::{FreeDirections, Registration};
@@ -65,7 +65,7 @@ pub(super) fn registration(
     params: &RegisterParams,
     samples: &Samples,
     candidates: &[Candidate],
-    (scratch, settled, information): (&PolishScratch, &SettledScratch, Option<Symmetric<6>>),
+    (scratch, settled, information): (&PolishScratch, &SettledScratch, Option<(DVec3, Symmetric<6>)>),
     (converged, iterations): (bool, u32),
 ) -> Registration {
     let best = &candidates[0];
@@ -73,7 +73,7 @@ pub(super) fn registration(
     let back = t_sensor_object.rotation.conjugate();
     let sigma_mm = params.point_sigma_mm;
     // About the salient points' centroid, in the object's axes.
-    let centre_mm = best.placement.object_point(crate::math::DVec3::ZERO);
+    let centre_mm = best.placement.object_point(DVec3::ZERO);
     let frame = PatchFrame { centre_mm, radius_mm: samples.radius_mm };
     let mut system = System::new(frame.radius_mm, sigma_mm);
     let (mut sum_squared, mut total, mut inliers) = (0.0, 0.0, 0);
@@ -94,8 +94,8 @@ pub(super) fn registration(
             });
         }
     }
-    if let Some(information) = information {
-        add_settled(&mut system, samples, settled, best, &information);
+    if let Some((press_direction, information)) = information {
+        add_settled(&mut system, samples, settled, best, (press_direction, &information));
     }
     let in_object = system.observe(centre_mm);
     let observability = in_object.turned(&t_sensor_object, samples.centre_mm);
@@ -123,24 +123,27 @@ fn add_settled(
     samples: &Samples,
     settled: &SettledScratch,
     best: &Candidate,
-    information: &Symmetric<6>,
+    (press_direction, information): (DVec3, &Symmetric<6>),
 ) {
     let back = best.placement.pose.rotation.conjugate();
-    for (node, sight) in samples.gel.nodes.iter().zip(&settled.here.sights) {
-        let Some(foot) = sight.foot.as_ref().filter(|_| sight.touches) else { continue };
-        let normal = best.placement.sensor_direction(foot.normal);
-        let variance_mm2 = node.sample.variance(normal);
+    let press = back * press_direction;
+    let nodes = samples.gel.nodes.iter().zip(&settled.here.sights).zip(&settled.counts_per_mm2);
+    for ((node, sight), count_per_mm2) in nodes.filter(|(_, count)| **count > 0.0) {
+        let Some(foot) = sight.foot.as_ref() else { continue };
+        let variance_mm2 = node.sample.variance(best.placement.sensor_direction(foot.normal));
+        // A height is the distance along the normal over this.
+        let cosine = foot.normal.dot(press);
         system.add(&Sighting {
             lever: back * node.sample.p_mm,
             normal: foot.normal,
             residual: 0.0,
-            weight: sight.weight * system.sigma_mm() * system.sigma_mm() / variance_mm2,
+            weight: count_per_mm2 * system.sigma_mm() * system.sigma_mm() / (cosine * cosine),
             normal_variance: foot.curvature_per_mm * foot.curvature_per_mm * variance_mm2,
         });
     }
     // (ρ ω, v) in the object's axes: both halves turned.
     let turn = crate::math::DMat3::from_quat(back);
-    let turned = |x: [f64; 3]| (turn * crate::math::DVec3::from_array(x)).to_array();
+    let turned = |x: [f64; 3]| (turn * DVec3::from_array(x)).to_array();
     let halves = |row: [f64; 6]| {
         let [a, b] = [turned([row[0], row[1], row[2]]), turned([row[3], row[4], row[5]])];
         [a[0], a[1], a[2], b[0], b[1], b[2]]
@@ -157,7 +160,7 @@ fn pose(samples: &Samples, candidate: &Candidate) -> Pose {
 
 /// Information about (ω, v) about the patch's centroid.
 fn about_centre(seen: &crate::register::Observability) -> Symmetric<6> {
-    let origin = crate::register::Observability { centre_mm: crate::math::DVec3::ZERO, ..*seen };
+    let origin = crate::register::Observability { centre_mm: DVec3::ZERO, ..*seen };
     origin.information()
 }
 

@@ -12,6 +12,7 @@ mod contact;
 mod evidence;
 mod fit;
 mod gel;
+mod information;
 mod noise;
 mod odds;
 mod part;
@@ -94,7 +95,9 @@ pub(super) fn run(
         RegisterMethod::SurfaceClose => search.close(candidates, polish),
         _ => search.many(candidates, polish, settled),
     };
-    let information = search.is_settled.then(|| search.information(&candidates[0], settled));
+    let information = search
+        .is_settled
+        .then(|| (contact.press_direction, search.information(&candidates[0], settled)));
     let ended = (end.converged, end.iterations);
     let mut found =
         evidence::registration(params, samples, candidates, (polish, settled, information), ended);

@@ -194,8 +194,8 @@ impl Search<'_> {
     }
 
     /// Information about (ρ ω, v) about the centroid, of the candidate whose prediction is in `settled`.
-    pub fn information(&self, best: &Candidate, settled: &SettledScratch) -> Symmetric<6> {
-        self.settled(true).information(best, &settled.here)
+    pub fn information(&self, best: &Candidate, settled: &mut SettledScratch) -> Symmetric<6> {
+        self.settled(true).information(best, settled)
     }
 
     /// The candidates by what the gel would do, best first. The best one's prediction is left in `settled`.
