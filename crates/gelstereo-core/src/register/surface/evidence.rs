@@ -60,12 +60,22 @@ impl core::fmt::Debug for Alternatives {
 const LEAST_LOG: f64 = -4.6;
 const APART: f64 = 5.0;
 
+/// What the gel tells of a pose.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Told {
+    pub press_direction: DVec3,
+    /// About (ρ ω, v) about the centroid.
+    pub information: Symmetric<6>,
+    /// How far the step is that was not taken, over the patch.
+    pub left_mm: f64,
+}
+
 /// Of the candidates, best first, from the readings at the best one.
 pub(super) fn registration(
     params: &RegisterParams,
     samples: &Samples,
     candidates: &[Candidate],
-    (scratch, settled, information): (&PolishScratch, &SettledScratch, Option<(DVec3, Symmetric<6>)>),
+    (scratch, settled, told): (&PolishScratch, &SettledScratch, Option<Told>),
     (converged, iterations): (bool, u32),
 ) -> Registration {
     let best = &candidates[0];
@@ -84,7 +94,7 @@ pub(super) fn registration(
             sum_squared += touches * r.distance_mm * r.distance_mm;
             total += touches;
         }
-        if touches > 0.0 && information.is_none() {
+        if touches > 0.0 && told.is_none() {
             system.add(&Sighting {
                 lever: back * sample.p_mm,
                 normal: back * r.normal,
@@ -94,8 +104,11 @@ pub(super) fn registration(
             });
         }
     }
-    if let Some((press_direction, information)) = information {
-        add_settled(&mut system, samples, settled, best, (press_direction, &information));
+    if let Some(told) = &told {
+        add_settled(&mut system, samples, settled, best, told);
+    }
+    if !converged {
+        system.blur(told.map_or_else(|| system.left_mm(), |told| told.left_mm));
     }
     let in_object = system.observe(centre_mm);
     let observability = in_object.turned(&t_sensor_object, samples.centre_mm);
@@ -123,10 +136,10 @@ fn add_settled(
     samples: &Samples,
     settled: &SettledScratch,
     best: &Candidate,
-    (press_direction, information): (DVec3, &Symmetric<6>),
+    told: &Told,
 ) {
     let back = best.placement.pose.rotation.conjugate();
-    let press = back * press_direction;
+    let press = back * told.press_direction;
     let nodes = samples.gel.nodes.iter().zip(&settled.here.sights).zip(&settled.counts_per_mm2);
     for ((node, sight), count_per_mm2) in nodes.filter(|(_, count)| **count > 0.0) {
         let Some(foot) = sight.foot.as_ref() else { continue };
@@ -148,7 +161,7 @@ fn add_settled(
         let [a, b] = [turned([row[0], row[1], row[2]]), turned([row[3], row[4], row[5]])];
         [a[0], a[1], a[2], b[0], b[1], b[2]]
     };
-    let rows = information.map(halves);
+    let rows = told.information.map(halves);
     let columns: [[f64; 6]; 6] = core::array::from_fn(|k| halves(core::array::from_fn(|i| rows[i][k])));
     system.replace_information(&columns);
 }

@@ -6,19 +6,18 @@
 //!
 //! That sum is right as long as every marker touches the face that it is said to touch. Noise is not what it fails by:
 //! another pose puts a row of markers on the face beyond an edge, or lets it hang, and explains the heights about as
-//! well. Three rules keep what a marker is not known to say out of the sum.
+//! well. Two rules keep what a marker is not known to say out of the sum.
 //!
 //! - A marker whose neighbour touches a face beyond a crease may be on that face: the crease runs anywhere between the two.
 //!   It is then wrong by up to the pitch times the difference of the slopes, and by 1 / √12 of that in standard deviations.
 //!   This is added to the variance of its height.
 //! - A marker over which the gel would stand as high if nothing touched it there is under no pressure, and may as well hang.
 //!   It counts for nothing.
-//! - Nothing counts that one marker alone says.
 
 use super::relief::CREASE_COS;
 use super::search::Candidate;
-use super::settled::{BETWEEN, Row, Settled, SettledScratch};
-use crate::math::linalg::{Symmetric, eigen};
+use super::settled::{BETWEEN, LONGEST_MM, Settled, SettledScratch};
+use crate::math::linalg::Symmetric;
 use crate::math::sqrt;
 
 /// Standard deviations by which a marker that touches lifts the gel at least.
@@ -29,31 +28,22 @@ impl Settled<'_> {
     /// every marker counts for.
     pub fn information(&self, state: &Candidate, scratch: &mut SettledScratch) -> Symmetric<6> {
         self.count(state, scratch);
-        let rows = || {
-            let nodes = self.gel().nodes.iter().zip(&scratch.here.sights).zip(&scratch.counts_per_mm2);
-            nodes.filter(|(_, count)| **count > 0.0).filter_map(|((node, sight), count)| {
-                Some((self.touching_row(state, node, sight.foot.as_ref()?), *count))
-            })
-        };
+        let nodes = self.gel().nodes.iter().zip(&scratch.here.sights).zip(&scratch.counts_per_mm2);
+        let rows = nodes.filter(|(_, count)| **count > 0.0).filter_map(|((node, sight), count)| {
+            Some((self.touching_row(state, node, sight.foot.as_ref()?), *count))
+        });
         let mut known = [[0.0; 6]; 6];
-        for (row, weight) in rows() {
+        for (row, weight) in rows {
             for i in 0..6 {
                 (0..6).for_each(|k| known[i][k] += weight * row[i] * row[k]);
             }
         }
-        let spectrum = eigen(&known);
-        let mut out = [[0.0; 6]; 6];
-        for (value, u) in spectrum.values.iter().zip(&spectrum.vectors) {
-            let told = |(row, weight): (Row, f64)| {
-                let along: f64 = u.iter().zip(&row).map(|(u, x)| u * x).sum();
-                weight * along * along
-            };
-            let value = (value - rows().map(told).fold(0.0, f64::max)).max(0.0);
-            for i in 0..6 {
-                (0..6).for_each(|k| out[i][k] += value * u[i] * u[k]);
-            }
-        }
-        out
+        known
+    }
+
+    /// How far the step is that a state would take next, over the patch.
+    pub fn left_mm(&self, state: &Candidate, scratch: &mut SettledScratch) -> f64 {
+        self.next(state, scratch).map_or(LONGEST_MM, |step| sqrt(step[..6].iter().map(|x| x * x).sum()))
     }
 
     /// What the height of every marker counts for, per mm².
@@ -72,7 +62,8 @@ impl Settled<'_> {
             }
             let slope = foot.normal / foot.normal.dot(press);
             let wrong_squared = near.iter().map(|&j| j as usize).fold(0.0, |most: f64, j| {
-                let Some(other) = touched(j).filter(|other| other.normal.dot(foot.normal) < CREASE_COS) else {
+                let Some(other) = touched(j).filter(|other| other.normal.dot(foot.normal) < CREASE_COS)
+                else {
                     return most;
                 };
                 let apart = slope.distance_squared(other.normal / other.normal.dot(press));

@@ -44,7 +44,7 @@ const BESIDE: f64 = 2.5;
 /// Over which differences are taken at the end.
 const LAST_SCALE_MM: f64 = 0.04;
 /// Longest step, over the patch, and the halvings after which there is none.
-const LONGEST_MM: f64 = 0.5;
+pub(super) const LONGEST_MM: f64 = 0.5;
 const HALVINGS: u32 = 3;
 /// Sweeps over the gel of a prediction, and of what only directs a step.
 const MOST_SWEEPS: u32 = 80;
@@ -356,6 +356,11 @@ impl Settled<'_> {
         }
         let (h, g) = self.system(&scratch.rows, &scratch.here);
         (h, g, spectrum.vectors, work)
+    }
+
+    /// The step that a state would take next, whose prediction is in the scratch.
+    pub(super) fn next(&self, state: &Candidate, scratch: &mut SettledScratch) -> Option<Row> {
+        self.step(state, LAST_SCALE_MM, scratch).0
     }
 
     /// The step from `here`, no longer than [`LONGEST_MM`] over the patch.
