@@ -104,7 +104,7 @@ pub(super) struct Sample {
     pub most_sigma_mm: f64,
 }
 
-/// Share of the trace that a singular covariance is given along its null direction.
+/// Share of the trace that a singular covariance is given along its null direction, more than rounding takes off it.
 const FLOOR: f64 = 1e-6;
 
 impl Sample {
