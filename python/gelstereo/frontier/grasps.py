@@ -12,7 +12,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from gelstereo import Error, Params, RestSurface, Simulator, Template, localize, parts, pressure_saliency
+from gelstereo import (
+    Error,
+    Localization,
+    Params,
+    RestSurface,
+    Simulator,
+    Template,
+    localize,
+    parts,
+    pressure_saliency,
+)
 from gelstereo.frontier.scenes import SURFACE_MM, VGA
 from gelstereo.geometry import se3_exp, se3_log
 
@@ -135,15 +145,15 @@ class Grasp:
         variance = np.einsum("ni,ij,nj->n", normals, self.covariance_mm2[0], normals)
         return np.asarray(rows.T @ (rows / variance[:, None]))
 
-    def localized(self, guess: Array, params: Params) -> Array:
-        """Register with all that the sensor knows of the contact; (4, 4) t_sensor_object.
+    def registered(self, guess: Array, params: Params) -> Localization:
+        """Register with all that the sensor knows of the contact.
 
         Raises
         ------
         RegisterError
             If the rung finds no pose.
         """
-        found = localize(
+        return localize(
             self.points_mm,
             self.template,
             t_sensor_object=guess,
@@ -151,7 +161,16 @@ class Grasp:
             covariance_mm2=self.covariance_mm2,
             params=params,
         )
-        return np.asarray(found.t_sensor_object)
+
+    def localized(self, guess: Array, params: Params) -> Array:
+        """Register likewise; (4, 4) t_sensor_object alone.
+
+        Raises
+        ------
+        RegisterError
+            If the rung finds no pose.
+        """
+        return np.asarray(self.registered(guess, params).t_sensor_object)
 
     def guess(self, start: Start, seed: int) -> Array:
         """Draw a guess: the truth turned about the patch's centroid and shifted."""

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from gelstereo import Error
 from gelstereo.frontier.grasps import GRASPED, NOISES, STARTS, Grasp, Start, grasps
+from gelstereo.frontier.nees import nees_table
 from gelstereo.frontier.rivals import Method, rivals
 from gelstereo.frontier.rungs import Rung, rungs_of
 from gelstereo.frontier.table import Report, Table, Target, figure
@@ -105,7 +106,7 @@ def measure_localization(seeds: range, rounds: int, report: Report) -> tuple[lis
         "p99 ms",
     ]
     parts = _parts_table(methods, tallies)
-    return [Table("localization", head, rows), parts], _targets(tallies, times)
+    return [Table("localization", head, rows), parts, nees_table(contacts)], _targets(tallies, times)
 
 
 def _from_truth(method: Method, contacts: Mapping[str, Sequence[Grasp]]) -> list[str]:

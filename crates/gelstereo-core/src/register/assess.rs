@@ -44,6 +44,9 @@ pub(super) fn registration(
         let Facet { normal, normal_variance } = facet(template, point, width_mm, params.point_sigma_mm);
         system.add(&Sighting { normal, normal_variance, weight, ..seen });
     }
+    if !outcome.converged {
+        system.blur(system.left_mm());
+    }
     let in_object = system.observe(frame.centre_mm);
     let observability = in_object.turned(pose, centroid(&scratch.targets));
     Ok(Registration {

@@ -55,7 +55,8 @@ pub struct Registration {
     pub information: Symmetric<6>,
     /// The same information about the patch's centroid, by eigenvectors.
     pub observability: Observability,
-    /// Whether the steps fell below `register.step_tolerance` before the iterations ran out.
+    /// Whether the steps fell below `register.step_tolerance` before the iterations, or the budget, ran out. Where they did
+    /// not, the covariance adds the step that was not taken, in every direction.
     pub converged: bool,
     /// Iterations done by the last stage.
     pub iterations: u32,

@@ -138,6 +138,25 @@ impl System {
         self.hessian = information.map(|row| row.map(|x| x * sigma_squared));
     }
 
+    /// How far the step is that would be taken next, over the patch and at most as far as the patch is wide.
+    pub fn left_mm(&self) -> f64 {
+        let (omega, v_mm) = self.solve(self.radius_mm);
+        sqrt((omega * self.radius_mm).length_squared() + v_mm.length_squared())
+    }
+
+    /// An answer that steps did not end at is short of the best one by about the step that was not taken. Where the steps
+    /// would end is not known before they are taken, and that one tells how far rather than whereto: an error as large in
+    /// every direction, on its own, is added to the covariance, σ² / λ + left².
+    pub fn blur(&mut self, left_mm: f64) {
+        let blur = left_mm * left_mm / (self.sigma_mm * self.sigma_mm);
+        let spectrum = linalg::eigen(&self.hessian);
+        self.hessian = [[0.0; 6]; 6];
+        for (value, u) in spectrum.values.iter().zip(&spectrum.vectors) {
+            let value = value.max(0.0);
+            add_outer(&mut self.hessian, u, value / (1.0 + value * blur));
+        }
+    }
+
     /// The rule of this module, about a centroid.
     pub fn observe(&self, centre_mm: DVec3) -> Observability {
         let eigen = linalg::eigen(&self.hessian);

@@ -104,7 +104,7 @@ pub(super) struct Sample {
     pub most_sigma_mm: f64,
 }
 
-/// Share of the trace that a singular covariance is given along its null direction.
+/// Share of the trace that a singular covariance is given along its null direction, more than rounding takes off it.
 const FLOOR: f64 = 1e-6;
 
 impl Sample {
@@ -424,6 +424,27 @@ mod tests {
         let found = unpressed(&all, &salient);
         assert!(found.iter().map(bits).eq(slow.map(bits)));
         assert!(found.len() > 50 && found.iter().all(|p| !p.is_nan()));
+    }
+
+    /// Evidence is divided by variances and by the patch's height, and takes the logarithm of that: of points that are as
+    /// high, said to be known exactly along the press, or a rounding better than that, both are still positive.
+    #[test]
+    fn a_covariance_that_knows_a_direction_exactly_leaves_positive_variances() {
+        for along_press in [0.0, -1e-9] {
+            let covariance = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, along_press]];
+            let points: Vec<DVec3> =
+                (0..16).map(|k| DVec3::new(f64::from(k % 4), f64::from(k / 4), 28.0)).collect();
+            let covariances = [covariance; 16];
+            let contact = Contact { covariance_mm2: Some(&covariances), ..Contact::new(&points) };
+            assert_eq!(contact.check(), Ok(()));
+            let mut samples = Samples::default();
+            samples.fill(&contact, 0.03, Extent::Around);
+            assert!(samples.height_mm > 0.0, "{}", samples.height_mm);
+            for sample in &samples.pressed {
+                let variance = sample.variance(DVec3::NEG_Z);
+                assert!(variance > 0.0 && variance < 1e-5 && sample.most_sigma_mm.is_finite(), "{variance}");
+            }
+        }
     }
 
     #[test]

@@ -7,7 +7,7 @@ use super::search::Candidate;
 use super::settled::SettledScratch;
 use super::step::Placement;
 use crate::math::linalg::Symmetric;
-use crate::math::{Pose, sqrt};
+use crate::math::{DVec3, Pose, sqrt};
 use crate::params::RegisterParams;
 use crate::register::observe::{PatchFrame, Sighting, System};
 use crate::register::{FreeDirections, Registration};
@@ -60,12 +60,22 @@ impl core::fmt::Debug for Alternatives {
 const LEAST_LOG: f64 = -4.6;
 const APART: f64 = 5.0;
 
+/// What the gel tells of a pose.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Told {
+    pub press_direction: DVec3,
+    /// About (ρ ω, v) about the centroid.
+    pub information: Symmetric<6>,
+    /// How far the step is that was not taken, over the patch.
+    pub left_mm: f64,
+}
+
 /// Of the candidates, best first, from the readings at the best one.
 pub(super) fn registration(
     params: &RegisterParams,
     samples: &Samples,
     candidates: &[Candidate],
-    (scratch, settled, information): (&PolishScratch, &SettledScratch, Option<Symmetric<6>>),
+    (scratch, settled, told): (&PolishScratch, &SettledScratch, Option<Told>),
     (converged, iterations): (bool, u32),
 ) -> Registration {
     let best = &candidates[0];
@@ -73,7 +83,7 @@ pub(super) fn registration(
     let back = t_sensor_object.rotation.conjugate();
     let sigma_mm = params.point_sigma_mm;
     // About the salient points' centroid, in the object's axes.
-    let centre_mm = best.placement.object_point(crate::math::DVec3::ZERO);
+    let centre_mm = best.placement.object_point(DVec3::ZERO);
     let frame = PatchFrame { centre_mm, radius_mm: samples.radius_mm };
     let mut system = System::new(frame.radius_mm, sigma_mm);
     let (mut sum_squared, mut total, mut inliers) = (0.0, 0.0, 0);
@@ -84,7 +94,7 @@ pub(super) fn registration(
             sum_squared += touches * r.distance_mm * r.distance_mm;
             total += touches;
         }
-        if touches > 0.0 && information.is_none() {
+        if touches > 0.0 && told.is_none() {
             system.add(&Sighting {
                 lever: back * sample.p_mm,
                 normal: back * r.normal,
@@ -94,8 +104,11 @@ pub(super) fn registration(
             });
         }
     }
-    if let Some(information) = information {
-        add_settled(&mut system, samples, settled, best, &information);
+    if let Some(told) = &told {
+        add_settled(&mut system, samples, settled, best, told);
+    }
+    if !converged {
+        system.blur(told.map_or_else(|| system.left_mm(), |told| told.left_mm));
     }
     let in_object = system.observe(centre_mm);
     let observability = in_object.turned(&t_sensor_object, samples.centre_mm);
@@ -123,29 +136,32 @@ fn add_settled(
     samples: &Samples,
     settled: &SettledScratch,
     best: &Candidate,
-    information: &Symmetric<6>,
+    told: &Told,
 ) {
     let back = best.placement.pose.rotation.conjugate();
-    for (node, sight) in samples.gel.nodes.iter().zip(&settled.here.sights) {
-        let Some(foot) = sight.foot.as_ref().filter(|_| sight.touches) else { continue };
-        let normal = best.placement.sensor_direction(foot.normal);
-        let variance_mm2 = node.sample.variance(normal);
+    let press = back * told.press_direction;
+    let nodes = samples.gel.nodes.iter().zip(&settled.here.sights).zip(&settled.counts_per_mm2);
+    for ((node, sight), count_per_mm2) in nodes.filter(|(_, count)| **count > 0.0) {
+        let Some(foot) = sight.foot.as_ref() else { continue };
+        let variance_mm2 = node.sample.variance(best.placement.sensor_direction(foot.normal));
+        // A height is the distance along the normal over this.
+        let cosine = foot.normal.dot(press);
         system.add(&Sighting {
             lever: back * node.sample.p_mm,
             normal: foot.normal,
             residual: 0.0,
-            weight: sight.weight * system.sigma_mm() * system.sigma_mm() / variance_mm2,
+            weight: count_per_mm2 * system.sigma_mm() * system.sigma_mm() / (cosine * cosine),
             normal_variance: foot.curvature_per_mm * foot.curvature_per_mm * variance_mm2,
         });
     }
     // (ρ ω, v) in the object's axes: both halves turned.
     let turn = crate::math::DMat3::from_quat(back);
-    let turned = |x: [f64; 3]| (turn * crate::math::DVec3::from_array(x)).to_array();
+    let turned = |x: [f64; 3]| (turn * DVec3::from_array(x)).to_array();
     let halves = |row: [f64; 6]| {
         let [a, b] = [turned([row[0], row[1], row[2]]), turned([row[3], row[4], row[5]])];
         [a[0], a[1], a[2], b[0], b[1], b[2]]
     };
-    let rows = information.map(halves);
+    let rows = told.information.map(halves);
     let columns: [[f64; 6]; 6] = core::array::from_fn(|k| halves(core::array::from_fn(|i| rows[i][k])));
     system.replace_information(&columns);
 }
@@ -157,7 +173,7 @@ fn pose(samples: &Samples, candidate: &Candidate) -> Pose {
 
 /// Information about (ω, v) about the patch's centroid.
 fn about_centre(seen: &crate::register::Observability) -> Symmetric<6> {
-    let origin = crate::register::Observability { centre_mm: crate::math::DVec3::ZERO, ..*seen };
+    let origin = crate::register::Observability { centre_mm: DVec3::ZERO, ..*seen };
     origin.information()
 }
 

@@ -262,6 +262,19 @@ impl Gel {
         most
     }
 
+    /// Every node with its neighbours, and the height that the gel would have there if nothing touched it at that node.
+    pub fn around<'a>(
+        &'a self,
+        stiffness: f64,
+        heights_mm: &'a [f64],
+    ) -> impl Iterator<Item = (usize, &'a [u32], f64)> {
+        let shares = shares(stiffness).map(|share| share * stiffness);
+        self.rings.iter().map(move |ring| {
+            let free_mm = shares[ring.count as usize] * ring.sum(heights_mm);
+            (ring.node as usize, &ring.near[..ring.count as usize], free_mm)
+        })
+    }
+
     /// How heights change where the gel is free, from how they change where it touches; of the last of the `N` columns,
     /// the logarithm of l², heights are the source: (I - l² Δ) ∂h = h. Returns the sweeps that took.
     pub fn follow<const N: usize>(

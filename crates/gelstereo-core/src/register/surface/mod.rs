@@ -12,6 +12,7 @@ mod contact;
 mod evidence;
 mod fit;
 mod gel;
+mod information;
 mod noise;
 mod odds;
 mod part;
@@ -94,10 +95,9 @@ pub(super) fn run(
         RegisterMethod::SurfaceClose => search.close(candidates, polish),
         _ => search.many(candidates, polish, settled),
     };
-    let information = search.is_settled.then(|| search.information(&candidates[0], settled));
+    let told = search.is_settled.then(|| search.told(&candidates[0], end.converged, settled));
     let ended = (end.converged, end.iterations);
-    let mut found =
-        evidence::registration(params, samples, candidates, (polish, settled, information), ended);
+    let mut found = evidence::registration(params, samples, candidates, (polish, settled, told), ended);
     found.gel_decay = search.is_settled.then(|| candidates[0].rest.decay(contact.decay_mm));
     Ok(found)
 }

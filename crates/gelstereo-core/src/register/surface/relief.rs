@@ -8,7 +8,7 @@ use crate::surface::{Closest, Solid};
 use alloc::vec::Vec;
 
 /// Faces that meet at less than 32 degrees are one smooth surface: a cylinder of 12 facets is one, a hexagon has edges.
-const CREASE_COS: f64 = 0.85;
+pub(super) const CREASE_COS: f64 = 0.85;
 
 /// Normals at the corners of every triangle, of the smooth surface on that triangle's side of its creases.
 #[derive(Clone, Debug)]

@@ -1,6 +1,7 @@
 //! Many starts, successive halving: each round looks at fewer candidates more closely.
 
 use super::contact::{COARSE, MEDIUM, Samples};
+use super::evidence::Told;
 use super::fit::View;
 use super::part::{Coarse, Distances, Exact};
 use super::polish::{End, OUT_OF_REACH_MM, Polish, PolishScratch};
@@ -8,7 +9,6 @@ use super::rest::Rest;
 use super::settled::{Settled, SettledScratch};
 use super::starts::start;
 use super::step::{Placement, Prior};
-use crate::math::linalg::Symmetric;
 use crate::math::{DVec3, sqrt};
 use crate::params::RegisterParams;
 use alloc::vec::Vec;
@@ -159,7 +159,9 @@ impl Search<'_> {
             let before: [Option<Candidate>; SECOND.keeps] =
                 core::array::from_fn(|k| candidates.get(k).copied());
             let end = self.settle(candidates, scratch, settled);
-            self.is_settled = self.settled(true).explained(&settled.here) >= EXPLAINED;
+            // A pose that was not reached explains little, and there is nothing left to do without the gel.
+            self.is_settled =
+                self.work >= self.budget() || self.settled(true).explained(&settled.here) >= EXPLAINED;
             if self.is_settled {
                 return end;
             }
@@ -193,9 +195,13 @@ impl Search<'_> {
         }
     }
 
-    /// Information about (ρ ω, v) about the centroid, of the candidate whose prediction is in `settled`.
-    pub fn information(&self, best: &Candidate, settled: &SettledScratch) -> Symmetric<6> {
-        self.settled(true).information(best, &settled.here)
+    /// What the gel tells of the candidate whose prediction is in `settled`, and whose steps have ended by themselves or
+    /// not.
+    pub fn told(&self, best: &Candidate, ended: bool, settled: &mut SettledScratch) -> Told {
+        let way = self.settled(true);
+        let information = way.information(best, settled);
+        let left_mm = if ended { 0.0 } else { way.left_mm(best, settled) };
+        Told { press_direction: self.press_direction, information, left_mm }
     }
 
     /// The candidates by what the gel would do, best first. The best one's prediction is left in `settled`.

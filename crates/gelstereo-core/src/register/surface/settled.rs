@@ -20,7 +20,7 @@ use alloc::vec::Vec;
 const UNKNOWN: usize = 10;
 const PLANE: usize = 6;
 const DECAY: usize = 9;
-type Row = [f64; UNKNOWN];
+pub(super) type Row = [f64; UNKNOWN];
 
 /// Standard deviation of the logarithm of l²: a third of l.
 const DECAY_SIGMA: f64 = 0.6;
@@ -31,7 +31,7 @@ const GAP_SHARE: f64 = 0.5;
 /// Standard deviations from which gel is lifted.
 const LIFTED: f64 = 3.0;
 /// Standard deviation of what lies anywhere between two markers, in pitches: 1 / √12.
-const BETWEEN: f64 = 0.288_675;
+pub(super) const BETWEEN: f64 = 0.288_675;
 /// Outliers are spread over this much, and there may be some even where none are expected.
 const STRAY_MM: f64 = 3.0;
 const LEAST_OUTLIERS: f64 = 1e-3;
@@ -44,7 +44,7 @@ const BESIDE: f64 = 2.5;
 /// Over which differences are taken at the end.
 const LAST_SCALE_MM: f64 = 0.04;
 /// Longest step, over the patch, and the halvings after which there is none.
-const LONGEST_MM: f64 = 0.5;
+pub(super) const LONGEST_MM: f64 = 0.5;
 const HALVINGS: u32 = 3;
 /// Sweeps over the gel of a prediction, and of what only directs a step.
 const MOST_SWEEPS: u32 = 80;
@@ -71,7 +71,7 @@ pub(super) struct Sight {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Prediction {
     pub sights: Vec<Sight>,
-    heights_mm: Vec<f64>,
+    pub heights_mm: Vec<f64>,
     cost: f64,
 }
 
@@ -84,6 +84,8 @@ pub(super) struct SettledScratch {
     changes: Vec<Row>,
     rows: Vec<Row>,
     hints: Vec<u32>,
+    /// What every node's height counts for in the information, per mm².
+    pub counts_per_mm2: Vec<f64>,
 }
 
 /// The way of one candidate to the greatest likelihood.
@@ -98,7 +100,7 @@ pub(super) struct Settled<'a> {
 }
 
 impl Settled<'_> {
-    fn gel(&self) -> &Gel {
+    pub(super) fn gel(&self) -> &Gel {
         &self.samples.gel
     }
 
@@ -356,6 +358,11 @@ impl Settled<'_> {
         (h, g, spectrum.vectors, work)
     }
 
+    /// The step that a state would take next, whose prediction is in the scratch.
+    pub(super) fn next(&self, state: &Candidate, scratch: &mut SettledScratch) -> Option<Row> {
+        self.step(state, LAST_SCALE_MM, scratch).0
+    }
+
     /// The step from `here`, no longer than [`LONGEST_MM`] over the patch.
     fn step(&self, state: &Candidate, scale_mm: f64, scratch: &mut SettledScratch) -> (Option<Row>, u64) {
         let (mut h, mut g, basis, work) = self.linear(state, scale_mm, scratch);
@@ -393,41 +400,8 @@ impl Settled<'_> {
         if count > 0.0 { sum / count } else { 0.0 }
     }
 
-    /// Information about (ρ ω, v) about the centroid, of the state whose prediction is `here`: of the markers that touch,
-    /// along their normals. What touches tells of the pose, too, and so does the gel beside it, which serves to find
-    /// the pose; but an edge is known no better than the markers stand apart, whatever a derivative says.
-    pub fn information(&self, state: &Candidate, here: &Prediction) -> Symmetric<6> {
-        let rows = || {
-            let touching = self.gel().nodes.iter().zip(&here.sights).filter(|(_, sight)| sight.touches);
-            touching.filter_map(|(node, sight)| {
-                let row = self.touching_row(state, node, sight.foot.as_ref()?);
-                Some((row, sight.weight / sight.variance_mm2))
-            })
-        };
-        let mut known = [[0.0; 6]; 6];
-        for (row, weight) in rows() {
-            for i in 0..6 {
-                (0..6).for_each(|k| known[i][k] += weight * row[i] * row[k]);
-            }
-        }
-        // Whether a marker at an edge touches is not as sure as where it touches: what one alone says does not count.
-        let spectrum = eigen(&known);
-        let mut out = [[0.0; 6]; 6];
-        for (value, u) in spectrum.values.iter().zip(&spectrum.vectors) {
-            let told = |(row, weight): (Row, f64)| {
-                let along: f64 = u.iter().zip(&row).map(|(u, x)| u * x).sum();
-                weight * along * along
-            };
-            let value = (value - rows().map(told).fold(0.0, f64::max)).max(0.0);
-            for i in 0..6 {
-                (0..6).for_each(|k| out[i][k] += value * u[i] * u[k]);
-            }
-        }
-        out
-    }
-
     /// How the height of a marker that touches changes with what is sought.
-    fn touching_row(&self, state: &Candidate, node: &Node, foot: &Foot) -> Row {
+    pub(super) fn touching_row(&self, state: &Candidate, node: &Node, foot: &Foot) -> Row {
         let radius_mm = self.samples.radius_mm;
         let normal = state.placement.sensor_direction(foot.normal);
         let per_cosine = 1.0 / normal.dot(self.press_direction);
