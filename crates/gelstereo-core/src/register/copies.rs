@@ -25,7 +25,7 @@ pub(super) fn honour(found: &mut Registration, symmetries: &[Symmetry], guess: &
     let seen = found.observability;
     let in_object = seen.turned(&back, back.transform_point(seen.centre_mm));
     found.free = FreeDirections::new(&in_object, resolution_mm, symmetries);
-    let mut kept = Alternatives::NONE;
+    let mut kept = Alternatives::none_of(found.alternatives.is_cut());
     for one in found.alternatives.iter() {
         let t_sensor_object = nearest(symmetries, &one.t_sensor_object, guess);
         // Nearest to each other: in the middle between two copies noise chooses which is nearest to the guess.

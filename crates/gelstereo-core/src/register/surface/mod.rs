@@ -14,6 +14,7 @@ mod fit;
 mod gel;
 mod noise;
 mod odds;
+mod others;
 mod part;
 mod polish;
 mod raster;
@@ -48,6 +49,7 @@ pub(super) struct SurfaceScratch {
     raster: Raster,
     samples: Samples,
     candidates: Vec<Candidate>,
+    runners_up: Vec<Candidate>,
     polish: PolishScratch,
     settled: SettledScratch,
 }
@@ -62,7 +64,7 @@ pub(super) fn run(
 ) -> Result<Registration, RegisterError> {
     let (solid, field, relief) = template.touchable().ok_or(RegisterError::NoSurface)?;
     contact.check()?;
-    let SurfaceScratch { raster, samples, candidates, polish, settled } = scratch;
+    let SurfaceScratch { raster, samples, candidates, runners_up, polish, settled } = scratch;
     let extent = match params.method {
         RegisterMethod::SurfaceTrack => Extent::Salient,
         RegisterMethod::SurfaceClose => Extent::Near,
@@ -87,17 +89,19 @@ pub(super) fn run(
         },
         work: 0,
         is_settled: false,
+        is_cut: false,
+        symmetries: template.symmetries(),
     };
     check_reach(&search, solid, params)?;
     let end = match params.method {
         RegisterMethod::SurfaceTrack => search.track(candidates, polish),
         RegisterMethod::SurfaceClose => search.close(candidates, polish),
-        _ => search.many(candidates, polish, settled),
+        _ => search.many(candidates, runners_up, polish, settled),
     };
     let information = search.is_settled.then(|| search.information(&candidates[0], settled));
-    let ended = (end.converged, end.iterations);
-    let mut found =
-        evidence::registration(params, samples, candidates, (polish, settled, information), ended);
+    let readings = (&*polish, &*settled, information);
+    let mut found = evidence::registration(params, samples, candidates, readings, end);
+    found.alternatives = evidence::alternatives(samples, candidates, search.is_cut);
     found.gel_decay = search.is_settled.then(|| candidates[0].rest.decay(contact.decay_mm));
     Ok(found)
 }

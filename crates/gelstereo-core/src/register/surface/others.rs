@@ -1,0 +1,237 @@
+//! The other poses that explain a contact about as well as the best one.
+//!
+//! Two poses are one answer when their difference lies in what the contact leaves free. Free motions of a surface of
+//! contact are those of a lower pair (screw, cylinder, plane, ball; Reuleaux 1876), and so a group: the logarithm of a
+//! finite motion among them lies along the free directions, however far it turns, where a chord leaves them. What of the
+//! logarithm is determined tells two answers apart. It also carries one to where the best pose stands along the free
+//! directions, so that likelihoods compare nothing else.
+//!
+//! A motion D that brings the best pose to another answer is one after which the part looks as it did before, there. D
+//! and its inverse are tried on all answers: so the pitches of a thread are found that no start has led to.
+
+use super::evidence;
+use super::polish::{End, PolishScratch};
+use super::search::{Candidate, HOPELESS, Search, Stage, insertion_sort};
+use super::settled::SettledScratch;
+use super::step::{Normal, Placement, cholesky};
+use crate::math::{DVec3, Pose, sqrt};
+use crate::register::observe::{dot, halves, stack};
+use crate::register::{Observability, copies};
+use alloc::vec::Vec;
+
+/// A pose is as likely as the best one when its likelihood is at least e^-4.6 = 1 % of that one's.
+const LEAST_LOG: f64 = 4.6;
+/// Poses are two when their difference is this many standard deviations over the determined directions.
+const APART: f64 = 5.0;
+/// Poses that have not been polished are two when it is this much over the patch.
+const NEAR_MM: f64 = 0.1;
+/// How much more than shifts turns are avoided.
+const TURNS_FIRST: f64 = 10.0;
+/// Most poses that are polished, and most that wait for it.
+const MOST_POLISHED: usize = 24;
+const MOST_SEEDS: usize = 48;
+
+/// What a search for other poses works with.
+pub(super) struct Others<'a, 'b> {
+    search: &'b mut Search<'a>,
+    scratch: &'b mut PolishScratch,
+    settled: &'b mut SettledScratch,
+    best: Candidate,
+    seen: Observability,
+    /// Whether some that were worth it have not been polished.
+    is_cut: bool,
+}
+
+impl<'a, 'b> Others<'a, 'b> {
+    /// Beside `best`, whose readings are in the scratch.
+    pub fn new(
+        search: &'b mut Search<'a>,
+        best: &Candidate,
+            (scratch, settled): (&'b mut PolishScratch, &'b mut SettledScratch),
+    ) -> Self {
+        let information = search.is_settled.then(|| search.information(best, settled));
+        let found = evidence::observe(search.params, search.samples, best, (scratch, settled, information));
+        let seen = found.turned(&best.placement.pose, DVec3::ZERO);
+        Self { search, scratch, settled, best: *best, seen, is_cut: false }
+    }
+
+    /// Leaves in `candidates`, whose first one is the best, those of them and of `seeds` that are other answers and as
+    /// likely, the likeliest first. Says how the first one ended, which `end` says of the best, and whether there may be more.
+    ///
+    /// The first seeds are those of the second round, in order.
+    pub fn find(
+        &mut self,
+        candidates: &mut Vec<Candidate>,
+        seeds: &mut Vec<Candidate>,
+        mut end: End,
+    ) -> (End, bool) {
+        // Once, and no more when there happen to be more of them.
+        candidates.reserve(MOST_SEEDS);
+        seeds.reserve(MOST_SEEDS);
+        self.gather(candidates, seeds);
+        candidates.truncate(1);
+        let mut next = 0;
+        while let Some(&seed) = seeds.get(next) {
+            if next == MOST_POLISHED || self.search.has_spent() {
+                self.is_cut = true;
+                break;
+            }
+            next += 1;
+            let mut seed = Candidate { rest: self.best.rest, ..seed };
+            let Some(ended) = self.polish(&mut seed) else { continue };
+            if seed.cost < candidates[0].cost {
+                end = ended;
+            }
+            if self.accept(candidates, seed) {
+                self.repeat(candidates, seeds);
+            }
+        }
+        let least = candidates[0].cost + LEAST_LOG;
+        candidates.retain(|one| one.cost <= least);
+        (end, self.is_cut)
+    }
+
+    /// The seeds that are other answers and worth polishing, in order, after the runners-up among the candidates.
+    fn gather(&self, candidates: &[Candidate], seeds: &mut Vec<Candidate>) {
+        let first = seeds.first().map_or(f64::INFINITY, |seed| seed.cost);
+        let guess = self.guess_cost(&self.best.placement);
+        let mut count = 0;
+        for k in 0..seeds.len() {
+            let placement = self.carried(&seeds[k].placement);
+            let cost = seeds[k].cost - first + self.guess_cost(&placement) - guess;
+            let seed = Candidate { placement, rest: self.best.rest, cost };
+            if cost <= LEAST_LOG && self.is_new(&placement, &seeds[..count], &candidates[..1]) {
+                seeds[count] = seed;
+                count += 1;
+            }
+        }
+        seeds.truncate(count);
+        for one in candidates[1..].iter().rev() {
+            let placement = self.carried(&one.placement);
+            if self.is_new(&placement, &[], &candidates[..1]) {
+                seeds.insert(0, Candidate { placement, ..*one });
+            }
+        }
+    }
+
+    /// What the guess says of a pose.
+    fn guess_cost(&self, placement: &Placement) -> f64 {
+        let mut guess = Normal::ZERO;
+        guess.add_prior(&self.search.prior, placement, self.search.samples.radius_mm, 1.0);
+        guess.cost
+    }
+
+    fn is_new(&self, placement: &Placement, seeds: &[Candidate], candidates: &[Candidate]) -> bool {
+        let is_near = |other: &Candidate| self.length_mm(placement, &other.placement) <= NEAR_MM;
+        !seeds.iter().chain(candidates).any(is_near)
+    }
+
+    /// What brings one pose to another that is a turn of the part away from it or none, about the centroid.
+    fn since(&self, one: &Placement, other: &Placement) -> Pose {
+        let nearest = copies::nearest(self.search.symmetries, &one.pose, &other.pose);
+        let motion = nearest * other.pose.inverse();
+        motion.normalized().unwrap_or(motion)
+    }
+
+    /// How far that moves the patch along the determined directions.
+    fn length_mm(&self, one: &Placement, other: &Placement) -> f64 {
+        let (omega, v) = self.seen.determined(self.since(one, other).log());
+        sqrt((omega * self.seen.radius_mm).length_squared() + v.length_squared())
+    }
+
+    /// A pose moved along the free directions until the least turn, and then the least shift, brings the best one there.
+    fn carried(&self, one: &Placement) -> Placement {
+        let (omega, v) = least_turn(&self.seen, self.since(one, &self.best.placement).log());
+        moved(&Pose::exp(omega, v), &self.best.placement)
+    }
+
+    /// How it ended; `None` if it turned out hopeless. Steps go a little along free directions, too, where facets
+    /// hold a pose as they would not hold the best one: each stage begins where that one stands.
+    fn polish(&mut self, seed: &mut Candidate) -> Option<End> {
+        let mut end = None;
+        for stage in Stage::ALL {
+            seed.placement = self.carried(&seed.placement);
+            end = Some(if self.search.is_settled {
+                self.search.settle_on(seed, stage, self.settled)
+            } else {
+                self.search.finish_on(seed, stage, self.scratch)
+            });
+            if stage == Stage::First && seed.cost > self.best.cost + HOPELESS {
+                return None;
+            }
+        }
+        end
+    }
+
+    /// Whether it is an answer of its own; of two that are one the likelier stays.
+    fn accept(&self, candidates: &mut Vec<Candidate>, one: Candidate) -> bool {
+        if one.cost > candidates[0].cost + LEAST_LOG {
+            return false;
+        }
+        let is_same = |other: &Candidate| {
+            let (omega, v) = self.since(&one.placement, &other.placement).log();
+            self.seen.squared((omega, v)) <= APART * APART
+        };
+        let count = candidates.len();
+        match candidates.iter().position(is_same) {
+            Some(k) if one.cost < candidates[k].cost => candidates[k] = one,
+            Some(_) => {}
+            None => candidates.push(one),
+        }
+        let is_new = candidates.len() > count;
+        insertion_sort(candidates);
+        is_new
+    }
+
+    /// The seeds that a new answer suggests.
+    fn repeat(&mut self, candidates: &[Candidate], seeds: &mut Vec<Candidate>) {
+        let likely = candidates[0].cost + LEAST_LOG;
+        for one in candidates {
+            let motion = self.since(&self.best.placement, &one.placement);
+            for motion in [motion, motion.inverse()] {
+                for other in candidates {
+                    let placement = self.carried(&moved(&motion, &other.placement));
+                    // As likely as the other one, but for the guess.
+                    let cost =
+                        other.cost - self.guess_cost(&other.placement) + self.guess_cost(&placement);
+                    if cost > likely || !self.is_new(&placement, seeds, candidates) {
+                        continue;
+                    }
+                    if seeds.len() == MOST_SEEDS {
+                        self.is_cut = true;
+                        return;
+                    }
+                    seeds.push(Candidate { placement, rest: self.best.rest, cost });
+                }
+            }
+        }
+    }
+}
+
+/// A motion (ω, v) about the centroid, less what makes most of its turn, and then of its shift, along free directions.
+fn least_turn(seen: &Observability, (omega, v): (DVec3, DVec3)) -> (DVec3, DVec3) {
+    let weighed = |u: &[f64; 6]| -> [f64; 6] {
+        core::array::from_fn(|i| if i < 3 { TURNS_FIRST * u[i] } else { u[i] })
+    };
+    let z = stack(omega * seen.radius_mm, v);
+    let free = |k: usize| seen.values[k] == 0.0;
+    let along = seen.directions.map(|u| weighed(&u));
+    // Normal equations of the shares along the free directions; of others it is 0.
+    let h = core::array::from_fn(|i| {
+        core::array::from_fn(|k| match (free(i) && free(k), i == k) {
+            (true, _) => dot(&along[i], &along[k]),
+            (false, is_one) => f64::from(u8::from(is_one)),
+        })
+    });
+    let g = core::array::from_fn(|i| if free(i) { dot(&along[i], &weighed(&z)) } else { 0.0 });
+    let shares = cholesky(&h, &g).unwrap_or([0.0; 6]);
+    let left = core::array::from_fn(|i| z[i] - (0..6).map(|k| shares[k] * seen.directions[k][i]).sum::<f64>());
+    let (omega, v) = halves(&left);
+    (omega / seen.radius_mm, v)
+}
+
+/// A pose after a motion about the centroid.
+fn moved(motion: &Pose, placement: &Placement) -> Placement {
+    let pose = *motion * placement.pose;
+    Placement::new(pose.normalized().unwrap_or(pose))
+}
