@@ -11,7 +11,9 @@ use crate::params::RegisterParams;
 use crate::register::observe::{Sighting, System};
 use crate::register::{FreeDirections, Observability, Registration};
 
-/// Another pose that explains the contact about as well.
+/// Another pose that explains the contact about as well as the best: at least 1 % as likely, and apart from it and from
+/// every other one by five standard deviations over what the contact determines. It stands where the best one does along
+/// the directions that the contact leaves free. How far the guess is off counts in the likelihood.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Alternative {
     /// Maps object coordinates to sensor coordinates.
@@ -20,7 +22,8 @@ pub struct Alternative {
     pub log_likelihood: f64,
 }
 
-/// The other poses, the likelier one first, without allocation; it reads, and prints, as a slice.
+/// The other poses, the likelier one first, up to [`Self::MOST`] of them, without allocation; it reads, and prints, as a
+/// slice.
 #[derive(Clone, Copy, PartialEq)]
 pub struct Alternatives {
     all: [Alternative; Self::MOST],

@@ -21,15 +21,24 @@ use alloc::vec::Vec;
 
 /// A pose is as likely as the best one when its likelihood is at least e^-4.6 = 1 % of that one's.
 const LEAST_LOG: f64 = 4.6;
-/// Poses are two when their difference is this many standard deviations over the determined directions.
-const APART: f64 = 5.0;
 /// Poses that have not been polished are two when it is this much over the patch.
 const NEAR_MM: f64 = 0.1;
 /// How much more than shifts turns are avoided.
 const TURNS_FIRST: f64 = 10.0;
+/// After so many in a row that were hopeless, those that promised less are not polished.
+const MOST_IN_VAIN: usize = 5;
 /// Most poses that are polished, and most that wait for it.
 const MOST_POLISHED: usize = 24;
 const MOST_SEEDS: usize = 48;
+
+/// What became of a seed.
+enum Polished {
+    /// It is much less likely than the best pose.
+    Hopeless,
+    /// It came to an answer that is known.
+    Known,
+    New(End),
+}
 
 /// What a search for other poses works with.
 pub(super) struct Others<'a, 'b> {
@@ -47,7 +56,7 @@ impl<'a, 'b> Others<'a, 'b> {
     pub fn new(
         search: &'b mut Search<'a>,
         best: &Candidate,
-            (scratch, settled): (&'b mut PolishScratch, &'b mut SettledScratch),
+        (scratch, settled): (&'b mut PolishScratch, &'b mut SettledScratch),
     ) -> Self {
         let information = search.is_settled.then(|| search.information(best, settled));
         let found = evidence::observe(search.params, search.samples, best, (scratch, settled, information));
@@ -56,9 +65,8 @@ impl<'a, 'b> Others<'a, 'b> {
     }
 
     /// Leaves in `candidates`, whose first one is the best, those of them and of `seeds` that are other answers and as
-    /// likely, the likeliest first. Says how the first one ended, which `end` says of the best, and whether there may be more.
-    ///
-    /// The first seeds are those of the second round, in order.
+    /// likely, the likeliest first. Says how the first one ended, which `end` says of the best, and whether there may be
+    /// more. The seeds are those of the second round, in order.
     pub fn find(
         &mut self,
         candidates: &mut Vec<Candidate>,
@@ -69,21 +77,29 @@ impl<'a, 'b> Others<'a, 'b> {
         candidates.reserve(MOST_SEEDS);
         seeds.reserve(MOST_SEEDS);
         self.gather(candidates, seeds);
+        insertion_sort(seeds);
         candidates.truncate(1);
-        let mut next = 0;
-        while let Some(&seed) = seeds.get(next) {
+        let (mut next, mut in_vain) = (0, 0);
+        while next < seeds.len() && in_vain < MOST_IN_VAIN {
             if next == MOST_POLISHED || self.search.has_spent() {
                 self.is_cut = true;
                 break;
             }
+            let mut seed = Candidate { rest: self.best.rest, ..seeds[next] };
             next += 1;
-            let mut seed = Candidate { rest: self.best.rest, ..seed };
-            let Some(ended) = self.polish(&mut seed) else { continue };
-            if seed.cost < candidates[0].cost {
-                end = ended;
-            }
-            if self.accept(candidates, seed) {
-                self.repeat(candidates, seeds);
+            match self.polish(&mut seed, candidates) {
+                Polished::Hopeless => in_vain += 1,
+                Polished::Known => in_vain = 0,
+                Polished::New(ended) => {
+                    in_vain = 0;
+                    if seed.cost < candidates[0].cost {
+                        end = ended;
+                    }
+                    if self.accept(candidates, seed) {
+                        self.repeat(candidates, seeds);
+                        insertion_sort(&mut seeds[next..]);
+                    }
+                }
             }
         }
         let least = candidates[0].cost + LEAST_LOG;
@@ -91,7 +107,11 @@ impl<'a, 'b> Others<'a, 'b> {
         (end, self.is_cut)
     }
 
-    /// The seeds that are other answers and worth polishing, in order, after the runners-up among the candidates.
+    /// The seeds that are other answers and worth polishing, and the runners-up among the candidates; what they cost is
+    /// over the best one.
+    ///
+    /// The second round is several times as blurred as the noise is wide, and so tells poses less apart than it: what is
+    /// out of the question there is so all the more.
     fn gather(&self, candidates: &[Candidate], seeds: &mut Vec<Candidate>) {
         let first = seeds.first().map_or(f64::INFINITY, |seed| seed.cost);
         let guess = self.guess_cost(&self.best.placement);
@@ -109,7 +129,7 @@ impl<'a, 'b> Others<'a, 'b> {
         for one in candidates[1..].iter().rev() {
             let placement = self.carried(&one.placement);
             if self.is_new(&placement, &[], &candidates[..1]) {
-                seeds.insert(0, Candidate { placement, ..*one });
+                seeds.insert(0, Candidate { placement, cost: one.cost - self.best.cost, ..*one });
             }
         }
     }
@@ -122,8 +142,7 @@ impl<'a, 'b> Others<'a, 'b> {
     }
 
     fn is_new(&self, placement: &Placement, seeds: &[Candidate], candidates: &[Candidate]) -> bool {
-        let is_near = |other: &Candidate| self.length_mm(placement, &other.placement) <= NEAR_MM;
-        !seeds.iter().chain(candidates).any(is_near)
+        !seeds.iter().chain(candidates).any(|other| self.is_one(placement, &other.placement, NEAR_MM))
     }
 
     /// What brings one pose to another that is a turn of the part away from it or none, about the centroid.
@@ -133,10 +152,12 @@ impl<'a, 'b> Others<'a, 'b> {
         motion.normalized().unwrap_or(motion)
     }
 
-    /// How far that moves the patch along the determined directions.
-    fn length_mm(&self, one: &Placement, other: &Placement) -> f64 {
-        let (omega, v) = self.seen.determined(self.since(one, other).log());
-        sqrt((omega * self.seen.radius_mm).length_squared() + v.length_squared())
+    /// Whether two poses are one answer, those that are no farther apart than `near_mm` at any rate.
+    fn is_one(&self, one: &Placement, other: &Placement, near_mm: f64) -> bool {
+        let motion = self.since(one, other).log();
+        let (omega, v) = self.seen.determined(motion);
+        let squared_mm2 = (omega * self.seen.radius_mm).length_squared() + v.length_squared();
+        squared_mm2 <= near_mm * near_mm || self.seen.squared(motion) <= copies::APART * copies::APART
     }
 
     /// A pose moved along the free directions until the least turn, and then the least shift, brings the best one there.
@@ -145,22 +166,28 @@ impl<'a, 'b> Others<'a, 'b> {
         moved(&Pose::exp(omega, v), &self.best.placement)
     }
 
-    /// How it ended; `None` if it turned out hopeless. Steps go a little along free directions, too, where facets
-    /// hold a pose as they would not hold the best one: each stage begins where that one stands.
-    fn polish(&mut self, seed: &mut Candidate) -> Option<End> {
-        let mut end = None;
-        for stage in Stage::ALL {
-            seed.placement = self.carried(&seed.placement);
-            end = Some(if self.search.is_settled {
-                self.search.settle_on(seed, stage, self.settled)
-            } else {
-                self.search.finish_on(seed, stage, self.scratch)
-            });
+    /// Steps go a little along free directions, too, where facets hold a pose as they would not hold the best one: each
+    /// stage begins where that one stands.
+    fn polish(&mut self, seed: &mut Candidate, candidates: &[Candidate]) -> Polished {
+        for stage in [Stage::Field, Stage::First] {
+            self.run(seed, stage);
             if stage == Stage::First && seed.cost > self.best.cost + HOPELESS {
-                return None;
+                return Polished::Hopeless;
+            }
+            if !self.is_new(&seed.placement, &[], candidates) {
+                return Polished::Known;
             }
         }
-        end
+        Polished::New(self.run(seed, Stage::Last))
+    }
+
+    fn run(&mut self, seed: &mut Candidate, stage: Stage) -> End {
+        seed.placement = self.carried(&seed.placement);
+        if self.search.is_settled {
+            self.search.settle_on(seed, stage, self.settled)
+        } else {
+            self.search.finish_on(seed, stage, self.scratch)
+        }
     }
 
     /// Whether it is an answer of its own; of two that are one the likelier stays.
@@ -168,10 +195,7 @@ impl<'a, 'b> Others<'a, 'b> {
         if one.cost > candidates[0].cost + LEAST_LOG {
             return false;
         }
-        let is_same = |other: &Candidate| {
-            let (omega, v) = self.since(&one.placement, &other.placement).log();
-            self.seen.squared((omega, v)) <= APART * APART
-        };
+        let is_same = |other: &Candidate| self.is_one(&one.placement, &other.placement, 0.0);
         let count = candidates.len();
         match candidates.iter().position(is_same) {
             Some(k) if one.cost < candidates[k].cost => candidates[k] = one,
@@ -185,15 +209,15 @@ impl<'a, 'b> Others<'a, 'b> {
 
     /// The seeds that a new answer suggests.
     fn repeat(&mut self, candidates: &[Candidate], seeds: &mut Vec<Candidate>) {
-        let likely = candidates[0].cost + LEAST_LOG;
+        let likely = candidates[0].cost - self.best.cost + LEAST_LOG;
         for one in candidates {
             let motion = self.since(&self.best.placement, &one.placement);
             for motion in [motion, motion.inverse()] {
                 for other in candidates {
                     let placement = self.carried(&moved(&motion, &other.placement));
                     // As likely as the other one, but for the guess.
-                    let cost =
-                        other.cost - self.guess_cost(&other.placement) + self.guess_cost(&placement);
+                    let by_guess = self.guess_cost(&placement) - self.guess_cost(&other.placement);
+                    let cost = other.cost - self.best.cost + by_guess;
                     if cost > likely || !self.is_new(&placement, seeds, candidates) {
                         continue;
                     }
@@ -225,7 +249,8 @@ fn least_turn(seen: &Observability, (omega, v): (DVec3, DVec3)) -> (DVec3, DVec3
     });
     let g = core::array::from_fn(|i| if free(i) { dot(&along[i], &weighed(&z)) } else { 0.0 });
     let shares = cholesky(&h, &g).unwrap_or([0.0; 6]);
-    let left = core::array::from_fn(|i| z[i] - (0..6).map(|k| shares[k] * seen.directions[k][i]).sum::<f64>());
+    let left =
+        core::array::from_fn(|i| z[i] - (0..6).map(|k| shares[k] * seen.directions[k][i]).sum::<f64>());
     let (omega, v) = halves(&left);
     (omega / seen.radius_mm, v)
 }

@@ -67,23 +67,19 @@ const EXPLAINED: f64 = 0.75;
 /// Widths of the steps that ask the gel, on the field and on the exact surface.
 const BLURRED: &[(&[f64], usize)] = &[(&[0.3], 5), (&[0.2], 3), (&[0.1], 2)];
 const SHARP: &[f64] = &[0.05];
-/// And of one that is near its end.
+/// Width on the field of those that come after the best one, which are near their end.
 const FIELD_WIDTH: &[f64] = &[0.1];
 /// The guess counts little while weights are those of wide laws.
 const COARSE_PRIOR: f64 = 0.1;
 /// Longest step of a coarse look.
 const LONGEST_MM: f64 = 2.0;
 
-/// How far a pose that comes after the best one has come.
+/// The steps of a pose that comes after the best one: on the field, the first on the exact surface, and to the end.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Stage {
     Field,
     First,
     Last,
-}
-
-impl Stage {
-    pub const ALL: [Self; 3] = [Self::Field, Self::First, Self::Last];
 }
 
 /// What a search works with.
@@ -222,8 +218,7 @@ impl Search<'_> {
         (scratch, settled): (&mut PolishScratch, &mut SettledScratch),
     ) -> End {
         let (best, before) = (candidates[0], self.work);
-        let (end, is_cut) =
-            Others::new(self, &best, (scratch, settled)).find(candidates, runners_up, end);
+        let (end, is_cut) = Others::new(self, &best, (scratch, settled)).find(candidates, runners_up, end);
         self.is_cut = is_cut;
         if self.work > before {
             self.read(&mut candidates[0], scratch, settled);
@@ -231,7 +226,7 @@ impl Search<'_> {
         end
     }
 
-    /// Leaves the readings of a pose, and what the gel does there if it is asked, in the scratch; returns the work.
+    /// Leaves the readings of a pose, and what the gel does there if it is asked, in the scratch.
     fn read(&mut self, best: &mut Candidate, scratch: &mut PolishScratch, settled: &mut SettledScratch) {
         if self.is_settled {
             self.work += self.settled(true).run(best, &[], (0, self.budget()), settled).work;
@@ -281,7 +276,7 @@ impl Search<'_> {
         end
     }
 
-    /// The same of one that comes later, in stages.
+    /// A stage of a pose that comes after the best one, by what the gel would do.
     pub fn settle_on(&mut self, one: &mut Candidate, stage: Stage, settled: &mut SettledScratch) -> End {
         let most = self.params.max_iterations.min(MOST_STEPS);
         let steps: (bool, &[f64], u32) = match stage {
@@ -335,7 +330,7 @@ impl Search<'_> {
         end
     }
 
-    /// One that comes later, in stages.
+    /// A stage of a pose that comes after the best one.
     pub fn finish_on(&mut self, one: &mut Candidate, stage: Stage, scratch: &mut PolishScratch) -> End {
         match stage {
             Stage::Field => {
