@@ -14,7 +14,7 @@ use super::polish::{End, PolishScratch};
 use super::search::{Candidate, HOPELESS, Search, Stage, insertion_sort};
 use super::settled::SettledScratch;
 use super::step::{Normal, Placement, cholesky};
-use crate::math::{DVec3, Pose, sqrt};
+use crate::math::{DVec3, Pose};
 use crate::register::observe::{dot, halves, stack};
 use crate::register::{Observability, copies};
 use alloc::vec::Vec;
@@ -232,13 +232,24 @@ impl<'a, 'b> Others<'a, 'b> {
     }
 }
 
-/// A motion (ω, v) about the centroid, less what makes most of its turn, and then of its shift, along free directions.
+/// A motion (ω, v) about the centroid, less what makes most of its turn, and then of its shift, along free directions
+/// that go with it.
 fn least_turn(seen: &Observability, (omega, v): (DVec3, DVec3)) -> (DVec3, DVec3) {
     let weighed = |u: &[f64; 6]| -> [f64; 6] {
         core::array::from_fn(|i| if i < 3 { TURNS_FIRST * u[i] } else { u[i] })
     };
     let z = stack(omega * seen.radius_mm, v);
-    let free = |k: usize| seen.values[k] == 0.0;
+    // Taking u off the logarithm is a motion along u where the two commute: what is left of their bracket, t [ξ, u] / 2,
+    // is to be small. A peg on its next side does not slide with the one that it lay on.
+    let commutes = |u: &[f64; 6]| {
+        let (a, b) = halves(u);
+        let (a, t) = (a / seen.radius_mm, dot(u, &z));
+        let (turn, shift) = (omega.cross(a) * seen.radius_mm, omega.cross(b) + v.cross(a));
+        0.25 * t * t * (turn.length_squared() + shift.length_squared()) <= NEAR_MM * NEAR_MM
+    };
+    let is_free =
+        core::array::from_fn::<bool, 6, _>(|k| seen.values[k] == 0.0 && commutes(&seen.directions[k]));
+    let free = |k: usize| is_free[k];
     let along = seen.directions.map(|u| weighed(&u));
     // Normal equations of the shares along the free directions; of others it is 0.
     let h = core::array::from_fn(|i| {
