@@ -155,12 +155,13 @@ fn a_square_peg_half_way_between_two_sides_may_lie_on_both() {
         };
         let wide = RegisterParams { start_sigma_deg: 30.0, ..search() };
         let both = register(&wide, &problem.contact(), bare, &guess);
-        println!("ways {:?}", ways(&both));
         twice += usize::from(ways(&both).len() == 2);
         let one = register(&wide, &problem.contact(), &declared, &guess);
-        assert_eq!(ways(&one).len(), 1, "known to be one answer");
+        let sides = ways(&one);
+        assert!(sides.iter().all(|side| *side == sides[0]), "sides are known to be one answer: {sides:?}");
     }
-    println!("twice {twice}");
+    // 8 of these 12: the starts miss a side now and then, which docs/localization.md owns to. By three deviations less.
+    assert!(twice >= 3, "{twice}");
 }
 
 #[test]
@@ -186,7 +187,6 @@ fn answers_are_ranked_and_those_that_have_no_place_are_not_hidden() {
         assert!(ranks[0] - ranks[ranks.len() - 1] <= LEAST_LOG, "{ranks:?}");
     }
     // Nothing is said to be all when there was no time to look.
-    println!("cut {} {}", with(1.0, 40_000).alternatives.is_cut(), with(1.0, all).alternatives.is_cut());
     assert!(with(1.0, 40_000).alternatives.is_cut() && !with(1.0, all).alternatives.is_cut());
 }
 
