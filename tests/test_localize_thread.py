@@ -1,4 +1,4 @@
-"""A thread repeats every pitch: without the markers that nothing presses every pitch explains a contact, with them one."""
+"""A thread repeats every pitch: by the pressed markers alone every pitch explains a contact, with the others one does."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_markers_beyond_the_tip_alone_tell_pitches_apart(template: Template) -> 
 
 
 def likely(pressed: Pressed, template: Template, guess: np.ndarray) -> set[int]:
-    """The pitches that explain the salient markers alone about as well, the guess counted, from starts at each of them."""
+    """The pitches that explain the salient markers alone about as well, the guess counted; from starts at each."""
     found = {}
     centre = np.append(pressed.points_mm[pressed.salient].mean(axis=0), 1.0)
     for pitches in range(-2, 6):
@@ -119,7 +119,9 @@ def likely(pressed: Pressed, template: Template, guess: np.ndarray) -> set[int]:
         ends = [pressed.find(template, start, "surface_close", every=False) for start in starts]
         ends = [end for end in ends if abs(pressed.slide_mm(end.t_sensor_object) / PITCH_MM - pitches) < 0.1]
         # What the guess, known to 2 mm, says; those of the starts say hardly anything.
-        far_mm = [np.linalg.norm((end.t_sensor_object @ np.linalg.inv(guess) @ centre - centre)[:3]) for end in ends]
+        far_mm = [
+            np.linalg.norm((end.t_sensor_object @ np.linalg.inv(guess) @ centre - centre)[:3]) for end in ends
+        ]
         logs = [end.log_likelihood - far**2 / 8.0 for end, far in zip(ends, far_mm, strict=True)]
         found[pitches] = max(logs, default=-np.inf)
     # Steps end where the likelihood is up to 0.4 less than at its top.

@@ -372,7 +372,7 @@ impl Search<'_> {
     }
 
     /// Steps of all candidates, and the choice of those that go on.
-    fn round(&mut self, candidates: &mut Vec<Candidate>, round: &Round, unpressed: usize) {
+    fn round(&mut self, candidates: &mut [Candidate], round: &Round, unpressed: usize) {
         let view = View::of(
             self.samples,
             round.pressed.min(self.samples.spread_count),
