@@ -1,4 +1,4 @@
-"""A thread repeats every pitch: by the pressed markers alone every pitch explains a contact, with the others one does."""
+"""A thread repeats: by the pressed markers alone every pitch explains a contact, with the others one does."""
 
 from __future__ import annotations
 

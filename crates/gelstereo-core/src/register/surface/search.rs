@@ -2,6 +2,7 @@
 
 use super::contact::{COARSE, MEDIUM, Samples};
 use super::fit::View;
+use super::odds::log_odds;
 use super::others::Others;
 use super::part::{Coarse, Distances, Exact};
 use super::polish::{End, OUT_OF_REACH_MM, Polish, PolishScratch};
@@ -218,6 +219,11 @@ impl Search<'_> {
         (scratch, settled): (&mut PolishScratch, &mut SettledScratch),
     ) -> End {
         let (best, before) = (candidates[0], self.work);
+        // Where the part is not what touches the gel, nothing explains the contact as well.
+        if log_odds(self.samples, &scratch.here, &scratch.touches, self.params.outlier_share) <= 0.0 {
+            candidates.truncate(1);
+            return end;
+        }
         let (end, is_cut) = Others::new(self, &best, (scratch, settled)).find(candidates, runners_up, end);
         self.is_cut = is_cut;
         if self.work > before {
