@@ -90,9 +90,13 @@ pub struct Localization {
     /// How a `Localizer` came to the pose: ``"followed"`` from the frame before, ``"found"`` by a search, or ``"lost"``: the
     /// search found nothing that explains the contact, and this is its best. None from `localize`.
     standing: Option<&'static str>,
-    /// Other poses that explain the contact about as well, likeliest first: pairs of a (4, 4) pose and its logarithm of
-    /// the likelihood.
+    /// The other poses that explain the contact about as well, likeliest first, at most 8: pairs of a (4, 4) pose and its
+    /// logarithm of the likelihood. Each is at least 1 % as likely as the best, and stands where that one does along
+    /// `free` directions. ``surface_search`` alone looks for them: empty from other methods.
     alternatives: Py<PyTuple>,
+    /// Whether there may be more `alternatives` than are given: there was no room for all, or ``register.budget`` was spent
+    /// before all were looked at.
+    alternatives_cut: bool,
     /// Digest of all results, bit for bit.
     digest: u64,
 }
@@ -115,6 +119,7 @@ impl Localization {
                 core::Standing::Lost => "lost",
             }),
             alternatives: PyTuple::new(py, alternatives)?.unbind(),
+            alternatives_cut: found.alternatives.is_cut(),
             t_sensor_object: arrays::pose_matrix(py, &found.t_sensor_object)?,
             information: arrays::matrix(py, found.information)?,
             covariance: arrays::matrix(py, covariance)?,

@@ -95,5 +95,6 @@ def as_json(found: Localization) -> dict[str, Any]:
             {"t_sensor_object": pose.tolist(), "log_likelihood": likelihood}
             for pose, likelihood in found.alternatives
         ],
+        "alternatives_cut": found.alternatives_cut,
         "digest": f"{found.digest:016x}",
     }

@@ -19,18 +19,21 @@ pub enum RegisterMethod {
     /// Point-to-plane ICP alone, from the guess, with the same model of the shoulder: 100 / 100 / 38 %, 0.9 ms.
     IcpPlane,
     /// Steps on a field of distances to the part, from a pose that is nearly right, as the last frame's is: 0.1 ms.
-    /// It looks at salient points alone, and from 5 degrees and 1 mm off it finds 61 % of the contacts below.
+    /// It looks at salient points alone, and from 5 degrees and 1 mm off it finds 61 % of the contacts below. It looks for
+    /// no alternatives: where several poses explain a contact it follows the one that it starts from.
     ///
     /// The three surface rungs need a template of a mesh with such a field. Their figures are contacts found to 2
     /// degrees and 0.3 mm over the directions that the contact determines, on six parts with shoulder, 0.03 mm along z,
     /// from guesses up to 5 degrees 1 mm / 10 degrees 2 mm / the same with twice the noise and a tenth of outliers /
     /// 30 degrees 5 mm off, and the median error over the Cramér-Rao bound (simulated; the example `starts`).
     SurfaceTrack,
-    /// The exact surface of the part, from a close guess: 92 / 78 / 79 / 39 %, 1.2 times the bound, 1.4 ms.
+    /// The exact surface of the part, from a close guess: 92 / 78 / 79 / 39 %, 1.2 times the bound, 1.4 ms. It looks for no
+    /// alternatives either.
     SurfaceClose,
     /// The exact surface from many starts around the guess, with the markers that nothing presses: 98 / 98 / 98 / 96 %, 1.2
     /// times the bound, 11 ms. A row of shoulder beside an edge may pass for the face beyond it; then the error is
-    /// some 0.1 mm, and the covariance does not know.
+    /// some 0.1 mm, and the covariance does not know. Where several poses explain the contact about as well all are
+    /// returned, with their likelihoods.
     SurfaceSearch,
 }
 

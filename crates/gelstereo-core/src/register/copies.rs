@@ -7,7 +7,7 @@ use crate::math::{DQuat, DVec3, Pose, abs, atan2, cos, round, sin, sqrt};
 use core::f64::consts::{PI, TAU};
 
 /// Poses whose difference is this many standard deviations over the determined directions are two.
-const APART: f64 = 5.0;
+pub(super) const APART: f64 = 5.0;
 /// Turns that are put together; symmetries of a body are turns about one axis each, and declared ones two or three.
 const MOST_TURNS: usize = 8;
 /// Pairs of turns that are tried.
@@ -25,7 +25,7 @@ pub(super) fn honour(found: &mut Registration, symmetries: &[Symmetry], guess: &
     let seen = found.observability;
     let in_object = seen.turned(&back, back.transform_point(seen.centre_mm));
     found.free = FreeDirections::new(&in_object, resolution_mm, symmetries);
-    let mut kept = Alternatives::NONE;
+    let mut kept = Alternatives::none_of(found.alternatives.is_cut());
     for one in found.alternatives.iter() {
         let t_sensor_object = nearest(symmetries, &one.t_sensor_object, guess);
         // Nearest to each other: in the middle between two copies noise chooses which is nearest to the guess.
@@ -45,7 +45,7 @@ pub(super) fn nearest(symmetries: &[Symmetry], t_sensor_object: &Pose, other: &P
 
 fn are_apart(seen: &Observability, one: &Pose, other: &Pose) -> bool {
     let frame = PatchFrame { centre_mm: seen.centre_mm, radius_mm: seen.radius_mm };
-    seen.squared(frame.twist(&(*one * other.inverse()))) > APART * APART
+    seen.squared(frame.log(&(*one * other.inverse()))) > APART * APART
 }
 
 /// The turn S of the part, object frame to object frame, that brings T S nearest to the other pose by its angle.

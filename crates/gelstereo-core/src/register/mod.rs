@@ -78,7 +78,8 @@ pub struct Registration {
     /// The gel's decay length that explains the contact best; `None` where the gel was not asked, which `surface_search`
     /// alone does, and it only where markers show what the gel does.
     pub gel_decay: Option<GelDecay>,
-    /// Other poses that explain the contact about as well (`surface_search` alone looks for them).
+    /// The other poses that explain the contact about as well, the likelier one first; `surface_search` alone looks for
+    /// them. What starts from one guess returns none, whatever there is.
     pub alternatives: Alternatives,
 }
 
@@ -120,6 +121,7 @@ impl Registration {
             .f64s(self.log_odds)
             .f64s(self.gel_decay.map(|gel| gel.length_mm))
             .f64s(others)
+            .u64(u64::from(self.alternatives.is_cut()))
             .value()
     }
 }

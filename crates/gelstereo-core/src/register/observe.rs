@@ -55,6 +55,13 @@ impl PatchFrame {
         (so3::log(motion.rotation), motion.transform_point(self.centre_mm) - self.centre_mm)
     }
 
+    /// The twist (ω, v) about the centre that the motion is the exponential of: that of a motion, however far, along
+    /// directions that go on for ever lies along these.
+    pub fn log(&self, motion: &Pose) -> (DVec3, DVec3) {
+        let (_, shift_mm) = self.twist(motion);
+        Pose { rotation: motion.rotation, translation_mm: shift_mm }.log()
+    }
+
     /// The motion that turns by ω about the centre and shifts by v.
     pub fn motion(&self, (omega, v_mm): (DVec3, DVec3)) -> Pose {
         let rotation = so3::exp(omega);

@@ -2,17 +2,18 @@
 
 use super::contact::Samples;
 use super::odds::log_odds;
-use super::polish::PolishScratch;
+use super::polish::{End, PolishScratch};
 use super::search::Candidate;
 use super::settled::SettledScratch;
-use super::step::Placement;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec3, Pose, sqrt};
 use crate::params::RegisterParams;
-use crate::register::observe::{PatchFrame, Sighting, System};
-use crate::register::{FreeDirections, Registration};
+use crate::register::observe::{Sighting, System};
+use crate::register::{FreeDirections, Observability, Registration};
 
-/// Another pose that explains the contact about as well.
+/// Another pose that explains the contact about as well as the best: at least 1 % as likely, and apart from it and from
+/// every other one by five standard deviations over what the contact determines. It stands where the best one does along
+/// the directions that the contact leaves free. How far the guess is off counts in the likelihood.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Alternative {
     /// Maps object coordinates to sensor coordinates.
@@ -21,22 +22,45 @@ pub struct Alternative {
     pub log_likelihood: f64,
 }
 
-/// Up to two other poses, the likelier one first, without allocation; it reads, and prints, as a slice.
+/// The other poses, the likelier one first, up to [`Self::MOST`] of them, without allocation; it reads, and prints, as a
+/// slice.
 #[derive(Clone, Copy, PartialEq)]
 pub struct Alternatives {
-    all: [Alternative; 2],
+    all: [Alternative; Self::MOST],
     count: usize,
+    is_cut: bool,
 }
 
 impl Alternatives {
+    /// Most that are kept.
+    pub const MOST: usize = 8;
+
     /// None.
-    pub const NONE: Self =
-        Self { all: [Alternative { t_sensor_object: Pose::IDENTITY, log_likelihood: 0.0 }; 2], count: 0 };
+    pub const NONE: Self = Self {
+        all: [Alternative { t_sensor_object: Pose::IDENTITY, log_likelihood: 0.0 }; Self::MOST],
+        count: 0,
+        is_cut: false,
+    };
+
+    /// Whether there may be more: there was no room for all, or the budget of work was spent before all were looked at. The
+    /// likelier ones come first.
+    #[must_use]
+    pub const fn is_cut(&self) -> bool {
+        self.is_cut
+    }
+
+    /// None yet of a list.
+    pub(in crate::register) const fn none_of(is_cut: bool) -> Self {
+        Self { is_cut, ..Self::NONE }
+    }
 
     pub(in crate::register) fn push(&mut self, one: Alternative) {
-        if let Some(place) = self.all.get_mut(self.count) {
-            *place = one;
-            self.count += 1;
+        match self.all.get_mut(self.count) {
+            Some(place) => {
+                *place = one;
+                self.count += 1;
+            }
+            None => self.is_cut = true,
         }
     }
 }
@@ -55,11 +79,6 @@ impl core::fmt::Debug for Alternatives {
     }
 }
 
-/// A pose is an alternative when it is at least this likely, e^-4.6 = 1 %, and its difference is this many standard
-/// deviations over the determined directions.
-const LEAST_LOG: f64 = -4.6;
-const APART: f64 = 5.0;
-
 /// What the gel tells of a pose.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Told {
@@ -70,31 +89,63 @@ pub(super) struct Told {
     pub left_mm: f64,
 }
 
-/// Of the candidates, best first, from the readings at the best one.
+/// What was read at a pose: distances, heights of the gel, and what these tell if it was asked.
+pub(super) type AtBest<'a> = (&'a PolishScratch, &'a SettledScratch, Option<Told>);
+
+/// Of the best candidate, from the readings there.
 pub(super) fn registration(
     params: &RegisterParams,
     samples: &Samples,
     candidates: &[Candidate],
-    (scratch, settled, told): (&PolishScratch, &SettledScratch, Option<Told>),
-    (converged, iterations): (bool, u32),
+    readings: AtBest<'_>,
+    end: End,
 ) -> Registration {
-    let best = &candidates[0];
+    let (best, scratch) = (&candidates[0], readings.0);
     let t_sensor_object = pose(samples, best);
-    let back = t_sensor_object.rotation.conjugate();
-    let sigma_mm = params.point_sigma_mm;
-    // About the salient points' centroid, in the object's axes.
-    let centre_mm = best.placement.object_point(DVec3::ZERO);
-    let frame = PatchFrame { centre_mm, radius_mm: samples.radius_mm };
-    let mut system = System::new(frame.radius_mm, sigma_mm);
     let (mut sum_squared, mut total, mut inliers) = (0.0, 0.0, 0);
-    let points = samples.pressed.iter().chain(&samples.unpressed);
-    for (k, ((sample, r), &touches)) in points.zip(&scratch.here.all).zip(&scratch.touches).enumerate() {
-        if k < samples.pressed.len() {
-            inliers += usize::from(r.distance_mm.abs() <= params.max_distance_mm);
-            sum_squared += touches * r.distance_mm * r.distance_mm;
-            total += touches;
-        }
-        if touches > 0.0 && told.is_none() {
+    for (r, touches) in scratch.here.all[..samples.pressed.len()].iter().zip(&scratch.touches) {
+        inliers += usize::from(r.distance_mm.abs() <= params.max_distance_mm);
+        sum_squared += touches * r.distance_mm * r.distance_mm;
+        total += touches;
+    }
+    let in_object = observe(params, samples, best, readings, end.converged);
+    let observability = in_object.turned(&t_sensor_object, samples.centre_mm);
+    let information = observability.information();
+    Registration {
+        t_sensor_object,
+        information,
+        observability,
+        converged: end.converged,
+        iterations: end.iterations,
+        inliers,
+        points: samples.pressed.len(),
+        rmse_mm: sqrt(sum_squared / total.max(f64::MIN_POSITIVE)),
+        free: FreeDirections::new(&in_object, params.point_sigma_mm, &[]),
+        log_likelihood: Some(-best.cost),
+        log_odds: Some(log_odds(samples, &scratch.here, &scratch.touches, params.outlier_share)),
+        gel_decay: None,
+        alternatives: Alternatives::NONE,
+    }
+}
+
+/// What the contact determines of a pose and what it leaves free, from the readings there, and whether steps have ended
+/// there by themselves; in the object's frame.
+pub(super) fn observe(
+    params: &RegisterParams,
+    samples: &Samples,
+    best: &Candidate,
+    (scratch, settled, told): AtBest<'_>,
+    converged: bool,
+) -> Observability {
+    let back = best.placement.pose.rotation.conjugate();
+    let sigma_mm = params.point_sigma_mm;
+    let mut system = System::new(samples.radius_mm, sigma_mm);
+    if let Some(told) = &told {
+        add_settled(&mut system, samples, settled, best, told);
+    } else {
+        let points = samples.pressed.iter().chain(&samples.unpressed);
+        let touching = points.zip(&scratch.here.all).zip(&scratch.touches).filter(|(_, t)| **t > 0.0);
+        for ((sample, r), touches) in touching {
             system.add(&Sighting {
                 lever: back * sample.p_mm,
                 normal: back * r.normal,
@@ -104,30 +155,11 @@ pub(super) fn registration(
             });
         }
     }
-    if let Some(told) = &told {
-        add_settled(&mut system, samples, settled, best, told);
-    }
     if !converged {
         system.blur(told.map_or_else(|| system.left_mm(), |told| told.left_mm));
     }
-    let in_object = system.observe(centre_mm);
-    let observability = in_object.turned(&t_sensor_object, samples.centre_mm);
-    let information = observability.information();
-    Registration {
-        t_sensor_object,
-        information,
-        observability,
-        converged,
-        iterations,
-        inliers,
-        points: samples.pressed.len(),
-        rmse_mm: sqrt(sum_squared / total.max(f64::MIN_POSITIVE)),
-        free: FreeDirections::new(&in_object, sigma_mm, &[]),
-        log_likelihood: Some(-best.cost),
-        log_odds: Some(log_odds(samples, &scratch.here, &scratch.touches, params.outlier_share)),
-        gel_decay: None,
-        alternatives: alternatives(samples, candidates, &about_centre(&observability)),
-    }
+    // About the salient points' centroid, in the object's axes.
+    system.observe(best.placement.object_point(DVec3::ZERO))
 }
 
 /// What the heights of the gel tell, with the noise of the normals that they are told by.
@@ -171,30 +203,11 @@ fn pose(samples: &Samples, candidate: &Candidate) -> Pose {
     Pose { translation_mm: pose.translation_mm + samples.centre_mm, ..pose }
 }
 
-/// Information about (ω, v) about the patch's centroid.
-fn about_centre(seen: &crate::register::Observability) -> Symmetric<6> {
-    let origin = crate::register::Observability { centre_mm: DVec3::ZERO, ..*seen };
-    origin.information()
-}
-
-fn alternatives(samples: &Samples, candidates: &[Candidate], information: &Symmetric<6>) -> Alternatives {
-    let mut out = Alternatives::NONE;
-    let Some((best, others)) = candidates.split_first() else { return out };
-    let apart = |a: &Placement, b: &Placement| {
-        let (omega, v) = a.since(b);
-        let z = [omega.x, omega.y, omega.z, v.x, v.y, v.z];
-        let squared: f64 = information
-            .iter()
-            .zip(z)
-            .map(|(row, zi)| zi * row.iter().zip(z).map(|(h, zj)| h * zj).sum::<f64>())
-            .sum();
-        squared > APART * APART
-    };
-    for (k, one) in others.iter().enumerate() {
-        let is_new = candidates[..=k].iter().all(|other| apart(&one.placement, &other.placement));
-        if best.cost - one.cost >= LEAST_LOG && is_new {
-            out.push(Alternative { t_sensor_object: pose(samples, one), log_likelihood: -one.cost });
-        }
+/// The candidates after the best one.
+pub(super) fn alternatives(samples: &Samples, candidates: &[Candidate], is_cut: bool) -> Alternatives {
+    let mut out = Alternatives::none_of(is_cut);
+    for one in &candidates[1..] {
+        out.push(Alternative { t_sensor_object: pose(samples, one), log_likelihood: -one.cost });
     }
     out
 }

@@ -15,6 +15,7 @@ mod gel;
 mod information;
 mod noise;
 mod odds;
+mod others;
 mod part;
 mod polish;
 mod raster;
@@ -49,6 +50,7 @@ pub(super) struct SurfaceScratch {
     raster: Raster,
     samples: Samples,
     candidates: Vec<Candidate>,
+    runners_up: Vec<Candidate>,
     polish: PolishScratch,
     settled: SettledScratch,
 }
@@ -63,7 +65,7 @@ pub(super) fn run(
 ) -> Result<Registration, RegisterError> {
     let (solid, field, relief) = template.touchable().ok_or(RegisterError::NoSurface)?;
     contact.check()?;
-    let SurfaceScratch { raster, samples, candidates, polish, settled } = scratch;
+    let SurfaceScratch { raster, samples, candidates, runners_up, polish, settled } = scratch;
     let extent = match params.method {
         RegisterMethod::SurfaceTrack => Extent::Salient,
         RegisterMethod::SurfaceClose => Extent::Near,
@@ -88,16 +90,19 @@ pub(super) fn run(
         },
         work: 0,
         is_settled: false,
+        is_cut: false,
+        symmetries: template.symmetries(),
     };
     check_reach(&search, solid, params)?;
     let end = match params.method {
         RegisterMethod::SurfaceTrack => search.track(candidates, polish),
         RegisterMethod::SurfaceClose => search.close(candidates, polish),
-        _ => search.many(candidates, polish, settled),
+        _ => search.many(candidates, runners_up, polish, settled),
     };
     let told = search.is_settled.then(|| search.told(&candidates[0], end.converged, settled));
-    let ended = (end.converged, end.iterations);
-    let mut found = evidence::registration(params, samples, candidates, (polish, settled, told), ended);
+    let readings = (&*polish, &*settled, told);
+    let mut found = evidence::registration(params, samples, candidates, readings, end);
+    found.alternatives = evidence::alternatives(samples, candidates, search.is_cut);
     found.gel_decay = search.is_settled.then(|| candidates[0].rest.decay(contact.decay_mm));
     Ok(found)
 }

@@ -3,6 +3,8 @@
 use super::contact::{COARSE, MEDIUM, Samples};
 use super::evidence::Told;
 use super::fit::View;
+use super::odds::log_odds;
+use super::others::Others;
 use super::part::{Coarse, Distances, Exact};
 use super::polish::{End, OUT_OF_REACH_MM, Polish, PolishScratch};
 use super::rest::Rest;
@@ -11,6 +13,7 @@ use super::starts::start;
 use super::step::{Placement, Prior};
 use crate::math::{DVec3, sqrt};
 use crate::params::RegisterParams;
+use crate::register::Symmetry;
 use alloc::vec::Vec;
 
 /// A pose in the running.
@@ -59,16 +62,26 @@ const FINALISTS: usize = 3;
 const FIRST_STEPS: u32 = 3;
 const MOST_STEPS: u32 = 15;
 /// Finalists whose likelihood is less than that of the best by this, in logarithms, are not polished on.
-const HOPELESS: f64 = 12.0;
+pub(super) const HOPELESS: f64 = 12.0;
 /// With fewer of the markers around the contact explained the gel is another than it is said to be, and is not asked.
 const EXPLAINED: f64 = 0.75;
 /// Widths of the steps that ask the gel, on the field and on the exact surface.
 const BLURRED: &[(&[f64], usize)] = &[(&[0.3], 5), (&[0.2], 3), (&[0.1], 2)];
 const SHARP: &[f64] = &[0.05];
+/// Width on the field of those that come after the best one, which are near their end.
+const FIELD_WIDTH: &[f64] = &[0.1];
 /// The guess counts little while weights are those of wide laws.
 const COARSE_PRIOR: f64 = 0.1;
 /// Longest step of a coarse look.
 const LONGEST_MM: f64 = 2.0;
+
+/// The steps of a pose that comes after the best one: on the field, the first on the exact surface, and to the end.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Stage {
+    Field,
+    First,
+    Last,
+}
 
 /// What a search works with.
 pub(super) struct Search<'a> {
@@ -81,6 +94,10 @@ pub(super) struct Search<'a> {
     pub work: u64,
     /// Whether the answer is that of the gel.
     pub is_settled: bool,
+    /// Whether other answers may be missing among those that are left.
+    pub is_cut: bool,
+    /// Turns after which the part looks the same.
+    pub symmetries: &'a [Symmetry],
 }
 
 impl Search<'_> {
@@ -91,6 +108,10 @@ impl Search<'_> {
 
     fn budget(&self) -> u64 {
         u64::from(self.params.budget)
+    }
+
+    pub fn has_spent(&self) -> bool {
+        self.work >= self.budget()
     }
 
     fn polish<D: Distances>(&self, part: D) -> Polish<'_, D> {
@@ -141,10 +162,12 @@ impl Search<'_> {
         end
     }
 
-    /// From many starts.
+    /// From many starts. The best answer comes first, then the others; leaves the cheapest of the second round in
+    /// `runners_up`.
     pub fn many(
         &mut self,
         candidates: &mut Vec<Candidate>,
+        runners_up: &mut Vec<Candidate>,
         scratch: &mut PolishScratch,
         settled: &mut SettledScratch,
     ) -> End {
@@ -153,7 +176,11 @@ impl Search<'_> {
             candidates.push(Candidate::at(start(&self.prior, k)));
         }
         self.round(candidates, &FIRST, self.samples.coarse_unpressed);
+        candidates.truncate(FIRST.keeps);
         self.round(candidates, &SECOND, self.samples.medium_unpressed);
+        runners_up.clear();
+        runners_up.extend_from_slice(candidates);
+        keep(candidates, SECOND.keeps, self.samples.radius_mm, SECOND.same_mm);
         self.is_settled = false;
         if self.samples.gel.is_known() {
             let before: [Option<Candidate>; SECOND.keeps] =
@@ -163,7 +190,7 @@ impl Search<'_> {
             self.is_settled =
                 self.work >= self.budget() || self.settled(true).explained(&settled.here) >= EXPLAINED;
             if self.is_settled {
-                return end;
+                return self.others(candidates, runners_up, end, (scratch, settled));
             }
             candidates.clear();
             candidates.extend(before.into_iter().flatten());
@@ -181,7 +208,38 @@ impl Search<'_> {
             self.work += end.work + work;
         }
         keep(candidates, FINALISTS, self.samples.radius_mm, SECOND.same_mm);
-        self.finish(candidates, scratch)
+        let end = self.finish(candidates, scratch);
+        self.others(candidates, runners_up, end, (scratch, settled))
+    }
+
+    /// The other answers, and how the best one ended; its readings, or prediction, are left in the scratch.
+    fn others(
+        &mut self,
+        candidates: &mut Vec<Candidate>,
+        runners_up: &mut Vec<Candidate>,
+        end: End,
+        (scratch, settled): (&mut PolishScratch, &mut SettledScratch),
+    ) -> End {
+        let (best, before) = (candidates[0], self.work);
+        // Where the part is not what touches the gel, nothing explains the contact as well.
+        if log_odds(self.samples, &scratch.here, &scratch.touches, self.params.outlier_share) <= 0.0 {
+            candidates.truncate(1);
+            return end;
+        }
+        let (end, is_cut) = Others::new(self, (&best, end.converged), (scratch, settled)).find(candidates, runners_up, end);
+        self.is_cut = is_cut;
+        if self.work > before {
+            self.read(&mut candidates[0], scratch, settled);
+        }
+        end
+    }
+
+    /// Leaves the readings of a pose, and what the gel does there if it is asked, in the scratch.
+    fn read(&mut self, best: &mut Candidate, scratch: &mut PolishScratch, settled: &mut SettledScratch) {
+        if self.is_settled {
+            self.work += self.settled(true).run(best, &[], (0, self.budget()), settled).work;
+        }
+        self.work += self.polish(self.faces).compare(&best.placement, scratch).1;
     }
 
     fn settled(&self, is_exact: bool) -> Settled<'_> {
@@ -230,6 +288,17 @@ impl Search<'_> {
         end
     }
 
+    /// A stage of a pose that comes after the best one, by what the gel would do.
+    pub fn settle_on(&mut self, one: &mut Candidate, stage: Stage, settled: &mut SettledScratch) -> End {
+        let most = self.params.max_iterations.min(MOST_STEPS);
+        let steps: (bool, &[f64], u32) = match stage {
+            Stage::Field => (false, FIELD_WIDTH, 0),
+            Stage::First => (true, SHARP, 0),
+            Stage::Last => (true, &[], most),
+        };
+        self.settle_all(core::slice::from_mut(one), steps, settled)
+    }
+
     /// How the best one ended.
     fn settle_all(
         &mut self,
@@ -273,29 +342,49 @@ impl Search<'_> {
         end
     }
 
+    /// A stage of a pose that comes after the best one.
+    pub fn finish_on(&mut self, one: &mut Candidate, stage: Stage, scratch: &mut PolishScratch) -> End {
+        match stage {
+            Stage::Field => {
+                let left = self.budget().saturating_sub(self.work);
+                let end = self.polish(self.field).run(one, FIELD_STEPS, left, scratch);
+                self.work += end.work;
+                end
+            }
+            Stage::First => self.polish_one(one, FIRST_STEPS, scratch),
+            Stage::Last => self.polish_one(one, self.params.max_iterations.min(MOST_STEPS), scratch),
+        }
+    }
+
+    /// How it ended.
+    fn polish_one(&mut self, candidate: &mut Candidate, most: u32, scratch: &mut PolishScratch) -> End {
+        let left = self.budget().saturating_sub(self.work);
+        let polish = self.polish(self.faces);
+        let end = polish.run(candidate, most, left, scratch);
+        let (cost, work) = polish.compare(&candidate.placement, scratch);
+        candidate.cost = cost;
+        self.work += end.work + work;
+        end
+    }
+
     /// How the best one ended.
     fn polish_all(&mut self, candidates: &mut Vec<Candidate>, most: u32, scratch: &mut PolishScratch) -> End {
         let mut best = (f64::INFINITY, End { converged: false, iterations: 0, work: 0 });
         for k in 0..candidates.len() {
-            let left = self.budget().saturating_sub(self.work);
-            if k > 0 && left == 0 {
+            if k > 0 && self.has_spent() {
                 candidates.truncate(k);
                 break;
             }
-            let polish = self.polish(self.faces);
-            let end = polish.run(&mut candidates[k], most, left, scratch);
-            let (cost, work) = polish.compare(&candidates[k].placement, scratch);
-            candidates[k].cost = cost;
-            self.work += end.work + work;
-            if cost < best.0 {
-                best = (cost, end);
+            let end = self.polish_one(&mut candidates[k], most, scratch);
+            if candidates[k].cost < best.0 {
+                best = (candidates[k].cost, end);
             }
         }
         best.1
     }
 
     /// Steps of all candidates, and the choice of those that go on.
-    fn round(&mut self, candidates: &mut Vec<Candidate>, round: &Round, unpressed: usize) {
+    fn round(&mut self, candidates: &mut [Candidate], round: &Round, unpressed: usize) {
         let view = View::of(
             self.samples,
             round.pressed.min(self.samples.spread_count),
@@ -317,7 +406,7 @@ impl Search<'_> {
             candidate.cost = view.look(&self.field, &candidate.placement, last).cost;
             self.work += view.len();
         }
-        keep(candidates, round.keeps, self.samples.radius_mm, round.same_mm);
+        insertion_sort(candidates);
     }
 
     fn step(&mut self, candidate: &mut Candidate, view: &View<'_>, width_mm: f64) {
@@ -356,7 +445,7 @@ fn keep(candidates: &mut Vec<Candidate>, most: usize, radius_mm: f64, same_mm: f
 }
 
 /// The standard library's stable sort allocates.
-fn insertion_sort(candidates: &mut [Candidate]) {
+pub(super) fn insertion_sort(candidates: &mut [Candidate]) {
     for k in 1..candidates.len() {
         let mut at = k;
         while at > 0 && candidates[at].cost < candidates[at - 1].cost {
