@@ -308,7 +308,7 @@ impl Search<'_> {
             for &width_mm in steps {
                 self.step(candidate, &view, width_mm);
             }
-            candidate.cost = view.look(&self.field, &candidate.placement, last).cost;
+            candidate.cost = view.cost(&self.field, &candidate.placement, last);
             self.work += view.len();
         }
         keep(candidates, round.keeps, self.samples.radius_mm, round.same_mm);
