@@ -12,6 +12,7 @@ mod contact;
 mod evidence;
 mod fit;
 mod gel;
+mod lattice;
 mod noise;
 mod odds;
 mod part;

@@ -6,6 +6,7 @@
 
 use super::contact::Samples;
 use super::gel::{Gel, Node};
+use super::lattice::Sweeps;
 use super::part::{Coarse, Exact, Foot, UNDER_MM};
 use super::polish::End;
 use super::rest::{DECAY_LOGS, Rest};
@@ -82,6 +83,8 @@ pub(super) struct SettledScratch {
     there: Prediction,
     obstacle_mm: Vec<f64>,
     changes: Vec<Row>,
+    sweeps: Sweeps,
+    cells: Vec<Row>,
     rows: Vec<Row>,
     hints: Vec<u32>,
 }
@@ -181,7 +184,7 @@ impl Settled<'_> {
 
     /// What a state predicts, into `there`: where the part is, and the heights of the gel.
     fn predict_heights(&self, state: &Candidate, scratch: &mut SettledScratch) -> u64 {
-        let SettledScratch { there, obstacle_mm, hints, .. } = scratch;
+        let SettledScratch { there, obstacle_mm, hints, sweeps, .. } = scratch;
         let (placement, gel) = (&state.placement, self.gel());
         let press = placement.object_direction(self.press_direction);
         let per_radius = 1.0 / self.samples.radius_mm;
@@ -208,8 +211,8 @@ impl Settled<'_> {
                 weight: 0.0,
             });
         }
-        let sweeps =
-            gel.settle(gel.stiffness(state.rest.log_decay), MOST_SWEEPS, obstacle_mm, &mut there.heights_mm);
+        let stiffness = gel.stiffness(state.rest.log_decay);
+        let sweeps = gel.settle((stiffness, MOST_SWEEPS), obstacle_mm, &mut there.heights_mm, sweeps);
         for (sight, height_mm) in there.sights.iter_mut().zip(&there.heights_mm) {
             sight.residual_mm -= height_mm;
         }
@@ -260,16 +263,17 @@ impl Settled<'_> {
     }
 
     /// How predictions change with what is sought; returns the work.
-    fn follow(&self, state: &Candidate, sweeps: u32, scratch: &mut SettledScratch) -> u64 {
-        let SettledScratch { here, changes, .. } = scratch;
+    fn follow(&self, state: &Candidate, scratch: &mut SettledScratch) -> u64 {
+        let SettledScratch { here, changes, sweeps, cells, .. } = scratch;
         let gel = self.gel();
         for ((node, sight), change) in gel.nodes.iter().zip(&here.sights).zip(&mut *changes) {
             let Some(foot) = sight.foot.as_ref().filter(|_| sight.touches) else { continue };
             *change = self.touching_row(state, node, foot);
         }
         let touches = |k: usize| here.sights[k].touches;
-        let sweeps =
-            gel.follow((gel.stiffness(state.rest.log_decay), sweeps), (touches, &here.heights_mm), changes);
+        let stiffness = gel.stiffness(state.rest.log_decay);
+        let seen = (touches, &here.heights_mm[..]);
+        let sweeps = gel.follow((stiffness, FEW_SWEEPS), seen, changes, (sweeps, cells));
         u64::from(sweeps) * (gel.nodes.len() * UNKNOWN) as u64 / SWEEPS_A_LOOKUP / 4
     }
 
@@ -293,7 +297,7 @@ impl Settled<'_> {
 
     /// Heights of a state beside that of `here`, on the field, into `there`.
     fn beside(&self, state: &Candidate, scale_mm: f64, scratch: &mut SettledScratch) -> u64 {
-        let SettledScratch { here, there, obstacle_mm, .. } = scratch;
+        let SettledScratch { here, there, obstacle_mm, sweeps, .. } = scratch;
         let (placement, gel) = (&state.placement, self.gel());
         let press = placement.object_direction(self.press_direction);
         let per_radius = 1.0 / self.samples.radius_mm;
@@ -316,7 +320,7 @@ impl Settled<'_> {
         there.heights_mm.clear();
         there.heights_mm.extend_from_slice(&here.heights_mm);
         let stiffness = gel.stiffness(state.rest.log_decay);
-        let sweeps = gel.settle(stiffness, FEW_SWEEPS, obstacle_mm, &mut there.heights_mm);
+        let sweeps = gel.settle((stiffness, FEW_SWEEPS), obstacle_mm, &mut there.heights_mm, sweeps);
         lookups + u64::from(sweeps) * gel.nodes.len() as u64 / SWEEPS_A_LOOKUP
     }
 
@@ -328,7 +332,7 @@ impl Settled<'_> {
         scale_mm: f64,
         scratch: &mut SettledScratch,
     ) -> (Symmetric<UNKNOWN>, Row, [[f64; 6]; 6], u64) {
-        let mut work = self.follow(state, FEW_SWEEPS, scratch);
+        let mut work = self.follow(state, scratch);
         self.fill_rows(scratch);
         let (h, _) = self.system(&scratch.rows, &scratch.here);
         let spectrum = eigen(&without_rest(h));
