@@ -5,7 +5,7 @@ use super::fit::View;
 use super::part::{Coarse, Distances, Exact};
 use super::polish::{End, OUT_OF_REACH_MM, Polish, PolishScratch};
 use super::rest::Rest;
-use super::settled::{Settled, SettledScratch};
+use super::settled::{KEPT, Settled, SettledScratch};
 use super::starts::start;
 use super::step::{Placement, Prior};
 use crate::math::linalg::Symmetric;
@@ -19,13 +19,15 @@ pub(super) struct Candidate {
     pub placement: Placement,
     /// Of the gel, where it is asked.
     pub rest: Rest,
+    /// Which of the kept predictions is its own, where the gel is asked.
+    pub slot: usize,
     /// The lower the better; comparable within a round.
     pub cost: f64,
 }
 
 impl Candidate {
     fn at(placement: Placement) -> Self {
-        Self { placement, rest: Rest::UNKNOWN, cost: f64::INFINITY }
+        Self { placement, rest: Rest::UNKNOWN, slot: 0, cost: f64::INFINITY }
     }
 }
 
@@ -41,7 +43,7 @@ struct Round {
 
 const FIRST: Round = Round { pressed: COARSE, widths_mm: &[1.5, 0.8, 0.4, 0.3], keeps: 32, same_mm: 0.0 };
 const SECOND: Round =
-    Round { pressed: MEDIUM, widths_mm: &[0.6, 0.3, 0.2, 0.12, 0.1], keeps: 8, same_mm: 0.1 };
+    Round { pressed: MEDIUM, widths_mm: &[0.6, 0.3, 0.2, 0.12, 0.1], keeps: KEPT, same_mm: 0.1 };
 /// From a guess that is close: coarse looks, and steps on the field that are not checked. A step on the exact surface costs
 /// several of them.
 const CLOSE: &[f64] = &[0.5, 0.25, 0.15];
@@ -62,9 +64,10 @@ const MOST_STEPS: u32 = 15;
 const HOPELESS: f64 = 12.0;
 /// With fewer of the markers around the contact explained the gel is another than it is said to be, and is not asked.
 const EXPLAINED: f64 = 0.75;
-/// Widths of the steps that ask the gel, on the field and on the exact surface.
-const BLURRED: &[(&[f64], usize)] = &[(&[0.3], 5), (&[0.2], 3), (&[0.1], 2)];
-const SHARP: &[f64] = &[0.05];
+/// Widths of the steps that ask the gel on the field, and how many candidates go on from there.
+const BLURRED: [(f64, usize); 3] = [(0.3, 5), (0.2, 3), (0.1, 2)];
+/// Width of the first step on the exact surface.
+const SHARP_MM: f64 = 0.05;
 /// The guess counts little while weights are those of wide laws.
 const COARSE_PRIOR: f64 = 0.1;
 /// Longest step of a coarse look.
@@ -156,8 +159,7 @@ impl Search<'_> {
         self.round(candidates, &SECOND, self.samples.medium_unpressed);
         self.is_settled = false;
         if self.samples.gel.is_known() {
-            let before: [Option<Candidate>; SECOND.keeps] =
-                core::array::from_fn(|k| candidates.get(k).copied());
+            let before: [Option<Candidate>; KEPT] = core::array::from_fn(|k| candidates.get(k).copied());
             let end = self.settle(candidates, scratch, settled);
             self.is_settled = self.settled(true).explained(&settled.here) >= EXPLAINED;
             if self.is_settled {
@@ -206,38 +208,59 @@ impl Search<'_> {
         settled: &mut SettledScratch,
     ) -> End {
         let rest = Rest { plane_mm: self.samples.gel.rest_plane(self.samples.radius_mm), log_decay: 0.0 };
-        candidates.iter_mut().for_each(|candidate| candidate.rest = rest);
-        for (widths_mm, keeps) in BLURRED {
-            self.settle_all(candidates, (false, widths_mm, 0), settled);
-            keep(candidates, *keeps, self.samples.radius_mm, SECOND.same_mm);
+        for (slot, candidate) in candidates.iter_mut().enumerate() {
+            (candidate.rest, candidate.slot) = (rest, slot);
         }
-        self.settle_all(candidates, (true, SHARP, 0), settled);
+        self.begin_all(false, candidates, settled);
+        for (width_mm, keeps) in BLURRED {
+            self.blurred_all((false, width_mm), candidates, settled);
+            keep(candidates, keeps, self.samples.radius_mm, SECOND.same_mm);
+        }
+        self.begin_all(true, candidates, settled);
+        self.blurred_all((true, SHARP_MM), candidates, settled);
         keep(candidates, FINALISTS, 0.0, 0.0);
         let hopeless = candidates[0].cost + HOPELESS;
         let near = candidates.iter().take_while(|c| c.cost < hopeless).count();
         candidates.truncate(near.max(1));
-        let mut end =
-            self.settle_all(candidates, (true, &[], self.params.max_iterations.min(MOST_STEPS)), settled);
+        let end = self.settle_all(candidates, self.params.max_iterations.min(MOST_STEPS), settled);
         keep(candidates, FINALISTS, 0.0, 0.0);
-        end.work += self.settle_all(&mut candidates[..1], (true, &[], 0), settled).work;
+        settled.show(candidates[0].slot);
         self.work += self.polish(self.faces).compare(&candidates[0].placement, scratch).1;
         end
     }
 
-    /// How the best one ended.
-    fn settle_all(
+    /// What the gel would do at the candidates as they stand. Those for which no budget is left are dropped.
+    fn begin_all(&mut self, is_exact: bool, candidates: &mut Vec<Candidate>, settled: &mut SettledScratch) {
+        for k in 0..candidates.len() {
+            if k > 0 && self.work >= self.budget() {
+                return candidates.truncate(k);
+            }
+            self.work += self.settled(is_exact).begin(&mut candidates[k], settled);
+        }
+    }
+
+    fn blurred_all(
         &mut self,
+        (is_exact, width_mm): (bool, f64),
         candidates: &mut [Candidate],
-        (is_exact, widths_mm, most): (bool, &[f64], u32),
         settled: &mut SettledScratch,
-    ) -> End {
+    ) {
+        for candidate in candidates {
+            if self.work < self.budget() {
+                self.work += self.settled(is_exact).blurred(candidate, width_mm, settled);
+            }
+        }
+    }
+
+    /// How the best one ended.
+    fn settle_all(&mut self, candidates: &mut [Candidate], most: u32, settled: &mut SettledScratch) -> End {
         let mut best = (f64::INFINITY, End { converged: false, iterations: 0, work: 0 });
         for k in 0..candidates.len() {
             if k > 0 && self.work >= self.budget() {
                 break;
             }
             let left = self.budget().saturating_sub(self.work);
-            let end = self.settled(is_exact).run(&mut candidates[k], widths_mm, (most, left), settled);
+            let end = self.settled(true).run(&mut candidates[k], (most, left), settled);
             self.work += end.work;
             if candidates[k].cost < best.0 {
                 best = (candidates[k].cost, end);
