@@ -31,19 +31,33 @@ impl Candidate {
     }
 }
 
-/// One round of screening: how many salient points it looks at, the widths of its steps, the last for the cost alone,
-/// and how many candidates it keeps.
+/// One round of screening.
 struct Round {
+    /// How many salient points it looks at.
     pressed: usize,
-    widths_mm: &'static [f64],
+    /// Widths of its steps, and how many candidates go on from each: the cheapest as they stood before it.
+    steps: &'static [(f64, usize)],
+    /// The width that candidates are compared by in the end, and how many are kept.
+    last_mm: f64,
     keeps: usize,
     /// Candidates closer than this, over the patch, are one.
     same_mm: f64,
 }
 
-const FIRST: Round = Round { pressed: COARSE, widths_mm: &[1.5, 0.8, 0.4, 0.3], keeps: 32, same_mm: 0.0 };
-const SECOND: Round =
-    Round { pressed: MEDIUM, widths_mm: &[0.6, 0.3, 0.2, 0.12, 0.1], keeps: KEPT, same_mm: 0.1 };
+const FIRST: Round = Round {
+    pressed: COARSE,
+    steps: &[(1.5, usize::MAX), (0.8, 96), (0.4, 48)],
+    last_mm: 0.3,
+    keeps: 32,
+    same_mm: 0.0,
+};
+const SECOND: Round = Round {
+    pressed: MEDIUM,
+    steps: &[(0.6, 32), (0.3, 24), (0.2, 14), (0.12, 10)],
+    last_mm: 0.1,
+    keeps: KEPT,
+    same_mm: 0.1,
+};
 /// From a guess that is close: coarse looks, and steps on the field that are not checked. A step on the exact surface costs
 /// several of them.
 const CLOSE: &[f64] = &[0.5, 0.25, 0.15];
@@ -319,31 +333,37 @@ impl Search<'_> {
             unpressed,
             self.press_direction,
         );
-        for candidate in candidates.iter_mut() {
-            candidate.cost = f64::INFINITY;
-            if self.work >= self.budget() {
-                continue;
-            }
-            let (last, steps) = match round.widths_mm.split_last() {
-                Some((last, steps)) => (*last, steps),
-                None => continue,
-            };
-            for &width_mm in steps {
-                self.step(candidate, &view, width_mm);
-            }
-            candidate.cost = view.cost(&self.field, &candidate.placement, last);
-            self.work += view.len();
+        for &(width_mm, keeps) in round.steps {
+            self.each(candidates, |search, candidate| search.step(candidate, &view, width_mm));
+            keep(candidates, keeps, 0.0, 0.0);
         }
+        self.each(candidates, |search, candidate| {
+            search.work += view.len();
+            view.cost(&search.field, &candidate.placement, round.last_mm)
+        });
         keep(candidates, round.keeps, self.samples.radius_mm, round.same_mm);
     }
 
-    fn step(&mut self, candidate: &mut Candidate, view: &View<'_>, width_mm: f64) {
+    /// Does what tells a candidate's cost, to all of them or until the budget is spent.
+    fn each(&mut self, candidates: &mut [Candidate], mut cost: impl FnMut(&mut Self, &mut Candidate) -> f64) {
+        if self.work >= self.budget() {
+            return;
+        }
+        for candidate in candidates {
+            candidate.cost = if self.work < self.budget() { cost(self, candidate) } else { f64::INFINITY };
+        }
+    }
+
+    /// A coarse step; what the candidate cost before it.
+    fn step(&mut self, candidate: &mut Candidate, view: &View<'_>, width_mm: f64) -> f64 {
         let mut sum = view.look(&self.field, &candidate.placement, width_mm);
         self.work += view.len();
+        let cost = sum.cost;
         sum.add_prior(&self.prior, &candidate.placement, view.radius_mm, COARSE_PRIOR);
         if let Some((omega, v)) = sum.solve(view.radius_mm, LONGEST_MM) {
             candidate.placement = candidate.placement.moved(omega, v);
         }
+        cost
     }
 }
 
