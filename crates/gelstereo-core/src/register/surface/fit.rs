@@ -2,7 +2,7 @@
 
 use super::contact::{Sample, Samples};
 use super::noise::{coarse_pressed, coarse_unpressed};
-use super::part::{Coarse, press_in_object};
+use super::part::{Coarse, Near, press_in_object};
 use super::step::{Normal, Placement};
 use crate::math::DVec3;
 
@@ -33,25 +33,42 @@ impl<'a> View<'a> {
 
     /// The linear system of a placement, all points with the same width.
     pub fn look(&self, part: &Coarse<'_>, placement: &Placement, width_mm: f64) -> Normal {
-        let press = press_in_object(placement, self.press_direction);
         let (per_radius, per_width) = (1.0 / self.radius_mm, 1.0 / width_mm);
         let mut sum = Normal::ZERO;
-        for sample in self.pressed {
-            let near = part.near_at(placement.object_point(sample.p_mm), press);
-            let (weight, cost) = coarse_pressed(near.distance_mm * per_width);
+        self.each(part, placement, per_width, |sample, near, (weight, cost)| {
             let n = placement.sensor_direction(near.normal);
             sum.add(sample.p_mm, n, near.distance_mm, weight * per_width * per_width, per_radius);
             sum.cost += cost;
+        });
+        sum
+    }
+
+    /// Its cost alone.
+    pub fn cost(&self, part: &Coarse<'_>, placement: &Placement, width_mm: f64) -> f64 {
+        let mut sum = 0.0;
+        self.each(part, placement, 1.0 / width_mm, |_, _, (_, cost)| sum += cost);
+        sum
+    }
+
+    /// Every point that says something, with its weight and cost.
+    #[inline]
+    fn each(
+        &self,
+        part: &Coarse<'_>,
+        placement: &Placement,
+        per_width: f64,
+        mut seen: impl FnMut(&Sample, &Near, (f64, f64)),
+    ) {
+        let press = press_in_object(placement, self.press_direction);
+        for sample in self.pressed {
+            let near = part.near_at(placement.object_point(sample.p_mm), press);
+            seen(sample, &near, coarse_pressed(near.distance_mm * per_width));
         }
         for sample in self.unpressed {
             let near = part.within(placement.object_point(sample.p_mm), press);
             if let Some(near) = near.filter(|near| near.distance_mm < 0.0) {
-                let (weight, cost) = coarse_unpressed(near.distance_mm * per_width);
-                let n = placement.sensor_direction(near.normal);
-                sum.add(sample.p_mm, n, near.distance_mm, weight * per_width * per_width, per_radius);
-                sum.cost += cost;
+                seen(sample, &near, coarse_unpressed(near.distance_mm * per_width));
             }
         }
-        sum
     }
 }

@@ -54,14 +54,15 @@ impl Settled<'_> {
         counts_per_mm2.clear();
         counts_per_mm2.resize(gel.nodes.len(), 0.0);
         let touched = |k: usize| here.sights[k].foot.as_ref().filter(|_| here.sights[k].touches);
-        for (k, near, free_mm) in gel.around(gel.stiffness(state.rest.log_decay), &here.heights_mm) {
+        let stiffness = gel.stiffness(state.rest.log_decay);
+        for (k, sight) in here.sights.iter().enumerate() {
             let Some(foot) = touched(k) else { continue };
-            let sight = &here.sights[k];
+            let free_mm = gel.free_mm(k, stiffness, &here.heights_mm);
             if here.heights_mm[k] - free_mm < LIFTS * sqrt(sight.variance_mm2) {
                 continue;
             }
             let slope = foot.normal / foot.normal.dot(press);
-            let wrong_squared = near.iter().map(|&j| j as usize).fold(0.0, |most: f64, j| {
+            let wrong_squared = gel.near(k).fold(0.0, |most: f64, j| {
                 let Some(other) = touched(j).filter(|other| other.normal.dot(foot.normal) < CREASE_COS)
                 else {
                     return most;

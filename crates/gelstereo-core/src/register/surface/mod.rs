@@ -13,6 +13,7 @@ mod evidence;
 mod fit;
 mod gel;
 mod information;
+mod lattice;
 mod noise;
 mod odds;
 mod others;

@@ -86,7 +86,7 @@ impl<'a, 'b> Others<'a, 'b> {
                 self.is_cut = true;
                 break;
             }
-            let mut seed = Candidate { rest: self.best.rest, ..seeds[next] };
+            let mut seed = Candidate { rest: self.best.rest, slot: self.best.slot, ..seeds[next] };
             next += 1;
             match self.polish(&mut seed, candidates) {
                 Polished::Hopeless => in_vain += 1,
@@ -120,7 +120,7 @@ impl<'a, 'b> Others<'a, 'b> {
         for k in 0..seeds.len() {
             let placement = self.carried(&seeds[k].placement);
             let cost = seeds[k].cost - first + self.guess_cost(&placement) - guess;
-            let seed = Candidate { placement, rest: self.best.rest, cost };
+            let seed = Candidate { placement, cost, ..self.best };
             if cost <= LEAST_LOG && self.is_new(&placement, &seeds[..count], &candidates[..1]) {
                 seeds[count] = seed;
                 count += 1;
@@ -226,7 +226,7 @@ impl<'a, 'b> Others<'a, 'b> {
                         self.is_cut = true;
                         return;
                     }
-                    seeds.push(Candidate { placement, rest: self.best.rest, cost });
+                    seeds.push(Candidate { placement, cost, ..self.best });
                 }
             }
         }

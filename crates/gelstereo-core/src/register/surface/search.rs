@@ -8,7 +8,7 @@ use super::others::Others;
 use super::part::{Coarse, Distances, Exact};
 use super::polish::{End, OUT_OF_REACH_MM, Polish, PolishScratch};
 use super::rest::Rest;
-use super::settled::{Settled, SettledScratch};
+use super::settled::{KEPT, Settled, SettledScratch};
 use super::starts::start;
 use super::step::{Placement, Prior};
 use crate::math::{DVec3, sqrt};
@@ -22,29 +22,45 @@ pub(super) struct Candidate {
     pub placement: Placement,
     /// Of the gel, where it is asked.
     pub rest: Rest,
+    /// Which of the kept predictions is its own, where the gel is asked.
+    pub slot: usize,
     /// The lower the better; comparable within a round.
     pub cost: f64,
 }
 
 impl Candidate {
     fn at(placement: Placement) -> Self {
-        Self { placement, rest: Rest::UNKNOWN, cost: f64::INFINITY }
+        Self { placement, rest: Rest::UNKNOWN, slot: 0, cost: f64::INFINITY }
     }
 }
 
-/// One round of screening: how many salient points it looks at, the widths of its steps, the last for the cost alone,
-/// and how many candidates it keeps.
+/// One round of screening.
 struct Round {
+    /// How many salient points it looks at.
     pressed: usize,
-    widths_mm: &'static [f64],
+    /// Widths of its steps, and how many candidates go on from each: the cheapest as they stood before it.
+    steps: &'static [(f64, usize)],
+    /// The width that candidates are compared by in the end, and how many are kept.
+    last_mm: f64,
     keeps: usize,
     /// Candidates closer than this, over the patch, are one.
     same_mm: f64,
 }
 
-const FIRST: Round = Round { pressed: COARSE, widths_mm: &[1.5, 0.8, 0.4, 0.3], keeps: 32, same_mm: 0.0 };
-const SECOND: Round =
-    Round { pressed: MEDIUM, widths_mm: &[0.6, 0.3, 0.2, 0.12, 0.1], keeps: 8, same_mm: 0.1 };
+const FIRST: Round = Round {
+    pressed: COARSE,
+    steps: &[(1.5, usize::MAX), (0.8, 96), (0.4, 48)],
+    last_mm: 0.3,
+    keeps: 32,
+    same_mm: 0.0,
+};
+const SECOND: Round = Round {
+    pressed: MEDIUM,
+    steps: &[(0.6, usize::MAX), (0.3, usize::MAX), (0.2, usize::MAX), (0.12, usize::MAX)],
+    last_mm: 0.1,
+    keeps: KEPT,
+    same_mm: 0.1,
+};
 /// From a guess that is close: coarse looks, and steps on the field that are not checked. A step on the exact surface costs
 /// several of them.
 const CLOSE: &[f64] = &[0.5, 0.25, 0.15];
@@ -65,11 +81,12 @@ const MOST_STEPS: u32 = 15;
 pub(super) const HOPELESS: f64 = 12.0;
 /// With fewer of the markers around the contact explained the gel is another than it is said to be, and is not asked.
 const EXPLAINED: f64 = 0.75;
-/// Widths of the steps that ask the gel, on the field and on the exact surface.
-const BLURRED: &[(&[f64], usize)] = &[(&[0.3], 5), (&[0.2], 3), (&[0.1], 2)];
-const SHARP: &[f64] = &[0.05];
+/// Widths of the steps that ask the gel on the field, and how many candidates go on from there.
+const BLURRED: [(f64, usize); 3] = [(0.3, 5), (0.2, 3), (0.1, 2)];
+/// Width of the first step on the exact surface.
+const SHARP_MM: f64 = 0.05;
 /// Width on the field of those that come after the best one, which are near their end.
-const FIELD_WIDTH: &[f64] = &[0.1];
+const FIELD_MM: f64 = 0.1;
 /// The guess counts little while weights are those of wide laws.
 const COARSE_PRIOR: f64 = 0.1;
 /// Longest step of a coarse look.
@@ -183,8 +200,7 @@ impl Search<'_> {
         keep(candidates, SECOND.keeps, self.samples.radius_mm, SECOND.same_mm);
         self.is_settled = false;
         if self.samples.gel.is_known() {
-            let before: [Option<Candidate>; SECOND.keeps] =
-                core::array::from_fn(|k| candidates.get(k).copied());
+            let before: [Option<Candidate>; KEPT] = core::array::from_fn(|k| candidates.get(k).copied());
             let end = self.settle(candidates, scratch, settled);
             // A pose that was not reached explains little, and there is nothing left to do without the gel.
             self.is_settled =
@@ -237,7 +253,8 @@ impl Search<'_> {
     /// Leaves the readings of a pose, and what the gel does there if it is asked, in the scratch.
     fn read(&mut self, best: &mut Candidate, scratch: &mut PolishScratch, settled: &mut SettledScratch) {
         if self.is_settled {
-            self.work += self.settled(true).run(best, &[], (0, self.budget()), settled).work;
+            self.work += self.settled(true).begin(best, settled);
+            settled.show(best.slot);
         }
         self.work += self.polish(self.faces).compare(&best.placement, scratch).1;
     }
@@ -270,49 +287,73 @@ impl Search<'_> {
         settled: &mut SettledScratch,
     ) -> End {
         let rest = Rest { plane_mm: self.samples.gel.rest_plane(self.samples.radius_mm), log_decay: 0.0 };
-        candidates.iter_mut().for_each(|candidate| candidate.rest = rest);
-        for (widths_mm, keeps) in BLURRED {
-            self.settle_all(candidates, (false, widths_mm, 0), settled);
-            keep(candidates, *keeps, self.samples.radius_mm, SECOND.same_mm);
+        for (slot, candidate) in candidates.iter_mut().enumerate() {
+            (candidate.rest, candidate.slot) = (rest, slot);
         }
-        self.settle_all(candidates, (true, SHARP, 0), settled);
+        self.begin_all(false, candidates, settled);
+        for (width_mm, keeps) in BLURRED {
+            self.blurred_all((false, width_mm), candidates, settled);
+            keep(candidates, keeps, self.samples.radius_mm, SECOND.same_mm);
+        }
+        self.begin_all(true, candidates, settled);
+        self.blurred_all((true, SHARP_MM), candidates, settled);
         keep(candidates, FINALISTS, 0.0, 0.0);
         let hopeless = candidates[0].cost + HOPELESS;
         let near = candidates.iter().take_while(|c| c.cost < hopeless).count();
         candidates.truncate(near.max(1));
-        let mut end =
-            self.settle_all(candidates, (true, &[], self.params.max_iterations.min(MOST_STEPS)), settled);
+        let end = self.settle_all(candidates, self.params.max_iterations.min(MOST_STEPS), settled);
         keep(candidates, FINALISTS, 0.0, 0.0);
-        end.work += self.settle_all(&mut candidates[..1], (true, &[], 0), settled).work;
+        settled.show(candidates[0].slot);
         self.work += self.polish(self.faces).compare(&candidates[0].placement, scratch).1;
         end
     }
 
     /// A stage of a pose that comes after the best one, by what the gel would do.
     pub fn settle_on(&mut self, one: &mut Candidate, stage: Stage, settled: &mut SettledScratch) -> End {
-        let most = self.params.max_iterations.min(MOST_STEPS);
-        let steps: (bool, &[f64], u32) = match stage {
-            Stage::Field => (false, FIELD_WIDTH, 0),
-            Stage::First => (true, SHARP, 0),
-            Stage::Last => (true, &[], most),
-        };
-        self.settle_all(core::slice::from_mut(one), steps, settled)
+        let way = self.settled(stage != Stage::Field);
+        let mut work = way.begin(one, settled);
+        match stage {
+            Stage::Field => work += way.blurred(one, FIELD_MM, settled),
+            Stage::First => work += way.blurred(one, SHARP_MM, settled),
+            Stage::Last => {}
+        }
+        self.work += work;
+        let most = if stage == Stage::Last { self.params.max_iterations.min(MOST_STEPS) } else { 0 };
+        self.settle_all(core::slice::from_mut(one), most, settled)
+    }
+
+    /// What the gel would do at the candidates as they stand. Those for which no budget is left are dropped.
+    fn begin_all(&mut self, is_exact: bool, candidates: &mut Vec<Candidate>, settled: &mut SettledScratch) {
+        for k in 0..candidates.len() {
+            if k > 0 && self.work >= self.budget() {
+                return candidates.truncate(k);
+            }
+            self.work += self.settled(is_exact).begin(&mut candidates[k], settled);
+        }
+    }
+
+    fn blurred_all(
+        &mut self,
+        (is_exact, width_mm): (bool, f64),
+        candidates: &mut [Candidate],
+        settled: &mut SettledScratch,
+    ) {
+        for candidate in candidates {
+            if self.work < self.budget() {
+                self.work += self.settled(is_exact).blurred(candidate, width_mm, settled);
+            }
+        }
     }
 
     /// How the best one ended.
-    fn settle_all(
-        &mut self,
-        candidates: &mut [Candidate],
-        (is_exact, widths_mm, most): (bool, &[f64], u32),
-        settled: &mut SettledScratch,
-    ) -> End {
+    fn settle_all(&mut self, candidates: &mut [Candidate], most: u32, settled: &mut SettledScratch) -> End {
         let mut best = (f64::INFINITY, End { converged: false, iterations: 0, work: 0 });
         for k in 0..candidates.len() {
             if k > 0 && self.work >= self.budget() {
                 break;
             }
             let left = self.budget().saturating_sub(self.work);
-            let end = self.settled(is_exact).run(&mut candidates[k], widths_mm, (most, left), settled);
+            let end = self.settled(true).run(&mut candidates[k], (most, left), settled);
             self.work += end.work;
             if candidates[k].cost < best.0 {
                 best = (candidates[k].cost, end);
@@ -384,38 +425,44 @@ impl Search<'_> {
     }
 
     /// Steps of all candidates, and the choice of those that go on.
-    fn round(&mut self, candidates: &mut [Candidate], round: &Round, unpressed: usize) {
+    fn round(&mut self, candidates: &mut Vec<Candidate>, round: &Round, unpressed: usize) {
         let view = View::of(
             self.samples,
             round.pressed.min(self.samples.spread_count),
             unpressed,
             self.press_direction,
         );
-        for candidate in candidates.iter_mut() {
-            candidate.cost = f64::INFINITY;
-            if self.work >= self.budget() {
-                continue;
-            }
-            let (last, steps) = match round.widths_mm.split_last() {
-                Some((last, steps)) => (*last, steps),
-                None => continue,
-            };
-            for &width_mm in steps {
-                self.step(candidate, &view, width_mm);
-            }
-            candidate.cost = view.look(&self.field, &candidate.placement, last).cost;
-            self.work += view.len();
+        for &(width_mm, keeps) in round.steps {
+            self.each(candidates, |search, candidate| search.step(candidate, &view, width_mm));
+            keep(candidates, keeps, 0.0, 0.0);
         }
+        self.each(candidates, |search, candidate| {
+            search.work += view.len();
+            view.cost(&search.field, &candidate.placement, round.last_mm)
+        });
         insertion_sort(candidates);
     }
 
-    fn step(&mut self, candidate: &mut Candidate, view: &View<'_>, width_mm: f64) {
+    /// Does what tells a candidate's cost, to all of them or until the budget is spent.
+    fn each(&mut self, candidates: &mut [Candidate], mut cost: impl FnMut(&mut Self, &mut Candidate) -> f64) {
+        if self.work >= self.budget() {
+            return;
+        }
+        for candidate in candidates {
+            candidate.cost = if self.work < self.budget() { cost(self, candidate) } else { f64::INFINITY };
+        }
+    }
+
+    /// A coarse step; what the candidate cost before it.
+    fn step(&mut self, candidate: &mut Candidate, view: &View<'_>, width_mm: f64) -> f64 {
         let mut sum = view.look(&self.field, &candidate.placement, width_mm);
         self.work += view.len();
+        let cost = sum.cost;
         sum.add_prior(&self.prior, &candidate.placement, view.radius_mm, COARSE_PRIOR);
         if let Some((omega, v)) = sum.solve(view.radius_mm, LONGEST_MM) {
             candidate.placement = candidate.placement.moved(omega, v);
         }
+        cost
     }
 }
 

@@ -6,6 +6,7 @@
 
 use super::contact::Samples;
 use super::gel::{Gel, Node};
+use super::lattice::Sweeps;
 use super::part::{Coarse, Exact, Foot, UNDER_MM};
 use super::polish::End;
 use super::rest::{DECAY_LOGS, Rest};
@@ -15,6 +16,7 @@ use crate::math::linalg::{Symmetric, eigen};
 use crate::math::{DVec3, abs, exp, ln, sqrt};
 use crate::params::RegisterParams;
 use alloc::vec::Vec;
+use core::mem::swap;
 
 /// Turn and shift of the part, the plane of rest, and the logarithm of l².
 const UNKNOWN: usize = 10;
@@ -62,6 +64,8 @@ pub(super) struct Sight {
     pub touches: bool,
     /// Measured over predicted height.
     pub residual_mm: f64,
+    /// Between the gel and the part.
+    gap_mm: f64,
     pub variance_mm2: f64,
     /// Probability that it is no outlier.
     pub weight: f64,
@@ -75,17 +79,50 @@ pub(super) struct Prediction {
     cost: f64,
 }
 
+impl Prediction {
+    /// Heights to begin from are those of another.
+    fn begin_as(&mut self, other: &Self) {
+        self.heights_mm.clear();
+        self.heights_mm.extend_from_slice(&other.heights_mm);
+    }
+}
+
+/// Predictions that are kept: those of as many candidates.
+pub(super) const KEPT: usize = 8;
+
 /// Vectors that are kept from run to run.
 #[derive(Clone, Debug, Default)]
 pub(super) struct SettledScratch {
     pub here: Prediction,
     there: Prediction,
+    /// Of candidates, by their slots.
+    kept: [Prediction; KEPT],
     obstacle_mm: Vec<f64>,
     changes: Vec<Row>,
+    sweeps: Sweeps,
+    cells: Vec<Row>,
     rows: Vec<Row>,
     hints: Vec<u32>,
     /// What every node's height counts for in the information, per mm².
     pub counts_per_mm2: Vec<f64>,
+}
+
+impl SettledScratch {
+    /// For so many nodes, in all predictions, since they change places.
+    fn make_room(&mut self, count: usize) {
+        for one in self.kept.iter_mut().chain([&mut self.here, &mut self.there]) {
+            one.sights.reserve(count.saturating_sub(one.sights.len()));
+            one.heights_mm.reserve(count.saturating_sub(one.heights_mm.len()));
+        }
+        self.hints.resize(count, 0);
+        self.changes.resize(count, [0.0; UNKNOWN]);
+    }
+
+    /// Brings a kept prediction to `here`; how another one changed does not count.
+    pub fn show(&mut self, slot: usize) {
+        self.changes.fill([0.0; UNKNOWN]);
+        swap(&mut self.kept[slot], &mut self.here);
+    }
 }
 
 /// The way of one candidate to the greatest likelihood.
@@ -104,41 +141,52 @@ impl Settled<'_> {
         &self.samples.gel
     }
 
-    /// One step for every width by which all is blurred, and then at most `most` to the end; none once `budget` of work is
-    /// spent. What it predicts there is left in the scratch.
+    /// Predicts at a candidate as it stands. On the field what its slot kept before is of another candidate; on the exact
+    /// surface it is this one's, and close.
+    pub fn begin(&self, state: &mut Candidate, scratch: &mut SettledScratch) -> u64 {
+        let nodes = &self.gel().nodes;
+        if self.faces.is_none() || scratch.kept[state.slot].heights_mm.len() != nodes.len() {
+            scratch.make_room(nodes.len());
+            let over_rest_mm = nodes.iter().map(|node| (node.along_mm - state.rest.plane_mm[0]).max(0.0));
+            scratch.there.heights_mm.clear();
+            scratch.there.heights_mm.extend(over_rest_mm);
+        } else {
+            scratch.there.begin_as(&scratch.kept[state.slot]);
+        }
+        scratch.hints.fill(0);
+        self.keep(state, scratch)
+    }
+
+    /// One step blurred by a width, unchecked.
+    pub fn blurred(&self, state: &mut Candidate, width_mm: f64, scratch: &mut SettledScratch) -> u64 {
+        scratch.show(state.slot);
+        self.weigh(state, width_mm, &mut scratch.here);
+        let (step, work) = self.step(state, width_mm, scratch);
+        if let Some(step) = step {
+            *state = self.moved(state, &step, 1.0);
+        }
+        scratch.there.begin_as(&scratch.here);
+        work + self.keep(state, scratch)
+    }
+
+    /// Predicts, from the heights that are `there`, into the candidate's slot.
+    fn keep(&self, state: &mut Candidate, scratch: &mut SettledScratch) -> u64 {
+        let work = self.predict(state, scratch);
+        state.cost = scratch.there.cost;
+        swap(&mut scratch.kept[state.slot], &mut scratch.there);
+        work
+    }
+
+    /// At most `most` steps to the end; none once `budget` of work is spent.
     pub fn run(
         &self,
         state: &mut Candidate,
-        widths_mm: &[f64],
         (most, budget): (u32, u64),
         scratch: &mut SettledScratch,
     ) -> End {
-        let count = self.gel().nodes.len();
-        scratch.hints.clear();
-        scratch.hints.resize(count, 0);
-        for prediction in [&mut scratch.here, &mut scratch.there] {
-            prediction.heights_mm.clear();
-            prediction.heights_mm.extend(
-                self.gel().nodes.iter().map(|node| (node.along_mm - state.rest.plane_mm[0]).max(0.0)),
-            );
-        }
-        scratch.changes.clear();
-        scratch.changes.resize(count, [0.0; UNKNOWN]);
+        scratch.show(state.slot);
+        scratch.there.begin_as(&scratch.here);
         let mut end = End { converged: false, iterations: 0, work: 0 };
-        for &width_mm in widths_mm {
-            if end.work >= budget {
-                break;
-            }
-            end.work += self.predict(state, width_mm, scratch);
-            core::mem::swap(&mut scratch.here, &mut scratch.there);
-            let (step, work) = self.step(state, width_mm, scratch);
-            end.work += work;
-            if let Some(step) = step {
-                *state = self.moved(state, &step, 1.0);
-            }
-        }
-        end.work += self.predict(state, 0.0, scratch);
-        core::mem::swap(&mut scratch.here, &mut scratch.there);
         let sigma_mm = self.params.point_sigma_mm;
         let tolerance_mm = 10.0 * self.params.step_tolerance * sigma_mm;
         while end.iterations < most && !end.converged && end.work < budget {
@@ -150,10 +198,10 @@ impl Settled<'_> {
             let (mut share, mut accepted) = (1.0, false);
             for _ in 0..=HALVINGS {
                 let next = self.moved(state, &step, share);
-                end.work += self.predict(&next, 0.0, scratch);
+                end.work += self.predict(&next, scratch);
                 if scratch.there.cost < scratch.here.cost {
                     *state = next;
-                    core::mem::swap(&mut scratch.here, &mut scratch.there);
+                    swap(&mut scratch.here, &mut scratch.there);
                     accepted = true;
                     break;
                 }
@@ -165,6 +213,7 @@ impl Settled<'_> {
             end.converged = !accepted || share * full_mm < tolerance_mm;
         }
         state.cost = scratch.here.cost;
+        swap(&mut scratch.kept[state.slot], &mut scratch.here);
         end
     }
 
@@ -177,13 +226,14 @@ impl Settled<'_> {
                 plane_mm: core::array::from_fn(|i| state.rest.plane_mm[i] + z[PLANE + i]),
                 log_decay: (state.rest.log_decay + z[DECAY]).clamp(*DECAY_LOGS.start(), *DECAY_LOGS.end()),
             },
+            slot: state.slot,
             cost: f64::INFINITY,
         }
     }
 
     /// What a state predicts, into `there`: where the part is, and the heights of the gel.
     fn predict_heights(&self, state: &Candidate, scratch: &mut SettledScratch) -> u64 {
-        let SettledScratch { there, obstacle_mm, hints, .. } = scratch;
+        let SettledScratch { there, obstacle_mm, hints, sweeps, .. } = scratch;
         let (placement, gel) = (&state.placement, self.gel());
         let press = placement.object_direction(self.press_direction);
         let per_radius = 1.0 / self.samples.radius_mm;
@@ -206,32 +256,39 @@ impl Settled<'_> {
                 clear_mm,
                 touches: false,
                 residual_mm,
+                gap_mm: 0.0,
                 variance_mm2: 1.0,
                 weight: 0.0,
             });
         }
-        let sweeps =
-            gel.settle(gel.stiffness(state.rest.log_decay), MOST_SWEEPS, obstacle_mm, &mut there.heights_mm);
-        for (sight, height_mm) in there.sights.iter_mut().zip(&there.heights_mm) {
+        let stiffness = gel.stiffness(state.rest.log_decay);
+        let sweeps = gel.settle((stiffness, MOST_SWEEPS), obstacle_mm, &mut there.heights_mm, sweeps);
+        for ((sight, height_mm), obstacle_mm) in
+            there.sights.iter_mut().zip(&there.heights_mm).zip(&*obstacle_mm)
+        {
             sight.residual_mm -= height_mm;
+            sight.gap_mm = height_mm - obstacle_mm;
+            sight.touches = height_mm <= obstacle_mm;
         }
         work + u64::from(sweeps) * gel.nodes.len() as u64 / SWEEPS_A_LOOKUP
     }
 
     /// What a state predicts, into `there`, and how likely that is.
-    fn predict(&self, state: &Candidate, width_mm: f64, scratch: &mut SettledScratch) -> u64 {
+    fn predict(&self, state: &Candidate, scratch: &mut SettledScratch) -> u64 {
         let work = self.predict_heights(state, scratch);
-        let SettledScratch { there, obstacle_mm, .. } = scratch;
+        self.weigh(state, 0.0, &mut scratch.there);
+        work
+    }
+
+    /// How likely the measured heights are beside the predicted ones, all blurred by a width.
+    fn weigh(&self, state: &Candidate, width_mm: f64, there: &mut Prediction) {
         let (placement, gel) = (&state.placement, self.gel());
         there.cost = self.prior_cost(state);
         let model = self.params.surface_sigma_mm * self.params.surface_sigma_mm + width_mm * width_mm;
         let outliers = self.params.outlier_share.max(LEAST_OUTLIERS);
         // The gel leaves the part at an edge, which the nodes know to a pitch; over that it sinks by 1 - e^(-pitch / l).
         let share = BETWEEN * (1.0 - exp(-1.0 / sqrt(gel.stiffness(state.rest.log_decay))));
-        for (((node, sight), &height_mm), &obstacle_mm) in
-            gel.nodes.iter().zip(&mut there.sights).zip(&there.heights_mm).zip(&*obstacle_mm)
-        {
-            sight.touches = height_mm <= obstacle_mm;
+        for ((node, sight), &height_mm) in gel.nodes.iter().zip(&mut there.sights).zip(&there.heights_mm) {
             let (variance, wrong_mm) = match (sight.touches, &sight.foot) {
                 (true, Some(foot)) => {
                     let normal = placement.sensor_direction(foot.normal);
@@ -239,8 +296,7 @@ impl Settled<'_> {
                     (node.sample.variance(normal) / (cosine * cosine), 0.0)
                 }
                 _ => {
-                    let gap_mm = GAP_SHARE * (height_mm - obstacle_mm);
-                    let wrong_mm = (share * abs(height_mm)).min(gap_mm);
+                    let wrong_mm = (share * abs(height_mm)).min(GAP_SHARE * sight.gap_mm);
                     (node.sample.variance(self.press_direction), wrong_mm)
                 }
             };
@@ -252,7 +308,6 @@ impl Settled<'_> {
             sight.weight = good / all;
             there.cost -= ln(all);
         }
-        work
     }
 
     fn prior_cost(&self, state: &Candidate) -> f64 {
@@ -262,16 +317,17 @@ impl Settled<'_> {
     }
 
     /// How predictions change with what is sought; returns the work.
-    fn follow(&self, state: &Candidate, sweeps: u32, scratch: &mut SettledScratch) -> u64 {
-        let SettledScratch { here, changes, .. } = scratch;
+    fn follow(&self, state: &Candidate, scratch: &mut SettledScratch) -> u64 {
+        let SettledScratch { here, changes, sweeps, cells, .. } = scratch;
         let gel = self.gel();
         for ((node, sight), change) in gel.nodes.iter().zip(&here.sights).zip(&mut *changes) {
             let Some(foot) = sight.foot.as_ref().filter(|_| sight.touches) else { continue };
             *change = self.touching_row(state, node, foot);
         }
         let touches = |k: usize| here.sights[k].touches;
-        let sweeps =
-            gel.follow((gel.stiffness(state.rest.log_decay), sweeps), (touches, &here.heights_mm), changes);
+        let stiffness = gel.stiffness(state.rest.log_decay);
+        let seen = (touches, &here.heights_mm[..]);
+        let sweeps = gel.follow((stiffness, FEW_SWEEPS), seen, changes, (sweeps, cells));
         u64::from(sweeps) * (gel.nodes.len() * UNKNOWN) as u64 / SWEEPS_A_LOOKUP / 4
     }
 
@@ -295,7 +351,7 @@ impl Settled<'_> {
 
     /// Heights of a state beside that of `here`, on the field, into `there`.
     fn beside(&self, state: &Candidate, scale_mm: f64, scratch: &mut SettledScratch) -> u64 {
-        let SettledScratch { here, there, obstacle_mm, .. } = scratch;
+        let SettledScratch { here, there, obstacle_mm, sweeps, .. } = scratch;
         let (placement, gel) = (&state.placement, self.gel());
         let press = placement.object_direction(self.press_direction);
         let per_radius = 1.0 / self.samples.radius_mm;
@@ -318,7 +374,7 @@ impl Settled<'_> {
         there.heights_mm.clear();
         there.heights_mm.extend_from_slice(&here.heights_mm);
         let stiffness = gel.stiffness(state.rest.log_decay);
-        let sweeps = gel.settle(stiffness, FEW_SWEEPS, obstacle_mm, &mut there.heights_mm);
+        let sweeps = gel.settle((stiffness, FEW_SWEEPS), obstacle_mm, &mut there.heights_mm, sweeps);
         lookups + u64::from(sweeps) * gel.nodes.len() as u64 / SWEEPS_A_LOOKUP
     }
 
@@ -330,7 +386,7 @@ impl Settled<'_> {
         scale_mm: f64,
         scratch: &mut SettledScratch,
     ) -> (Symmetric<UNKNOWN>, Row, [[f64; 6]; 6], u64) {
-        let mut work = self.follow(state, FEW_SWEEPS, scratch);
+        let mut work = self.follow(state, scratch);
         self.fill_rows(scratch);
         let (h, _) = self.system(&scratch.rows, &scratch.here);
         let spectrum = eigen(&without_rest(h));
