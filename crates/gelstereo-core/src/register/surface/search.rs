@@ -211,11 +211,8 @@ impl Search<'_> {
             self.settle_all(candidates, (false, widths_mm, 0), settled);
             keep(candidates, *keeps, self.samples.radius_mm, SECOND.same_mm);
         }
+        // Not at rest, none is hopeless: one marker that an edge has yet to pass makes a difference of ten and more.
         self.settle_all(candidates, (true, SHARP, 0), settled);
-        keep(candidates, FINALISTS, 0.0, 0.0);
-        let hopeless = candidates[0].cost + HOPELESS;
-        let near = candidates.iter().take_while(|c| c.cost < hopeless).count();
-        candidates.truncate(near.max(1));
         let mut end =
             self.settle_all(candidates, (true, &[], self.params.max_iterations.min(MOST_STEPS)), settled);
         keep(candidates, FINALISTS, 0.0, 0.0);

@@ -43,6 +43,12 @@ const WIDEST_MM: f64 = 0.25;
 const BESIDE: f64 = 2.5;
 /// Over which differences are taken at the end.
 const LAST_SCALE_MM: f64 = 0.04;
+/// A pose that gains no more, in logarithms of the likelihood, is at rest, however far it still moves along what is free:
+/// from the peak of a normal law that is a seventh of a standard deviation.
+const LEAST_GAIN: f64 = 0.01;
+/// Poses of blurred steps are judged by what is half as blurred: not at rest yet, they are told apart by sharp heights
+/// for how far they have come.
+const JUDGED: f64 = 0.5;
 /// Longest step, over the patch, and the halvings after which there is none.
 const LONGEST_MM: f64 = 0.5;
 const HALVINGS: u32 = 3;
@@ -135,7 +141,8 @@ impl Settled<'_> {
                 *state = self.moved(state, &step, 1.0);
             }
         }
-        end.work += self.predict(state, 0.0, scratch);
+        let last_mm = widths_mm.last().copied().unwrap_or(0.0);
+        end.work += self.predict(state, if most == 0 { JUDGED * last_mm } else { 0.0 }, scratch);
         core::mem::swap(&mut scratch.here, &mut scratch.there);
         let sigma_mm = self.params.point_sigma_mm;
         let tolerance_mm = 10.0 * self.params.step_tolerance * sigma_mm;
@@ -145,7 +152,7 @@ impl Settled<'_> {
             end.work += work;
             let Some(step) = step else { break };
             let full_mm = sqrt(step[..6].iter().map(|x| x * x).sum());
-            let (mut share, mut accepted) = (1.0, false);
+            let (mut share, mut accepted, before) = (1.0, false, scratch.here.cost);
             for _ in 0..=HALVINGS {
                 let next = self.moved(state, &step, share);
                 end.work += self.predict(&next, 0.0, scratch);
@@ -160,7 +167,8 @@ impl Settled<'_> {
                     break;
                 }
             }
-            end.converged = !accepted || share * full_mm < tolerance_mm;
+            let is_gained = before - scratch.here.cost > LEAST_GAIN;
+            end.converged = !accepted || !is_gained || share * full_mm < tolerance_mm;
         }
         state.cost = scratch.here.cost;
         end
