@@ -231,6 +231,48 @@ fn of_a_thin_plate_the_side_that_is_touched_answers() {
 }
 
 #[test]
+fn a_line_first_meets_the_outermost_of_all_faces_that_it_crosses() {
+    let mesh = rough(5, 6);
+    let solid = Solid::new(&mesh).unwrap();
+    let mut random = Stream::new(6, "lines");
+    let mut met = [0; 2];
+    for _ in 0..2000 {
+        let way = uniform(&mut random, -1.0, 1.0).normalize();
+        let (p, reach) = (uniform(&mut random, -9.0, 9.0), 6.0 * random.uniform());
+        let facing = Facing { direction: way, least_cosine: 0.03 };
+        // By Cramer's rule: p - s way = a + u (b - a) + v (c - a), within the triangle.
+        let crossings = mesh.corners().filter_map(|[a, b, c]| {
+            let normal = (b - a).cross(c - a);
+            let volume = normal.dot(way);
+            let s = normal.dot(p - a) / volume;
+            let q = p - way * s - a;
+            let [u, v] = [q.cross(c - a), (b - a).cross(q)].map(|x| x.dot(normal) / normal.length_squared());
+            let is_met = u >= 0.0 && v >= 0.0 && u + v <= 1.0 && volume >= 0.03 * normal.length();
+            (is_met && s.abs() <= reach).then_some(s)
+        });
+        let least = crossings.fold(f64::INFINITY, f64::min);
+        match solid.first_met(p, &facing, reach) {
+            // Distances along a line are those of planes over the cosine.
+            Some(found) => assert!((found.distance_mm - least).abs() < 1e3 * EPS / 0.03, "{found:?} {least}"),
+            None => assert_eq!(least, f64::INFINITY),
+        }
+        met[usize::from(least.is_finite())] += 1;
+    }
+    assert!(met[0] > 200 && met[1] > 200, "{met:?}");
+    // A line through an edge, or a vertex, of two faces in one plane meets one of them.
+    let plate = Solid::new(&self::mesh(block(DVec3::ZERO, DVec3::new(2.0, 2.0, 1.0), 1))).unwrap();
+    let up = Facing { direction: DVec3::Z, least_cosine: 0.03 };
+    for k in 0..=20 {
+        let x = 0.1 * f64::from(k);
+        for p in [DVec3::new(x, x, 1.3), DVec3::new(x, 2.0 - x, 1.3), DVec3::new(x, 0.0, 1.3)] {
+            let found = plate.first_met(p, &up, 0.5).unwrap();
+            assert!((found.distance_mm - 0.3).abs() < 8.0 * EPS);
+        }
+    }
+    assert_eq!(plate.first_met(DVec3::new(1.0, 1.0, 1.3), &up, 0.2), None);
+}
+
+#[test]
 fn slivers_keep_all_digits() {
     // A strip of height 1e-9 mm and 10 mm long, between two halves of a square.
     for height in [1e-3, 1e-6, 1e-9, 1e-12, 1e-14] {

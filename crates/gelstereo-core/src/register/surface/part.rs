@@ -54,8 +54,12 @@ pub(super) struct Foot {
 /// How far over and under a marker the part is looked for.
 const OVER_MM: f64 = 2.0;
 pub(super) const UNDER_MM: f64 = 1.5;
-/// Gel hangs beside faces that are steeper than this, cosine to the press.
+/// Faces that are steeper than this, cosine to the press, are looked for along the line itself, and not by distances.
 const STEEP_COSINE: f64 = 0.2;
+/// What is steeper still, within 2 degrees of the press, is a wall beside which gel hangs.
+const WALL_COSINE: f64 = 0.03;
+/// The field finds a foot on a steep face to this.
+const MET_MM: f64 = 0.4;
 /// Steps of sphere tracing (Hart 1996), and how near to the surface they end, in cells.
 const MOST_STEPS: usize = 12;
 const NEAR: f64 = 0.2;
@@ -84,11 +88,12 @@ impl Coarse<'_> {
                 let length = sqrt(gradient.length_squared());
                 let normal = if length > 1e-3 { gradient / length } else { press };
                 let cosine = normal.dot(press);
-                if cosine >= STEEP_COSINE {
-                    let over_mm = distance_mm / cosine - at_mm;
+                let is_on = distance_mm < 0.25 * near_mm;
+                if cosine >= STEEP_COSINE || (is_on && cosine >= WALL_COSINE) {
+                    let over_mm = distance_mm / cosine.max(STEEP_COSINE) - at_mm;
                     return Ok(Foot { over_mm, normal, curvature_per_mm: 0.0 });
                 }
-                if distance_mm < 0.25 * near_mm {
+                if is_on {
                     break;
                 }
             }
@@ -105,6 +110,7 @@ impl Exact<'_> {
     /// The same on the triangles.
     pub fn foot(&self, field: &Coarse<'_>, x_mm: DVec3, press: DVec3, hint: &mut u32) -> Result<Foot, f64> {
         let mut foot = field.foot(x_mm, press, UNDER_MM)?;
+        let coarse_mm = foot.over_mm;
         let facing = Facing { direction: press, least_cosine: LEAST_COSINE };
         for _ in 0..MOST_REFINED {
             let at_mm = x_mm - press * foot.over_mm;
@@ -125,7 +131,22 @@ impl Exact<'_> {
                 return Ok(foot);
             }
         }
-        Err(0.0)
+        self.first_met(x_mm, coarse_mm, press, hint).ok_or(0.0)
+    }
+
+    /// On a steep face, or beside an edge, where the nearest face may be another one than the line meets.
+    #[cold]
+    fn first_met(&self, x_mm: DVec3, coarse_mm: f64, press: DVec3, hint: &mut u32) -> Option<Foot> {
+        let facing = Facing { direction: press, least_cosine: WALL_COSINE };
+        let found = self.solid.first_met(x_mm - press * coarse_mm, &facing, MET_MM)?;
+        *hint = found.triangle;
+        let slope = self.relief.slope(self.solid, &found, DVec3::ZERO);
+        let is_seen = slope.normal.dot(press) >= WALL_COSINE;
+        Some(Foot {
+            over_mm: coarse_mm + found.distance_mm,
+            normal: if is_seen { slope.normal } else { found.normal },
+            curvature_per_mm: slope.curvature_per_mm,
+        })
     }
 }
 

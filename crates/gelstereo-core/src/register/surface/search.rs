@@ -296,11 +296,8 @@ impl Search<'_> {
             keep(candidates, keeps, self.samples.radius_mm, SECOND.same_mm);
         }
         self.begin_all(true, candidates, settled);
+        // Not at rest, none is hopeless: one marker that an edge has yet to pass makes a difference of ten and more.
         self.blurred_all((true, SHARP_MM), candidates, settled);
-        keep(candidates, FINALISTS, 0.0, 0.0);
-        let hopeless = candidates[0].cost + HOPELESS;
-        let near = candidates.iter().take_while(|c| c.cost < hopeless).count();
-        candidates.truncate(near.max(1));
         let end = self.settle_all(candidates, self.params.max_iterations.min(MOST_STEPS), settled);
         keep(candidates, FINALISTS, 0.0, 0.0);
         settled.show(candidates[0].slot);

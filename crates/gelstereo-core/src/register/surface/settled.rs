@@ -45,6 +45,12 @@ const WIDEST_MM: f64 = 0.25;
 const BESIDE: f64 = 2.5;
 /// Over which differences are taken at the end.
 const LAST_SCALE_MM: f64 = 0.04;
+/// A pose that gains no more, in logarithms of the likelihood, is at rest, however far it still moves along what is free:
+/// from the peak of a normal law that is a seventh of a standard deviation.
+const LEAST_GAIN: f64 = 0.01;
+/// Poses of blurred steps are judged by what is half as blurred: not at rest yet, they are told apart by sharp heights
+/// for how far they have come.
+const JUDGED: f64 = 0.5;
 /// Longest step, over the patch, and the halvings after which there is none.
 pub(super) const LONGEST_MM: f64 = 0.5;
 const HALVINGS: u32 = 3;
@@ -154,7 +160,7 @@ impl Settled<'_> {
             scratch.there.begin_as(&scratch.kept[state.slot]);
         }
         scratch.hints.fill(0);
-        self.keep(state, scratch)
+        self.keep(state, 0.0, scratch)
     }
 
     /// One step blurred by a width, unchecked.
@@ -166,12 +172,13 @@ impl Settled<'_> {
             *state = self.moved(state, &step, 1.0);
         }
         scratch.there.begin_as(&scratch.here);
-        work + self.keep(state, scratch)
+        work + self.keep(state, if self.faces.is_none() { JUDGED * width_mm } else { 0.0 }, scratch)
     }
 
-    /// Predicts, from the heights that are `there`, into the candidate's slot.
-    fn keep(&self, state: &mut Candidate, scratch: &mut SettledScratch) -> u64 {
-        let work = self.predict(state, scratch);
+    /// Predicts, from the heights that are `there`, into the candidate's slot, and judges it blurred by a width.
+    fn keep(&self, state: &mut Candidate, width_mm: f64, scratch: &mut SettledScratch) -> u64 {
+        let work = self.predict_heights(state, scratch);
+        self.weigh(state, width_mm, &mut scratch.there);
         state.cost = scratch.there.cost;
         swap(&mut scratch.kept[state.slot], &mut scratch.there);
         work
@@ -195,7 +202,7 @@ impl Settled<'_> {
             end.work += work;
             let Some(step) = step else { break };
             let full_mm = sqrt(step[..6].iter().map(|x| x * x).sum());
-            let (mut share, mut accepted) = (1.0, false);
+            let (mut share, mut accepted, before) = (1.0, false, scratch.here.cost);
             for _ in 0..=HALVINGS {
                 let next = self.moved(state, &step, share);
                 end.work += self.predict(&next, scratch);
@@ -210,7 +217,8 @@ impl Settled<'_> {
                     break;
                 }
             }
-            end.converged = !accepted || share * full_mm < tolerance_mm;
+            let is_gained = before - scratch.here.cost > LEAST_GAIN;
+            end.converged = !accepted || !is_gained || share * full_mm < tolerance_mm;
         }
         state.cost = scratch.here.cost;
         swap(&mut scratch.kept[state.slot], &mut scratch.here);

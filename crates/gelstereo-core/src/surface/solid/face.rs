@@ -84,6 +84,9 @@ pub(super) struct Face {
 
 const _: () = assert!(size_of::<Face>() == 128);
 
+/// A line through an edge meets one of its faces, whatever rounding says.
+const ON_EDGE_MM: f64 = 1e-9;
+
 impl Face {
     /// Of a triangle with an area and this unit normal.
     pub fn new(welded: &Welded, triangle: usize, normal: DVec3) -> Self {
@@ -115,6 +118,16 @@ impl Face {
     #[inline]
     pub fn height_mm(&self, p_mm: DVec3) -> f64 {
         self.normal.dot(p_mm - self.origin_mm)
+    }
+
+    /// Whether a point of the plane is within the triangle.
+    #[inline]
+    pub fn contains(&self, p_mm: DVec3) -> bool {
+        let q = p_mm - self.origin_mm;
+        let (x, y) = (self.along.dot(q), self.normal.cross(self.along).dot(q));
+        let beyond = x - self.length_mm;
+        let inside = [y, self.second[0] * beyond + self.second[1] * y, self.third[0] * x + self.third[1] * y];
+        inside.into_iter().all(|side| side >= -ON_EDGE_MM)
     }
 
     /// Squared distance and where, unless it is above `limit_mm2`. `place` is this face's own.

@@ -218,6 +218,31 @@ impl Solid {
         Some(self.resolve(p_mm, Some(found))).filter(|c| c.distance_mm.abs() <= reach_mm)
     }
 
+    /// Where a line through `p_mm` that comes against `facing.direction` first meets a face that looks that way, of the
+    /// line's part within `reach_mm` of the point. The distance is along the line, positive before the face.
+    #[must_use]
+    pub fn first_met(&self, p_mm: DVec3, facing: &Facing, reach_mm: f64) -> Option<Closest> {
+        let way = facing.direction;
+        let mut best: Option<Closest> = None;
+        self.boxes.near(p_mm, self.limit(reach_mm * reach_mm), |place, limit_mm2| {
+            let face = &self.faces[place as usize];
+            let cosine = face.normal.dot(way);
+            if cosine < facing.least_cosine || cosine <= 0.0 {
+                return limit_mm2;
+            }
+            let distance_mm = face.height_mm(p_mm) / cosine;
+            let is_first =
+                best.is_none_or(|best| (distance_mm, face.triangle) < (best.distance_mm, best.triangle));
+            let point_mm = p_mm - way * distance_mm;
+            if is_first && distance_mm.abs() <= reach_mm && face.contains(point_mm) {
+                let (normal, triangle) = (face.normal, face.triangle);
+                best = Some(Closest { point_mm, normal, distance_mm, triangle, feature: Feature::Face });
+            }
+            limit_mm2
+        });
+        best
+    }
+
     /// A triangle's place in the order of the tree, and what is there.
     #[inline]
     fn face(&self, triangle: u32) -> Option<(u32, &Face)> {
