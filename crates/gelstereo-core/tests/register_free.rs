@@ -4,7 +4,6 @@
 #![allow(clippy::unwrap_used)]
 
 mod problems;
-#[allow(dead_code, reason = "of the solids, the ball alone")]
 mod solids;
 
 use gelstereo_core::math::random::Stream;
