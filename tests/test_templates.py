@@ -71,12 +71,27 @@ def test_units_scale(box: trimesh.Trimesh) -> None:
 def test_files_that_are_no_mesh(tmp_path: Path, box: trimesh.Trimesh) -> None:
     with pytest.raises(FileNotFoundError, match="absent"):
         Template.from_mesh(tmp_path / "absent.stl", units="mm")
-    for name, content in [("empty.stl", b""), ("text.obj", b"hello"), ("odd.xyz9", b"1 2 3")]:
-        (tmp_path / name).write_bytes(content)
-        with pytest.raises(MeshError):
-            Template.from_mesh(tmp_path / name, units="mm")
     box.export(tmp_path / "box.stl")
+    cut = (tmp_path / "box.stl").read_bytes()[:300]
+    for name, content, why in [
+        ("empty.stl", b"", "no triangles"),
+        ("cut.stl", cut, "no triangles"),
+        ("text.obj", b"hello", "no triangles"),
+        ("cut.ply", b"ply\nformat", "cut short or damaged"),
+        ("odd.xyz9", b"1 2 3", "xyz9"),
+    ]:
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(MeshError, match=rf"{name}.*{why}.*valid is a whole STL, OBJ, PLY"):
+            Template.from_mesh(tmp_path / name, units="mm")
     assert len(Template.from_mesh(tmp_path / "box.stl", units="mm", spacing_mm=1.0)) > 1000
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_vertices_that_are_no_numbers_are_named(bad: float, box: trimesh.Trimesh) -> None:
+    vertices = np.array(box.vertices)
+    vertices[3, 1] = bad
+    with pytest.raises(MeshError, match=r"1 of 8 vertices of the mesh are not finite, vertex 3 first"):
+        Template.from_mesh(trimesh.Trimesh(vertices, box.faces, process=False), units="mm")
 
 
 def test_points_lie_evenly_on_the_surface_with_outward_normals(box: trimesh.Trimesh) -> None:

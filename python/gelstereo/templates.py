@@ -31,6 +31,9 @@ MIN_PART_MM, MAX_PART_MM = 1.0, 1000.0
 #: With fewer points there is no surface to speak of; and so many in a cell show how dense they are.
 _LEAST_POINTS = 6
 
+#: What can be read.
+_WHOLE = "a whole STL, OBJ, PLY, GLB or STEP file"
+
 #: Files that say what their unit is.
 _STEP = {".step", ".stp"}
 
@@ -105,7 +108,8 @@ def _surface(
     vertices = np.asarray(loaded.vertices, dtype=np.float64)
     triangles = np.asarray(loaded.faces, dtype=np.int64)
     if vertices.size == 0 or triangles.size == 0:
-        raise MeshError("the mesh has no triangles; a surface needs at least one")
+        raise MeshError(f"{name} has no triangles; valid is {_WHOLE}")
+    _check_finite(vertices, name)
     check_size(vertices.max(axis=0) - vertices.min(axis=0), units)
     vertices_mm = vertices * MM_PER_UNIT[units]
     return vertices_mm, _facing_outward(vertices_mm, triangles, name)
@@ -143,6 +147,7 @@ def load_part(
         return *_surface(loaded, valid_units, _name(part, "the mesh")), None
     name = _name(part, "the scan")
     points, normals = _points_and_normals(scan, name)
+    _check_finite(points, name)
     check_size(np.ptp(points, axis=0), valid_units)
     points_mm = points * MM_PER_UNIT[valid_units]
     if np.einsum("ni,ni->", points_mm - points_mm.mean(axis=0), normals) < 0.0:
@@ -224,6 +229,16 @@ def _facing_outward(
     return turned
 
 
+def _check_finite(points: npt.NDArray[np.float64], name: str) -> None:
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if bad.size:
+        x, y, z = points[bad[0]]
+        raise MeshError(
+            f"{bad.size} of {len(points)} vertices of {name} are not finite, vertex {bad[0]} first "
+            f"({x:g}, {y:g}, {z:g}); valid are numbers"
+        )
+
+
 def check_size(extents: npt.NDArray[np.float64], units: Units) -> None:
     """Refuse extents, in the stated units, that no hand-held part has.
 
@@ -239,7 +254,11 @@ def check_size(extents: npt.NDArray[np.float64], units: Units) -> None:
     # A part's designer writes millimetres or metres far more often than the others.
     guesses.sort(key=["mm", "m", "inch", "cm"].index)
     text = " x ".join(f"{side:.4g}" for side in extents)
-    hint = f"; was it written in another unit? try units='{guesses[0]}'" if guesses else ""
+    hint = (
+        f"; was it written in another unit? try units='{guesses[0]}'"
+        if guesses
+        else "; no unit makes such a part of it: scale the mesh"
+    )
     raise MeshError(
         f"the extents are {text} {units}; valid is a largest side of {MIN_PART_MM:g} to {MAX_PART_MM:g} mm, "
         f"as a part in a hand has{hint}"
@@ -260,8 +279,12 @@ def _read(path: Path) -> _Loaded:
         # trimesh asks for other packages when it meets a format that it cannot read alone, or text that is none.
         extra = "; pip install 'gelstereo[step]'" if path.suffix.lower() in _STEP else ""
         raise MeshError(
-            f"{path} cannot be read as a triangle mesh without another package ({error}); valid is "
-            f"a whole STL, OBJ or PLY file{extra}"
+            f"{path} cannot be read as a triangle mesh without another package ({error}); valid is {_WHOLE}{extra}"
         ) from error
     except (ValueError, KeyError, IndexError, AttributeError, TypeError, NotImplementedError) as error:
-        raise MeshError(f"{path} cannot be read as a triangle mesh: {error}") from error
+        why = (
+            str(error)
+            if isinstance(error, (ValueError, NotImplementedError))
+            else "it is cut short or damaged"
+        )
+        raise MeshError(f"{path} cannot be read as a triangle mesh: {why}; valid is {_WHOLE}") from error

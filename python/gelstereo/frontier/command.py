@@ -12,6 +12,7 @@ import cv2
 
 from gelstereo.cli.options import count
 from gelstereo.frontier.boards import measure_boards
+from gelstereo.frontier.building import measure_building
 from gelstereo.frontier.centres import CONDITIONS, measure_centres
 from gelstereo.frontier.covariance import measure_covariance
 from gelstereo.frontier.figures import draw_errors, draw_growth
@@ -132,8 +133,14 @@ def _tables(
     targets += more
     nearest, more = measure_nearest(max(rounds // 20, 2), report)
     targets += more
+    templates, more = measure_building(1 if quick else 3, report)
+    targets += more
     tables = [centres, covariance, tracking, speed_table(speeds), stage_table(speeds), growth_table(speeds)]
-    return [*tables, measure_threads(rounds // 2, report), saliency, *boards, nearest], targets, speeds
+    return (
+        [*tables, measure_threads(rounds // 2, report), saliency, *boards, nearest, templates],
+        targets,
+        speeds,
+    )
 
 
 def _report(what: str) -> None:

@@ -37,6 +37,7 @@ SECTIONS = (
     "boards",
     "refraction",
     "nearest",
+    "templates",
     "register",
 )
 

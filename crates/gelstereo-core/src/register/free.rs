@@ -259,7 +259,8 @@ fn along_axes(vectors: &[[f64; 3]; 3], count: usize) -> Axes {
     let mut axes = Axes { axes: [DVec3::ZERO; 3], count };
     for k in 0..count {
         let share = |axis: usize| span[axis][axis];
-        let axis = (1..3).fold(0, |best, axis| if share(axis) > share(best) { axis } else { best });
+        // Of equal shares, all that a ball leaves, rounding does not choose.
+        let axis = (1..3).fold(0, |best, axis| if share(axis) > share(best) + 1e-9 { axis } else { best });
         let unit = span[axis] / sqrt(span[axis].length_squared());
         axes.axes[k] = unit;
         for (axis, column) in span.iter_mut().enumerate() {

@@ -77,9 +77,15 @@ impl Symmetry {
             if axes.iter().any(is_known) {
                 continue;
             }
-            if let Some(order) = part.order(Self { axis, centre_mm, order: None }) {
-                axes.push(Self { axis, centre_mm, order });
-            }
+            let candidate = Self { axis, centre_mm, order: None };
+            // Axes across a continuous one are alike: after the first, only another continuous one, of a ball, counts.
+            let has = |is_round: bool| axes.iter().any(|a| a.order.is_none() == is_round);
+            let order = if has(true) && has(false) {
+                part.is_round(candidate).then_some(None)
+            } else {
+                part.order(candidate)
+            };
+            axes.extend(order.map(|order| Self { order, ..candidate }));
         }
         if axes.iter().filter(|a| a.order.is_none()).count() > 1 {
             let every = [DVec3::X, DVec3::Y, DVec3::Z];
@@ -104,12 +110,16 @@ struct Part<'a> {
 impl Part<'_> {
     /// How often the part looks the same around an axis, if more than once.
     fn order(&self, axis: Symmetry) -> Option<Option<u32>> {
-        let golden = (1..=8).map(|k| f64::from(k) * GOLDEN * TAU);
-        if golden.into_iter().all(|angle| self.holds(&axis.turned(angle))) {
+        if self.is_round(axis) {
             return Some(None);
         }
         let mut orders = (2..=MOST_TURNS).rev();
         orders.find(|&n| self.holds(&axis.turned(TAU / f64::from(n)))).map(Some)
+    }
+
+    /// Whether the part looks the same after any turn around an axis.
+    fn is_round(&self, axis: Symmetry) -> bool {
+        (1..=8).all(|k| self.holds(&axis.turned(f64::from(k) * GOLDEN * TAU)))
     }
 
     fn holds(&self, turn: &Pose) -> bool {

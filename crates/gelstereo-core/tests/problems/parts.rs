@@ -15,7 +15,12 @@ pub struct Part {
 }
 
 impl Part {
-    fn new(name: &'static str, is_flat: bool, mesh: TriangleMesh, exact: fn(DVec3, DVec3) -> DVec3) -> Self {
+    pub fn new(
+        name: &'static str,
+        is_flat: bool,
+        mesh: TriangleMesh,
+        exact: fn(DVec3, DVec3) -> DVec3,
+    ) -> Self {
         Self { name, mesh, is_flat, exact }
     }
 
