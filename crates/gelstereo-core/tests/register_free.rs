@@ -64,7 +64,8 @@ fn row_10_a_search_leaves_what_is_free_at_its_guess() {
             assert_eq!(found.free.len(), free, "{}: {:?}", part.name, found.free);
             assert!(problem.score(&found.t_sensor_object).is_success(), "{}", part.name);
             let along_mm = along_free_mm(&found, &guess);
-            assert!(along_mm < 1e-6, "{}: {along_mm} mm along what is free", part.name);
+            // What is free is asked again there, and of other readings.
+            assert!(along_mm < 1e-4, "{}: {along_mm} mm along what is free", part.name);
         }
     }
 }

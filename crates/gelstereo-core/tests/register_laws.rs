@@ -199,23 +199,6 @@ fn scaled(scale: f64, method: RegisterMethod) -> (Template, RegisterParams) {
     (template.with_field(Template::DEFAULT_CELL_MM * scale, Template::DEFAULT_REACH_MM * scale), params)
 }
 
-/// How far a pose is from the one that was found, over the patch, along what it and another registration determine. A
-/// direction that noise nearly hides is free in one of them alone where rounding says so, and what is free stays at the
-/// guess.
-fn apart_where_both_know(here: &Registration, there: &Registration, pose: &Pose) -> f64 {
-    let motion = *pose * here.t_sensor_object.inverse();
-    let seen = &here.observability;
-    let v = motion.transform_point(seen.centre_mm) - seen.centre_mm;
-    let mut z = [(motion.log().0 * seen.radius_mm).to_array(), v.to_array()].concat();
-    for seen in [&here.observability, &there.observability] {
-        for (u, _) in seen.directions.iter().zip(seen.values).filter(|(_, value)| *value == 0.0) {
-            let along: f64 = u.iter().zip(&z).map(|(u, z)| u * z).sum();
-            z.iter_mut().zip(u).for_each(|(z, u)| *z -= along * u);
-        }
-    }
-    z.iter().map(|z| z * z).sum::<f64>().sqrt()
-}
-
 /// The gel does not scale: its shoulder has a width of its own. So this is of points that the part touches, and of the
 /// rungs that look at the exact surface; where `surface_track` gives up a point is a length of the gel, too.
 #[test]
@@ -239,13 +222,12 @@ fn the_answer_scales_with_all_that_is_sensed() {
         };
         for method in [RegisterMethod::SurfaceClose, RegisterMethod::SurfaceSearch] {
             let (template, params) = scaled(1.0, method);
-            let here = of(1.0).register(&params, &template);
+            let here = of(1.0).register(&params, &template).t_sensor_object;
             for scale in [0.5, 2.0] {
                 let (template, params) = scaled(scale, method);
-                let there = of(scale).register(&params, &template);
-                let pose = there.t_sensor_object;
-                let back = Pose { translation_mm: pose.translation_mm / scale, ..pose };
-                let apart_mm = apart_where_both_know(&here, &there, &back);
+                let there = of(scale).register(&params, &template).t_sensor_object;
+                let back = Pose { translation_mm: there.translation_mm / scale, ..there };
+                let apart_mm = of(1.0).apart_mm(&here, &back);
                 assert!(apart_mm <= STEPS_MM, "{method:?} {seed} {scale} {apart_mm}");
             }
         }

@@ -241,9 +241,6 @@ impl Registrar {
             // Normals are read at samples, and so at most half a spacing off.
             _ => (self.by_samples(points_mm, template, &guess)?, sigma_mm.max(0.5 * template.spacing_mm())),
         };
-        if self.params.method == SurfaceSearch {
-            held::at_guess(&mut found, contact, template, &guess, resolution_mm);
-        }
         copies::honour(&mut found, template.symmetries(), &guess, resolution_mm);
         Ok(found)
     }

@@ -16,11 +16,14 @@ use super::settled::SettledScratch;
 use super::step::{Normal, Placement, cholesky};
 use crate::math::{DVec3, Pose};
 use crate::register::observe::{dot, halves, stack};
-use crate::register::{Observability, copies};
+use crate::register::{Observability, copies, held};
 use alloc::vec::Vec;
 
 /// A pose is as likely as the best one when its likelihood is at least e^-4.6 = 1 % of that one's.
 const LEAST_LOG: f64 = 4.6;
+/// By as much the guess, which the noise of a free direction takes a pose from, may be less likely: two standard
+/// deviations.
+const LESS_LIKELY: f64 = 2.0;
 /// Poses that have not been polished are two when it is this much over the patch.
 const NEAR_MM: f64 = 0.1;
 /// How much more than shifts turns are avoided.
@@ -63,6 +66,20 @@ impl<'a, 'b> Others<'a, 'b> {
         let found = evidence::observe(search.params, search.samples, best, readings, converged);
         let seen = found.turned(&best.placement.pose, DVec3::ZERO);
         Self { search, scratch, settled, best: *best, seen, is_cut: false }
+    }
+
+    /// The best pose back at the guess along the free directions, if it is as likely there: a direction that noise nearly
+    /// hides is not free as far as that.
+    pub fn hold(&mut self, best: &mut Candidate) {
+        if self.seen.free_count() == 0 {
+            return;
+        }
+        let pose = held::nearest(&self.seen, &self.best.placement.pose, &self.search.prior.guess.pose);
+        let mut one = Candidate { placement: Placement::new(pose), ..self.best };
+        self.search.read(&mut one, self.scratch, self.settled);
+        if one.cost <= self.best.cost + LESS_LIKELY {
+            (*best, self.best) = (one, one);
+        }
     }
 
     /// Leaves in `candidates`, whose first one is the best, those of them and of `seeds` that are other answers and as

@@ -242,7 +242,9 @@ impl Search<'_> {
             candidates.truncate(1);
             return end;
         }
-        let (end, is_cut) = Others::new(self, (&best, end.converged), (scratch, settled)).find(candidates, runners_up, end);
+        let mut others = Others::new(self, (&best, end.converged), (scratch, settled));
+        others.hold(&mut candidates[0]);
+        let (end, is_cut) = others.find(candidates, runners_up, end);
         self.is_cut = is_cut;
         if self.work > before {
             self.read(&mut candidates[0], scratch, settled);
@@ -251,12 +253,16 @@ impl Search<'_> {
     }
 
     /// Leaves the readings of a pose, and what the gel does there if it is asked, in the scratch.
-    fn read(&mut self, best: &mut Candidate, scratch: &mut PolishScratch, settled: &mut SettledScratch) {
+    pub fn read(&mut self, best: &mut Candidate, scratch: &mut PolishScratch, settled: &mut SettledScratch) {
         if self.is_settled {
             self.work += self.settled(true).begin(best, settled);
             settled.show(best.slot);
         }
-        self.work += self.polish(self.faces).compare(&best.placement, scratch).1;
+        let (cost, work) = self.polish(self.faces).compare(&best.placement, scratch);
+        self.work += work;
+        if !self.is_settled {
+            best.cost = cost;
+        }
     }
 
     fn settled(&self, is_exact: bool) -> Settled<'_> {
