@@ -11,7 +11,8 @@
 
 use super::evidence;
 use super::polish::{End, PolishScratch};
-use super::search::{Candidate, HOPELESS, Search, Stage, insertion_sort};
+use super::screening::insertion_sort;
+use super::search::{Candidate, HOPELESS, Search, Stage};
 use super::settled::SettledScratch;
 use super::step::{Normal, Placement, cholesky};
 use crate::math::{DVec3, Pose};

@@ -1,6 +1,6 @@
 //! Many starts, successive halving: each round looks at fewer candidates more closely.
 
-use super::contact::{COARSE, MEDIUM, Samples};
+use super::contact::Samples;
 use super::evidence::Told;
 use super::fit::View;
 use super::odds::log_odds;
@@ -8,10 +8,11 @@ use super::others::Others;
 use super::part::{Coarse, Distances, Exact};
 use super::polish::{End, OUT_OF_REACH_MM, Polish, PolishScratch};
 use super::rest::Rest;
+use super::screening::{FIRST, SECOND, keep};
 use super::settled::{KEPT, Settled, SettledScratch};
 use super::starts::start;
 use super::step::{Placement, Prior};
-use crate::math::{DVec3, sqrt};
+use crate::math::DVec3;
 use crate::params::RegisterParams;
 use crate::register::Symmetry;
 use alloc::vec::Vec;
@@ -34,33 +35,6 @@ impl Candidate {
     }
 }
 
-/// One round of screening.
-struct Round {
-    /// How many salient points it looks at.
-    pressed: usize,
-    /// Widths of its steps, and how many candidates go on from each: the cheapest as they stood before it.
-    steps: &'static [(f64, usize)],
-    /// The width that candidates are compared by in the end, and how many are kept.
-    last_mm: f64,
-    keeps: usize,
-    /// Candidates closer than this, over the patch, are one.
-    same_mm: f64,
-}
-
-const FIRST: Round = Round {
-    pressed: COARSE,
-    steps: &[(1.5, usize::MAX), (0.8, 96), (0.4, 48)],
-    last_mm: 0.3,
-    keeps: 32,
-    same_mm: 0.0,
-};
-const SECOND: Round = Round {
-    pressed: MEDIUM,
-    steps: &[(0.6, usize::MAX), (0.3, usize::MAX), (0.2, usize::MAX), (0.12, usize::MAX)],
-    last_mm: 0.1,
-    keeps: KEPT,
-    same_mm: 0.1,
-};
 /// From a guess that is close: coarse looks, and steps on the field that are not checked. A step on the exact surface costs
 /// several of them.
 const CLOSE: &[f64] = &[0.5, 0.25, 0.15];
@@ -87,11 +61,6 @@ const BLURRED: [(f64, usize); 3] = [(0.3, 5), (0.2, 3), (0.1, 2)];
 const SHARP_MM: f64 = 0.05;
 /// Width on the field of those that come after the best one, which are near their end.
 const FIELD_MM: f64 = 0.1;
-/// The guess counts little while weights are those of wide laws.
-const COARSE_PRIOR: f64 = 0.1;
-/// Longest step of a coarse look.
-const LONGEST_MM: f64 = 2.0;
-
 /// The steps of a pose that comes after the best one: on the field, the first on the exact surface, and to the end.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Stage {
@@ -123,7 +92,7 @@ impl Search<'_> {
         View::of(self.samples, usize::MAX, usize::MAX, self.press_direction)
     }
 
-    fn budget(&self) -> u64 {
+    pub fn budget(&self) -> u64 {
         u64::from(self.params.budget)
     }
 
@@ -425,82 +394,5 @@ impl Search<'_> {
             }
         }
         best.1
-    }
-
-    /// Steps of all candidates, and the choice of those that go on.
-    fn round(&mut self, candidates: &mut Vec<Candidate>, round: &Round, unpressed: usize) {
-        let view = View::of(
-            self.samples,
-            round.pressed.min(self.samples.spread_count),
-            unpressed,
-            self.press_direction,
-        );
-        for &(width_mm, keeps) in round.steps {
-            self.each(candidates, |search, candidate| search.step(candidate, &view, width_mm));
-            keep(candidates, keeps, 0.0, 0.0);
-        }
-        self.each(candidates, |search, candidate| {
-            search.work += view.len();
-            view.cost(&search.field, &candidate.placement, round.last_mm)
-        });
-        insertion_sort(candidates);
-    }
-
-    /// Does what tells a candidate's cost, to all of them or until the budget is spent.
-    fn each(&mut self, candidates: &mut [Candidate], mut cost: impl FnMut(&mut Self, &mut Candidate) -> f64) {
-        if self.work >= self.budget() {
-            return;
-        }
-        for candidate in candidates {
-            candidate.cost = if self.work < self.budget() { cost(self, candidate) } else { f64::INFINITY };
-        }
-    }
-
-    /// A coarse step; what the candidate cost before it.
-    fn step(&mut self, candidate: &mut Candidate, view: &View<'_>, width_mm: f64) -> f64 {
-        let mut sum = view.look(&self.field, &candidate.placement, width_mm);
-        self.work += view.len();
-        let cost = sum.cost;
-        sum.add_prior(&self.prior, &candidate.placement, view.radius_mm, COARSE_PRIOR);
-        if let Some((omega, v)) = sum.solve(view.radius_mm, LONGEST_MM) {
-            candidate.placement = candidate.placement.moved(omega, v);
-        }
-        cost
-    }
-}
-
-/// The `most` cheapest, in order; of those closer than `same_mm` the cheaper one. Sorting is stable: ties stay in the
-/// order of the starts.
-fn keep(candidates: &mut Vec<Candidate>, most: usize, radius_mm: f64, same_mm: f64) {
-    insertion_sort(candidates);
-    if same_mm == 0.0 {
-        return candidates.truncate(most);
-    }
-    let mut kept = 0;
-    for k in 0..candidates.len() {
-        if kept == most {
-            break;
-        }
-        let one = candidates[k];
-        let is_new = candidates[..kept].iter().all(|other| {
-            let (omega, v) = one.placement.since(&other.placement);
-            sqrt((omega * radius_mm).length_squared() + v.length_squared()) > same_mm
-        });
-        if is_new {
-            candidates[kept] = one;
-            kept += 1;
-        }
-    }
-    candidates.truncate(kept);
-}
-
-/// The standard library's stable sort allocates.
-pub(super) fn insertion_sort(candidates: &mut [Candidate]) {
-    for k in 1..candidates.len() {
-        let mut at = k;
-        while at > 0 && candidates[at].cost < candidates[at - 1].cost {
-            candidates.swap(at, at - 1);
-            at -= 1;
-        }
     }
 }
