@@ -61,6 +61,7 @@ const BLURRED: [(f64, usize); 3] = [(0.3, 5), (0.2, 3), (0.1, 2)];
 const SHARP_MM: f64 = 0.05;
 /// Width on the field of those that come after the best one, which are near their end.
 const FIELD_MM: f64 = 0.1;
+
 /// The steps of a pose that comes after the best one: on the field, the first on the exact surface, and to the end.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Stage {

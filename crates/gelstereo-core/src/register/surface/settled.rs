@@ -139,7 +139,7 @@ impl Settled<'_> {
     }
 
     /// Predicts at a candidate as it stands. On the field what its slot kept before is of another candidate; on the exact
-    /// surface it is this one's, and close.
+    /// surface it is this one's, and close, or, where a budget let none come so far, perhaps of another contact.
     pub fn begin(&self, state: &mut Candidate, scratch: &mut SettledScratch) -> u64 {
         let nodes = &self.gel().nodes;
         if self.faces.is_none() || scratch.kept[state.slot].heights_mm.len() != nodes.len() {
