@@ -103,3 +103,28 @@ fn row_10_spins_of_a_ball_are_named_in_the_order_of_the_axes() {
         assert!(said.iter().zip(&expected).all(|(said, e)| said.starts_with(e)), "{said:?}");
     }
 }
+
+/// What was registered before leaves no trace, wherever a budget stops the search.
+#[test]
+fn an_answer_does_not_depend_on_the_contact_before() {
+    let [cylinder, ball] = [parts().remove(0), ball_of(5.0)];
+    let above = Pose::from_translation_mm(DVec3::new(0.0, 0.0, REST_MM + 5.0 - 1.0));
+    let mut random = Stream::new(34, "before");
+    let mut sensed = |part: &Part, pose: Pose| {
+        let problem = Problem::sense(&Gel::press(part, &pose), pose, Sensing::GOOD, &mut random);
+        let guess = problem.guess(0.1, 0.5, &mut random);
+        (problem, template(part), guess)
+    };
+    let (first, second) = (sensed(&cylinder, lying(-15.0)), sensed(&ball, above));
+    for budget in (1..100).map(|k| 1500 * k) {
+        let params =
+            RegisterParams { method: RegisterMethod::SurfaceSearch, budget, ..RegisterParams::default() };
+        let answer = |registrar: &mut Registrar, (problem, template, guess): &(Problem, Template, Pose)| {
+            registrar.register(&problem.contact(), template, guess).unwrap()
+        };
+        let alone = answer(&mut Registrar::new(&params), &second);
+        let mut registrar = Registrar::new(&params);
+        answer(&mut registrar, &first);
+        assert_eq!(answer(&mut registrar, &second), alone, "budget {budget}");
+    }
+}

@@ -70,9 +70,9 @@ impl<'a, 'b> Others<'a, 'b> {
     }
 
     /// The best pose back at the guess along the free directions, if it is as likely there: a direction that noise nearly
-    /// hides is not free as far as that.
+    /// hides is not free as far as that. Once the budget is spent nothing is known of the gel there, and it stays.
     pub fn hold(&mut self, best: &mut Candidate) {
-        if self.seen.free_count() == 0 {
+        if self.seen.free_count() == 0 || self.search.has_spent() {
             return;
         }
         let pose = held::nearest(&self.seen, &self.best.placement.pose, &self.search.prior.guess.pose);

@@ -139,10 +139,10 @@ impl Settled<'_> {
     }
 
     /// Predicts at a candidate as it stands. On the field what its slot kept before is of another candidate; on the exact
-    /// surface it is this one's, and close, or, where a budget let none come so far, perhaps of another contact.
+    /// surface it is this one's, and close.
     pub fn begin(&self, state: &mut Candidate, scratch: &mut SettledScratch) -> u64 {
         let nodes = &self.gel().nodes;
-        if self.faces.is_none() || scratch.kept[state.slot].heights_mm.len() != nodes.len() {
+        if self.faces.is_none() {
             scratch.make_room(nodes.len());
             let over_rest_mm = nodes.iter().map(|node| (node.along_mm - state.rest.plane_mm[0]).max(0.0));
             scratch.there.heights_mm.clear();
