@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+
 import gelstereo
 import hypothesis
 import pytest
@@ -9,6 +11,10 @@ import pytest
 # No example may depend on how fast the machine is, and every run tries the same ones.
 hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=True, max_examples=60)
 hypothesis.settings.load_profile("repeatable")
+
+# A shell that starts the tests in the background has them ignore Ctrl-C, and with them all commands that they stop by it.
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")

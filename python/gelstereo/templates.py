@@ -108,7 +108,7 @@ def _surface(
     vertices = np.asarray(loaded.vertices, dtype=np.float64)
     triangles = np.asarray(loaded.faces, dtype=np.int64)
     if vertices.size == 0 or triangles.size == 0:
-        raise MeshError(f"{name} cannot be read as a triangle mesh: it has none; valid is {_WHOLE}")
+        raise MeshError(f"{name} cannot be read as a triangle mesh: it has no triangles; valid is {_WHOLE}")
     _check_finite(vertices, name)
     check_size(vertices.max(axis=0) - vertices.min(axis=0), units)
     vertices_mm = vertices * MM_PER_UNIT[units]
