@@ -12,7 +12,7 @@ import pytest
 hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=True, max_examples=60)
 hypothesis.settings.load_profile("repeatable")
 
-# A shell that starts the tests in the background has them ignore Ctrl-C, and with them all commands that they stop by it.
+# Started in the background by a shell, tests ignore Ctrl-C, and so would all commands that they stop by it.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
