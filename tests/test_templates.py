@@ -75,8 +75,9 @@ def test_files_that_are_no_mesh(tmp_path: Path, box: trimesh.Trimesh) -> None:
     cut = (tmp_path / "box.stl").read_bytes()[:300]
     for name, content, why in [
         ("empty.stl", b"", "no triangles"),
-        ("cut.stl", cut, "no triangles"),
-        ("text.obj", b"hello", "no triangles"),
+        # What trimesh takes for text it decodes with another package, if that is installed.
+        ("cut.stl", cut, "(no triangles|another package)"),
+        ("text.obj", b"hello", "(no triangles|another package)"),
         ("cut.ply", b"ply\nformat", "cut short or damaged"),
         ("odd.xyz9", b"1 2 3", "xyz9"),
     ]:
