@@ -105,8 +105,16 @@ def _write(path: Path, step: _Step, faces: list[str], unit: str) -> None:
     path.write_text(HEAD + "\n".join(step.lines) + "\nENDSEC;\nEND-ISO-10303-21;\n")
 
 
+def _inch(step: _Step) -> str:
+    """The unit that is no SI unit, by what it is in millimetres."""
+    millimetre = step.add("(LENGTH_UNIT()NAMED_UNIT(*)SI_UNIT(.MILLI.,.METRE.))")
+    is_so_long = step.add(f"LENGTH_MEASURE_WITH_UNIT(LENGTH_MEASURE(25.4),{millimetre})")
+    exponents = step.add("DIMENSIONAL_EXPONENTS(1.,0.,0.,0.,0.,0.,0.)")
+    return step.add(f"(CONVERSION_BASED_UNIT('INCH',{is_so_long})LENGTH_UNIT()NAMED_UNIT({exponents}))")
+
+
 def _product(step: _Step, body: str, unit: str) -> None:
-    length = step.add(f"(LENGTH_UNIT()NAMED_UNIT(*){unit})")
+    length = _inch(step) if unit == "INCH" else step.add(f"(LENGTH_UNIT()NAMED_UNIT(*){unit})")
     angle = step.add("(NAMED_UNIT(*)PLANE_ANGLE_UNIT()SI_UNIT($,.RADIAN.))")
     solid_angle = step.add("(NAMED_UNIT(*)SI_UNIT($,.STERADIAN.)SOLID_ANGLE_UNIT())")
     fuzz = step.add(f"UNCERTAINTY_MEASURE_WITH_UNIT(LENGTH_MEASURE(1.E-6),{length},'','')")

@@ -1,14 +1,18 @@
 """Laws of SO(3) and SE(3) at 4 ulp: every function against mpmath at 60 digits, on the doubles that it was given.
 
 An ulp is that of the largest entry of the result. A smaller entry is a sum of terms as large as that one, or larger:
-where it cancels, its own ulp means nothing, and no caller can use more digits of it than of the others. Translations
-are sums of the operands' entries, so their ulp is that of the largest entry of operands and result. |ω| is up to π,
-as rotation vectors are kept; beyond, the argument's own ulp moves sine and cosine by more.
+where it cancels, its own ulp means nothing, and no caller can use more digits of it than of the others. A translation
+is a vector that was turned, which is off by as much whichever way it points: its ulp is the rounding unit times the
+length of what was turned (by the largest entry, 4.4 ulp are met once in thousands). |ω| is up to π, as rotation vectors
+are kept; beyond, the argument's own ulp moves sine and cosine by more.
 """
 
 from __future__ import annotations
 
+import inspect
 import math
+import re
+import sys
 from collections.abc import Iterable
 
 import mpmath
@@ -63,18 +67,28 @@ def exact_left_jacobian(omega: np.ndarray) -> mpmath.matrix:
 
 
 def exact_rotation(q: np.ndarray) -> mpmath.matrix:
+    return exact_rotation_of(exact(q))
+
+
+def exact_rotation_of(q: mpmath.matrix) -> mpmath.matrix:
     """1 + 2 w K + 2 K²; that the length is an ulp off 1 is the quaternion's error."""
-    x, y, z, w = exact(q)
+    x, y, z, w = q
     k = hat(mpmath.matrix([x, y, z]))
     return mpmath.eye(3) + k * (2 * w) + k * k * 2
 
 
-def ulps(found: np.ndarray, expected: mpmath.matrix, *operands: np.ndarray) -> float:
-    """Largest error of an entry, in ulps of the largest entry of the result and the operands."""
+def ulps(found: np.ndarray, expected: mpmath.matrix, least: float = 0.0) -> float:
+    """Largest error of an entry, in ulps of the largest entry of the result, or of this if it is less."""
     entries = list(expected)
-    largest = max([abs(float(e)) for e in entries] + [float(np.abs(o).max()) for o in operands])
+    largest = max(least, *(abs(float(e)) for e in entries))
     error = max(abs(mpmath.mpf(float(a)) - b) for a, b in zip(np.ravel(found), entries, strict=True))
     return float(error / mpmath.mpf(math.ulp(largest)))
+
+
+def ulps_of_length(found: np.ndarray, expected: mpmath.matrix, turned: np.ndarray) -> float:
+    """Length of the error in rounding units of the length of what was turned."""
+    error = mpmath.norm(exact(found) - expected)
+    return float(error / (mpmath.norm(exact(turned)) * math.ulp(1.0)))
 
 
 @given(directions, angles)
@@ -110,9 +124,9 @@ def test_exponential_of_a_motion(direction: np.ndarray, angle: float, v: np.ndar
     omega = direction * angle
     pose = geometry.se3_exp(np.concatenate([omega, v]))
     # |V v| goes down to 2 / π of |v|: cancellation in V v.
-    assert ulps(pose[:3, 3], exact_left_jacobian(omega) * exact(v), v) <= MOST_ULP
+    assert ulps_of_length(pose[:3, 3], exact_left_jacobian(omega) * exact(v), v) <= MOST_ULP
     # The matrix of the quaternion that it holds; what the quaternion itself is worth is tested above.
-    assert ulps(pose[:3, :3], exact_rotation(np.array(geometry.so3_exp(omega))), np.ones(1)) <= MOST_ULP
+    assert ulps(pose[:3, :3], exact_rotation(np.array(geometry.so3_exp(omega))), 1.0) <= MOST_ULP
 
 
 @given(directions, angles, vectors)
@@ -123,4 +137,39 @@ def test_logarithm_of_a_motion(direction: np.ndarray, angle: float, v: np.ndarra
     assert ulps(twist[:3], exact(omega)) <= MOST_ULP
     # V⁻¹ of the rotation vector that was given back, on the translation that was given.
     expected = exact_left_jacobian(twist[:3]) ** -1 * exact(pose[:3, 3]) if twist[:3].any() else exact(v)
-    assert ulps(twist[3:], expected, pose[:3, 3]) <= MOST_ULP
+    assert ulps_of_length(twist[3:], expected, pose[:3, 3]) <= MOST_ULP
+
+
+@given(directions, angles)
+def test_quaternion_of_a_matrix(direction: np.ndarray, angle: float) -> None:
+    omega = direction * angle
+    half = mpmath.norm(exact(omega)) / 2
+    expected = mpmath.matrix([*(exact(omega) * (mpmath.sin(half) / half / 2)), mpmath.cos(half)])
+    # Rounded once: the matrix that is nearest to the rotation.
+    q = geometry.so3_from_matrix(np.array(exact_rotation_of(expected).tolist(), dtype=float))
+    either = [ulps(sign * np.array(q), expected, 1.0) for sign in (1.0, -1.0)]
+    # At half a turn, where round-off chooses the sign, either is right.
+    assert (min(either) if abs(q[3]) < 1e-15 else either[0]) <= MOST_ULP
+
+
+@given(directions, angles, vectors)
+def test_exponential_and_logarithm_undo_each_other(
+    direction: np.ndarray, angle: float, v: np.ndarray
+) -> None:
+    """Both ways; a step each, and beside half a turn the one that V and its inverse stretch by."""
+    omega = direction * angle
+    back = np.array(geometry.so3_log(geometry.so3_exp(omega)))
+    # Where the axis's own round-off makes it more than half a turn, the other end is right.
+    ends = [ulps(sign * back, exact(omega)) for sign in (1.0, -1.0)]
+    assert (min(ends) if PI - angle < 1e-15 else ends[0]) <= 2.0 * MOST_ULP
+    pose = np.array(geometry.se3_exp(np.concatenate([omega, v])))
+    again = np.array(geometry.se3_exp(geometry.se3_log(pose)))
+    # The matrix of a rotation, the quaternion of that, its logarithm and exponential.
+    assert ulps(again[:3, :3], mpmath.matrix(pose[:3, :3].tolist()), 1.0) <= 4.0 * MOST_ULP
+    assert ulps_of_length(again[:3, 3], exact(pose[:3, 3]), v) <= 4.0 * MOST_ULP
+
+
+def test_every_function_has_a_law() -> None:
+    source = inspect.getsource(sys.modules[__name__])
+    held = set(re.findall(r"geometry\.(s[oe]3_\w+)\(", source))
+    assert held == {name for name in dir(geometry) if name.startswith(("so3_", "se3_"))}

@@ -281,6 +281,39 @@ def test_a_step_file_says_its_unit(unit: str, mm: float, tmp_path: Path) -> None
         Template.from_mesh(tmp_path / "no.step", units=None)
 
 
+@pytest.mark.parametrize(
+    ("unit", "mm"), [("SI_UNIT(.MILLI.,.METRE.)", 1.0), ("SI_UNIT($,.METRE.)", 1000.0), ("INCH", 25.4)]
+)
+def test_a_pin_of_a_step_file_is_as_large_as_its_unit_says(unit: str, mm: float, tmp_path: Path) -> None:
+    pytest.importorskip("cascadio")
+    radius_mm, length_mm = 3.0, 12.7
+    path = tmp_path / "pin.stp"
+    write_pin(path, radius_mm / mm, length_mm / mm, unit)
+    surface = Template.from_mesh(path, units=None, spacing_mm=0.5).surface
+    assert surface is not None and surface.is_closed
+    # Corners lie on the circle and faces within 0.01 mm of it: a volume of facets, which is less.
+    full_mm3 = np.pi * radius_mm**2 * length_mm
+    assert 1.0 - 2.0 * 0.01 / radius_mm < surface.volume_mm3 / full_mm3 <= 1.0
+
+
+WITHOUT_CASCADIO = """
+import sys
+sys.modules["cascadio"] = None  # Python refuses to import what stands as None.
+from gelstereo import MeshError, Template
+try:
+    Template.from_mesh(sys.argv[1], units=None)
+except MeshError as error:
+    print(error)
+"""
+
+
+def test_without_cascadio_a_step_file_names_the_extra(tmp_path: Path) -> None:
+    write_box(tmp_path / "box.step", (6.0, 4.0, 3.0))
+    command = [sys.executable, "-c", WITHOUT_CASCADIO, str(tmp_path / "box.step")]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert "box.step" in said and "cascadio" in said and "pip install 'gelstereo[step]'" in said
+
+
 @pytest.mark.parametrize("radius_mm", [0.5, 4.0, 50.0])
 def test_curved_faces_of_a_step_file_are_facets_within_a_hundredth(radius_mm: float, tmp_path: Path) -> None:
     """OpenCASCADE's facets: 0.01 mm from the face at most, whatever the part's size and the file's unit."""
@@ -311,6 +344,68 @@ def test_parts_of_a_scene_are_joined_where_they_stand(kind: str, tmp_path: Path)
     placed = template.points_mm @ back[:3, :3].T + back[:3, 3]
     off = [np.abs((np.abs(points) - half).max(axis=1)) for points in (placed, template.points_mm)]
     assert np.minimum(*off).max() < 1e-5
+
+
+@pytest.mark.filterwarnings("error::gelstereo.templates.MeshWarning")
+@pytest.mark.parametrize(
+    ("stretch", "least_mm", "most_mm"),
+    [
+        ((2.0, 2.0, 2.0), (6.0, -3.0, -4.0), (14.0, 3.0, 4.0)),
+        # A mirrored node turns its triangles inside out, which is no fault of the file.
+        ((-1.0, 1.0, 1.0), (-7.0, -1.5, -2.0), (-3.0, 1.5, 2.0)),
+        ((1.0, 2.0, 3.0), (3.0, -3.0, -6.0), (7.0, 3.0, 6.0)),
+    ],
+)
+def test_nodes_of_a_glb_file_stand_in_their_parents_frames(
+    stretch: tuple[float, ...], least_mm: tuple[float, ...], most_mm: tuple[float, ...], tmp_path: Path
+) -> None:
+    """In metres, as the format has it."""
+    scene, shift = trimesh.Scene(), np.eye(4)
+    shift[0, 3] = 5e-3
+    box = trimesh.creation.box((4e-3, 3e-3, 4e-3))
+    scene.add_geometry(box, node_name="child", transform=shift)
+    scene.graph.update(frame_from="world", frame_to="parent", matrix=np.diag([*stretch, 1.0]))
+    scene.graph.update(frame_from="parent", frame_to="child", matrix=shift)
+    scene.export(tmp_path / "nested.glb")
+    with pytest.raises(MeshError, match="try units='m'"):
+        Template.from_mesh(tmp_path / "nested.glb", units="mm")
+    template = Template.from_mesh(tmp_path / "nested.glb", units="m", spacing_mm=0.3)
+    corners = template.closest(np.array([least_mm, most_mm])).points_mm
+    # Single precision of a few millimetres.
+    np.testing.assert_allclose(corners, [least_mm, most_mm], atol=2e-6)
+    assert template.surface is not None
+    assert template.surface.volume_mm3 == pytest.approx(48.0 * abs(np.prod(stretch)), rel=1e-5)
+
+
+OBJ_GROUPS = """mtllib absent.mtl
+o box
+v 0 0 0
+v 4 0 0
+v 4 3 0
+v 0 3 0
+v 0 0 5
+v 4 0 5
+v 4 3 5
+v 0 3 5
+g ends
+usemtl a
+f 1 4 3 2
+usemtl b
+f 5 6 7 8
+g sides
+f 1 2 6 5
+f 2 3 7 6
+f -6 -5 -1 -2
+f 4 1 5 8
+"""
+
+
+def test_groups_of_an_obj_file_are_one_surface(tmp_path: Path) -> None:
+    """Faces of four corners, in groups of several materials that share their vertices; some count from the end."""
+    (tmp_path / "groups.obj").write_text(OBJ_GROUPS)
+    surface = Template.from_mesh(tmp_path / "groups.obj", units="mm", spacing_mm=0.5).surface
+    assert surface is not None and surface.is_closed
+    assert surface.volume_mm3 == pytest.approx(60.0, rel=1e-12)
 
 
 def write_scan(path: Path, points: np.ndarray, normals: np.ndarray | None) -> None:

@@ -6,6 +6,7 @@
 
 use gelstereo_core::math::linalg::{Symmetric, eigen};
 use gelstereo_core::math::random::{Stream, keyed};
+use gelstereo_core::math::se3::PoseError;
 use gelstereo_core::math::so3::{self, RotationError};
 use gelstereo_core::math::{DMat3, DQuat, DVec3, Pose};
 use proptest::prelude::*;
@@ -150,10 +151,10 @@ fn row_04_a_matrix_gives_its_quaternion_back_at_every_angle() {
 
 #[test]
 fn row_02_exp_keeps_the_first_order_at_every_power_of_ten() {
-    for power in -14..=-4 {
-        let omega = AXIS * 10.0_f64.powi(power);
+    for (power, mantissa) in (-14..=-4).flat_map(|power| [1.0, 1.9, 5.0].map(|mantissa| (power, mantissa))) {
+        let omega = AXIS * (mantissa * 10.0_f64.powi(power));
         let q = so3::exp(omega);
-        // sin(θ/2)/θ = 1/2 - θ²/48 + ...; the next term is below an ulp from 1e-4 down.
+        // sin(θ/2)/θ = 1/2 - θ²/48 + ...; the next term is below an ulp from 5e-4 down.
         let series = omega * (0.5 - omega.length_squared() / 48.0);
         assert!((DVec3::new(q.x, q.y, q.z) - series).abs().max_element() <= 2.0 * EPS * omega.length());
     }
@@ -187,6 +188,58 @@ fn row_04_quaternions_without_a_direction_are_refused() {
     assert_eq!(refused(f64::NAN, 0.0, 0.0, 1.0), Err(RotationError::NotFinite));
     assert_eq!(refused(0.0, f64::INFINITY, 0.0, 1.0), Err(RotationError::NotFinite));
     assert_eq!(refused(0.0, 0.0, 1e300, 0.0).unwrap(), DQuat::from_xyzw(0.0, 0.0, 1.0, 0.0));
+}
+
+#[test]
+fn row_04_half_turns_about_an_axis_have_one_quaternion_whatever_its_sign() {
+    for axis in [DVec3::X, DVec3::Y, DVec3::Z] {
+        for sign in [1.0, -1.0] {
+            let q = axis * sign;
+            let found = so3::canonical(DQuat::from_xyzw(q.x, q.y, q.z, 0.0)).unwrap();
+            assert_eq!(DVec3::new(found.x, found.y, found.z), axis);
+        }
+    }
+}
+
+#[test]
+fn row_04_single_precision_is_a_rotation_and_a_stretch_of_a_millionth_is_none() {
+    let exact = DMat3::from_quat(so3::exp(DVec3::new(0.3, -0.5, 0.7)));
+    let single = DMat3::from_cols_array(&exact.to_cols_array().map(|x| f64::from(x as f32)));
+    let apart = so3::from_matrix(&single).unwrap().dot(so3::from_matrix(&exact).unwrap());
+    assert!((apart - 1.0).abs() < 1e-14);
+    let refused = so3::from_matrix(&(exact * (1.0 + 1e-6)));
+    assert!(matches!(refused, Err(RotationError::NotOrthonormal { deviation, .. }) if deviation < 3e-6));
+    let mirrored = so3::from_matrix(&-exact);
+    assert!(matches!(mirrored, Err(RotationError::NotOrthonormal { determinant, .. }) if determinant < -0.9));
+}
+
+#[test]
+fn rows_give_their_motion_back_and_what_is_none_is_refused_by_name() {
+    let pose = Pose::exp(DVec3::new(0.3, -0.5, 0.7), DVec3::new(1.0, -2.0, 3.0));
+    let rows = pose.to_rows();
+    let back = Pose::from_rows(&rows).unwrap();
+    assert_eq!(back.translation_mm, pose.translation_mm);
+    assert!((back.rotation - pose.rotation).length() <= 7.0 * EPS);
+    let p = DVec3::new(4.0, 5.0, -6.0);
+    let by_rows =
+        DVec3::from_array(std::array::from_fn(|i| DVec3::from_slice(&rows[i][..3]).dot(p) + rows[i][3]));
+    assert!(
+        (by_rows - pose.transform_point(p)).length()
+            <= 8.0 * EPS * (p.length() + pose.translation_mm.length())
+    );
+    let with = |i: usize, j: usize, x: f64| {
+        let mut rows = rows;
+        rows[i][j] = x;
+        Pose::from_rows(&rows)
+    };
+    for j in 0..3 {
+        assert!(matches!(with(3, j, 1e-9), Err(PoseError::LastRow(_))));
+        assert!(matches!(with(j, 0, f64::NAN), Err(PoseError::Rotation(RotationError::NotFinite))));
+        assert_eq!(with(j, 3, f64::NAN), Err(PoseError::TranslationNotFinite));
+    }
+    assert!(matches!(with(3, 3, 2.0), Err(PoseError::LastRow(_))));
+    let lost = Pose::from_translation_mm(DVec3::X * f64::INFINITY);
+    assert_eq!(lost.normalized(), Err(PoseError::TranslationNotFinite));
 }
 
 #[test]
@@ -265,6 +318,11 @@ mod poses_in_files {
         let typed: File = toml::from_str(typed).unwrap();
         assert!(rows.pose.rotation.dot(typed.pose.rotation) > 1.0 - 1e-15);
         assert_eq!(rows.pose.translation_mm, typed.pose.translation_mm);
+        // Twelve digits were typed, too, and not written by this type.
+        let typed =
+            "pose = { rotation_xyzw = [0, 0, 0.707106781187, 0.707106781187], translation_mm = [1, 2, 3] }";
+        let typed: File = toml::from_str(typed).unwrap();
+        assert!((typed.pose.rotation.length() - 1.0).abs() <= f64::EPSILON);
     }
 
     #[test]

@@ -122,6 +122,10 @@ impl Template {
         }
         read.bytes = &bytes[..end];
         let flags = read.u32()?;
+        // A grid is a surface's; squares stand for one.
+        if ![0, SURFACE, SURFACE | GRID, SURFELS].contains(&flags) {
+            return Err(read.damaged());
+        }
         let spacing_mm = read.f64()?;
         let points_mm = read.rows()?;
         let normals = (0..points_mm.len()).map(|_| read.vector()).collect::<Result<Vec<_>, _>>()?;
@@ -133,13 +137,15 @@ impl Template {
             template = template.with_surfels();
         }
         if flags & GRID != 0 {
-            let (cell_mm, reach_mm) = (read.f64()?, read.f64()?);
-            template = template.with_field(cell_mm, reach_mm);
+            let asked = (read.f64()?, read.f64()?);
+            template = template.with_field(asked.0, asked.1);
+            // Made again it has the numbers that it had.
+            if template.field().map(|field| (field.cell_mm(), field.reach_mm())) != Some(asked) {
+                return Err(read.damaged());
+            }
         }
         for _ in 0..read.count(52)? {
-            let (axis, centre_mm) = (read.vector()?, read.vector()?);
-            let order = Some(read.u32()?).filter(|&n| n > 0);
-            template.symmetries.push(Symmetry { axis, centre_mm, order });
+            template.symmetries.push(read.symmetry()?);
         }
         if read.at == end { Ok(template) } else { Err(read.damaged()) }
     }
@@ -196,6 +202,17 @@ impl Reader<'_> {
 
     fn rows(&mut self) -> Result<Vec<DVec3>, TemplateBytesError> {
         (0..self.count(24)?).map(|_| self.vector()).collect()
+    }
+
+    /// As it was written, to the bit; an axis that is none is refused.
+    fn symmetry(&mut self) -> Result<Symmetry, TemplateBytesError> {
+        let (axis, centre_mm) = (self.vector()?, self.vector()?);
+        let order = Some(self.u32()?).filter(|&n| n > 0);
+        let is_unit = (axis.length_squared() - 1.0).abs() <= 1e-9;
+        match Symmetry::new(axis, centre_mm, order).filter(|_| is_unit) {
+            Some(sound) => Ok(Symmetry { axis, ..sound }),
+            None => Err(self.damaged()),
+        }
     }
 
     fn solid(&mut self) -> Result<Solid, TemplateBytesError> {

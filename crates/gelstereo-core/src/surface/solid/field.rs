@@ -51,7 +51,8 @@ pub struct Field {
 }
 
 impl Field {
-    /// Of a surface, with cells of `cell_mm`, or as wide as it takes for at most two million nodes.
+    /// Of a surface, with cells of `cell_mm`, or as wide as it takes for at most two million nodes; the reach is two such cells
+    /// at least.
     ///
     /// `None` for a reach or width that is not positive, or a reach that is not some cells wide or exceeds 1000 of
     /// them.
@@ -61,7 +62,7 @@ impl Field {
         if !(sound && reach_mm.is_finite()) {
             return None;
         }
-        let mut cell_mm = cell_mm;
+        let (mut cell_mm, mut reach_mm) = (cell_mm, reach_mm);
         loop {
             if let Some((mut field, count)) = Self::laid_out(solid, cell_mm, reach_mm) {
                 field.fill(solid, count);
@@ -69,6 +70,8 @@ impl Field {
                 return Some(field);
             }
             cell_mm *= WIDER;
+            // So that the same field is made of its own numbers.
+            reach_mm = reach_mm.max(2.0 * cell_mm);
         }
     }
 
@@ -78,7 +81,7 @@ impl Field {
         self.cell_mm
     }
 
-    /// Largest distance that it knows.
+    /// Largest distance that it knows, at least what was asked for.
     #[must_use]
     pub const fn reach_mm(&self) -> f64 {
         self.reach_mm
