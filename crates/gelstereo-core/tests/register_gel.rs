@@ -25,7 +25,7 @@ fn a_long_shoulder_is_told_from_the_part() {
         let template = Template::from_mesh(&part.mesh, 0.4, 1).unwrap();
         let template = template.with_field(Template::DEFAULT_CELL_MM, Template::DEFAULT_REACH_MM);
         let mut random = Stream::new(21, part.name);
-        for _ in 0..2 {
+        for _ in 0..4 {
             let problem = Problem::press_into(SOFT_MM, &part, Sensing::GOOD, &mut random);
             let guess = problem.guess_within(&CLASSES[1], &mut random);
             for (decay_mm, tally) in [(SOFT_MM, &mut with), (SHOULDER_MM, &mut without)] {
@@ -36,7 +36,7 @@ fn a_long_shoulder_is_told_from_the_part() {
         }
     }
     println!("with {with}, without {without}");
-    // Twelve contacts cannot tell shares apart that differ by less than a quarter; the middle one's error can.
+    // Of 48 contacts 94 and 79 in a hundred are found; two dozen tell that from chance in nine of ten cases.
     assert!(with.share() >= 0.75 && with.share() >= without.share(), "with {with}, without {without}");
     assert!(with.median() < without.median(), "with {with}, without {without}");
 }

@@ -31,7 +31,7 @@ pub(super) fn registration(
     let mut system = System::new(frame.radius_mm, params.point_sigma_mm);
     let by_plane = matches!(params.method, RegisterMethod::FilterregPlane | RegisterMethod::IcpPlane);
     let one_sided = OneSided::new(params.point_sigma_mm, params.max_distance_mm);
-    let (mut sum_squared, mut total) = (0.0, 0.0);
+    let (mut sum_squared, mut total, mut along_normals) = (0.0, 0.0, 0.0);
     for (soft, &point) in scratch.soft.iter().zip(&scratch.sources) {
         let lever = point - frame.centre_mm;
         let seen = soft.sighting(template, lever, 1.0, params.point_sigma_mm);
@@ -39,6 +39,7 @@ pub(super) fn registration(
             if by_plane { (seen.residual, one_sided.weight(seen.residual)) } else { (soft.distance_mm, 1.0) };
         sum_squared += weight * residual_mm * residual_mm;
         total += weight;
+        along_normals += weight * seen.residual * seen.residual;
         // The facet's normal, not the soft mean: that of two faces would claim to see sideways motion at every edge
         // of a flat contact.
         let Facet { normal, normal_variance } = facet(template, point, width_mm, params.point_sigma_mm);
@@ -48,7 +49,10 @@ pub(super) fn registration(
         system.blur(system.left_mm());
     }
     let in_object = system.observe(frame.centre_mm);
-    let observability = in_object.turned(pose, centroid(&scratch.targets));
+    let determined = 6 - in_object.free_count();
+    let excess = along_normals
+        / (params.point_sigma_mm * params.point_sigma_mm * (total - determined as f64).max(1.0));
+    let observability = in_object.turned(pose, centroid(&scratch.targets)).widened(excess);
     Ok(Registration {
         t_sensor_object: *pose,
         information: observability.information(),

@@ -204,6 +204,13 @@ impl Observability {
         self.values.iter().filter(|&&value| value == 0.0).count()
     }
 
+    /// Where residuals are larger than the noise says, by `excess` in their squares, so are the errors of the pose (Birge
+    /// 1932); smaller ones are chance.
+    pub(super) fn widened(mut self, excess: f64) -> Self {
+        self.values.iter_mut().for_each(|value| *value /= excess.max(1.0));
+        self
+    }
+
     /// Information of a left perturbation (ω, v) about the frame's origin; singular along free directions.
     #[must_use]
     pub fn information(&self) -> Symmetric<6> {

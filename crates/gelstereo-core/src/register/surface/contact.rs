@@ -2,6 +2,7 @@
 
 use super::buckets::Buckets;
 use super::gel::Gel;
+use super::hanging::Pressures;
 use crate::math::linalg::{Symmetric, eigen};
 use crate::math::{DVec3, sqrt};
 use crate::params::ContactParams;
@@ -159,6 +160,7 @@ pub(super) struct Samples {
     pub height_mm: f64,
     /// All markers, where a search asks what the gel does.
     pub gel: Gel,
+    pressures: Pressures,
     nearest_squared: Vec<f64>,
     flat: Vec<DVec3>,
     buckets: Buckets,
@@ -277,17 +279,40 @@ impl Samples {
         self.salient_from_mm = if high - low > LEVEL * sigma_mm { low } else { f64::NEG_INFINITY };
     }
 
-    /// Free gel of height h beside a contact obeys h - l² Δh = 0 (springs joined by a shear layer; Pasternak 1954): it
-    /// is hollow, Δh > 0, where gel on a flat or round part is not. Height over the mean of the markers around tells.
+    /// Finds the salient points beside the contact: by the gel's pressure where the gel is known, else by its bend.
     fn find_hanging(&mut self, contact: &Contact<'_>) {
-        let press = contact.press_direction;
         let count = contact.points_mm.len();
         if contact.unpressed_mm.is_empty() || count > MOST_ASKED {
             return;
         }
+        if self.gel.is_known() {
+            let Self { gel, pressed, pressures, radius_mm, .. } = self;
+            pressures.each_free(gel, *radius_mm, |k| {
+                if let Some(sample) = pressed.get_mut(k) {
+                    sample.hangs = true;
+                }
+            });
+        } else {
+            self.find_hollow(contact);
+        }
+        // Those that may touch first.
+        let mut touching = 0;
+        for k in 0..count {
+            if !self.pressed[k].hangs {
+                self.pressed.swap(touching, k);
+                touching += 1;
+            }
+        }
+        self.may_touch = touching;
+    }
+
+    /// Free gel of height h obeys h - l² Δh = 0 (Pasternak 1954): it is hollow, Δh > 0, where gel on a flat or round part
+    /// is not. Height over the mean of the markers around tells.
+    fn find_hollow(&mut self, contact: &Contact<'_>) {
+        let press = contact.press_direction;
         self.lay_flat(contact);
         self.buckets.fill(&self.flat);
-        for k in 0..count {
+        for k in 0..contact.points_mm.len() {
             let (flat, at) = (&self.flat, self.flat[k]);
             let squared = |j: usize| {
                 let (x, y) = (flat[j].x - at.x, flat[j].y - at.y);
@@ -301,15 +326,6 @@ impl Samples {
             let sigma_mm = sqrt(self.pressed[k].variance(press) * (1.0 + 1.0 / RING as f64));
             self.pressed[k].hangs = is_around && mean.z > HOLLOW * sigma_mm;
         }
-        // Those that may touch first.
-        let mut touching = 0;
-        for k in 0..count {
-            if !self.pressed[k].hangs {
-                self.pressed.swap(touching, k);
-                touching += 1;
-            }
-        }
-        self.may_touch = touching;
     }
 
     fn find_neighbours(&mut self, press: DVec3) {

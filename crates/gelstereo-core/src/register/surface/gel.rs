@@ -29,6 +29,8 @@ pub(super) struct Node {
     pub across_mm: DVec2,
     /// Along it.
     pub along_mm: f64,
+    /// Among the markers that were handed over.
+    pub index: usize,
 }
 
 /// The markers as nodes of the gel, row by row of the plane across the press.
@@ -74,7 +76,7 @@ impl Gel {
             } else if !is_within(across_mm, low - MARGIN_MM, high + MARGIN_MM) {
                 continue;
             }
-            self.nodes.push(Node { sample, across_mm, along_mm: p.dot(press) });
+            self.nodes.push(Node { sample, across_mm, along_mm: p.dot(press), index: k });
             if self.nodes.len() > *NODES.end() {
                 return self.clear();
             }

@@ -12,6 +12,7 @@ mod contact;
 mod evidence;
 mod fit;
 mod gel;
+mod hanging;
 mod information;
 mod lattice;
 mod linear;

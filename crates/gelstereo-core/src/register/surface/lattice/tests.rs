@@ -13,7 +13,7 @@ fn markers(random: &mut Stream, sides: [i32; 2], disorder: f64) -> (Vec<Node>, V
         let across_mm = f64::from(at[0]) * x + f64::from(at[1]) * y + off;
         if random.uniform() < 0.95 {
             let sample = Sample::new(DVec3::ZERO, [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]);
-            all.push((Node { sample, across_mm, along_mm: 0.0 }, at));
+            all.push((Node { sample, across_mm, along_mm: 0.0, index: 0 }, at));
         }
     }
     let low = all.iter().map(|one| one.0.across_mm.y).fold(f64::INFINITY, f64::min);
@@ -86,6 +86,7 @@ fn markers_without_neighbours_stand_on_the_part_alone() {
         sample: Sample::new(DVec3::ZERO, [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]),
         across_mm: DVec2::new(x, y),
         along_mm: 0.0,
+        index: 0,
     };
     let mut nodes: Vec<Node> = (0..36).map(|k| node(f64::from(k % 6), f64::from(k / 6))).collect();
     // Where another one is, and far from all.
