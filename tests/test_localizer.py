@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from gelstereo import Localizer, Params, RegisterError, Symmetry, Template, localize
+from gelstereo import Localizer, Params, PoseError, RegisterError, Symmetry, Template, localize
 from gelstereo.geometry import se3_exp, se3_log
 from test_localize_surface import corner
 
@@ -74,3 +74,37 @@ def test_a_declared_symmetry_gives_the_copy_nearest_to_the_guess(box: Template) 
             params=search,
         )
         assert off_deg(found.t_sensor_object, truth @ copy) < 2
+
+
+@pytest.mark.parametrize("how", ["rounded", "left out", "none"])
+def test_salient_points_that_are_not_among_all_markers_are_told_of(box: Template, how: str) -> None:
+    truth, salient, everything = corner(0.02)
+    markers, count = {
+        "rounded": (everything.astype(np.float32), len(salient)),
+        "left out": (everything[~(everything == salient[5]).all(axis=1)], 1),
+        "none": (np.empty((0, 3)), len(salient)),
+    }[how]
+    localizer = Localizer(box, t_sensor_object=truth)
+    first = 5 if count == 1 else 0
+    told = (
+        f"^{count} of {len(salient)} salient points are not among the {len(markers)} markers.* point {first};"
+    )
+    with pytest.raises(RegisterError, match=told):
+        localizer.process(salient, all_points_mm=markers)
+    with pytest.raises(RegisterError, match="give all markers of the same frame"):
+        localize(salient, box, t_sensor_object=truth, all_points_mm=markers)
+    assert localizer.process(salient[::-1], all_points_mm=everything).standing == "found"
+
+
+def test_a_guess_that_is_not_finite_is_told_where(box: Template) -> None:
+    truth, salient, _ = corner(0.02)
+    for entries in ([(0, 0)], [(1, 3), (2, 2)], [(3, 1)], [(i, k) for i in range(4) for k in range(4)]):
+        guess = np.array(truth)
+        for entry in entries:
+            guess[entry] = np.nan
+        row, column = min(entries)
+        told = f"t_sensor_object: {len(entries)} of 16 entries are NaN.* row {row}, column {column}: NaN"
+        with pytest.raises(PoseError, match=told):
+            localize(salient, box, t_sensor_object=guess)
+        with pytest.raises(PoseError, match=told):
+            Localizer(box, t_sensor_object=guess)

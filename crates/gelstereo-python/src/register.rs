@@ -161,7 +161,7 @@ const MOST_POINTS: usize = 20_000;
 /// t_sensor_object : (4, 4) array_like
 ///     A guess: maps object coordinates to sensor coordinates.
 /// all_points_mm : (M, 3) array_like, optional
-///     All markers' points, those of `points_mm` among them. The methods on the part's surface
+///     All markers' points, those of `points_mm` among them, bit for bit. The methods on the part's surface
 ///     (``register.method`` "surface_track", "surface_close", "surface_search"; they need a template of a mesh) use that the
 ///     part is nowhere between the others and the camera; other methods do not look at them.
 /// covariance_mm2 : (N, 3, 3) or (N, 9) array_like, optional
@@ -176,7 +176,7 @@ const MOST_POINTS: usize = 20_000;
 /// Raises
 /// ------
 /// RegisterError
-///     If the patch cannot be registered, for example with too few points.
+///     If the patch cannot be registered, for example with too few points, or if it is not among all markers.
 #[pyfunction]
 #[pyo3(signature = (points_mm, template, *, t_sensor_object, all_points_mm=None, covariance_mm2=None, params=None))]
 pub fn localize(
@@ -232,11 +232,14 @@ fn with_contact<T: Send>(
         )));
     }
     let all = all_points_mm.map(|all| Numbers::new(all, "all_points_mm")).transpose()?;
-    let all = all.as_ref().map_or(Ok(&[][..]), Numbers::rows::<DVec3, 3>)?;
+    let all = all.as_ref().map(Numbers::rows::<DVec3, 3>).transpose()?;
     let covariances = covariance_mm2.map(|c| Numbers::new(c, "covariance_mm2")).transpose()?;
     let covariances = covariances.as_ref().map(Numbers::matrices).transpose()?;
     py.detach(|| {
-        let unpressed_mm = core::unpressed(all, points);
+        if let Some(all) = all {
+            core::check_among(all, points)?;
+        }
+        let unpressed_mm = core::unpressed(all.unwrap_or_default(), points);
         run(&core::Contact {
             covariance_mm2: covariances,
             unpressed_mm: &unpressed_mm,

@@ -20,6 +20,17 @@ pub enum PoseError {
     Rotation(RotationError),
     /// The translation has a NaN or infinite component.
     TranslationNotFinite,
+    /// An entry of the matrix is NaN or infinite.
+    NotFinite {
+        /// Row of the first one.
+        row: usize,
+        /// Its column.
+        column: usize,
+        /// What it is.
+        value: f64,
+        /// How many of the 16 are.
+        count: usize,
+    },
     /// The last row is not (0, 0, 0, 1).
     LastRow([f64; 4]),
 }
@@ -31,6 +42,11 @@ impl core::fmt::Display for PoseError {
             Self::TranslationNotFinite => {
                 write!(f, "the translation has a component that is NaN or infinite")
             }
+            Self::NotFinite { row, column, value, count } => write!(
+                f,
+                "{count} of 16 entries are NaN or infinite, the first of them in row {row}, column {column}: {value}; valid \
+                 is a rotation and a translation in finite numbers: does it come from a fit that failed?"
+            ),
             Self::LastRow(row) => write!(
                 f,
                 "the last row is {row:?}; a pose is a 4x4 matrix with rows, whose last row is [0, 0, 0, 1] \
@@ -63,16 +79,21 @@ impl Pose {
     /// # Errors
     /// [`PoseError`] when the matrix is no rigid motion: scaled, sheared, reflected, transposed or not finite.
     pub fn from_rows(rows: &[[f64; 4]; 4]) -> Result<Self, PoseError> {
+        let bad = || rows.as_flattened().iter().enumerate().filter(|(_, x)| !x.is_finite());
+        if let Some((first, &value)) = bad().next() {
+            return Err(PoseError::NotFinite {
+                row: first / 4,
+                column: first % 4,
+                value,
+                count: bad().count(),
+            });
+        }
         if rows[3] != [0.0, 0.0, 0.0, 1.0] {
             return Err(PoseError::LastRow(rows[3]));
         }
         let column = |c: usize| DVec3::new(rows[0][c], rows[1][c], rows[2][c]);
         let rotation = so3::from_matrix(&DMat3::from_cols(column(0), column(1), column(2)))?;
-        let translation_mm = column(3);
-        if !translation_mm.is_finite() {
-            return Err(PoseError::TranslationNotFinite);
-        }
-        Ok(Self { rotation, translation_mm })
+        Ok(Self { rotation, translation_mm: column(3) })
     }
 
     /// Rows of the homogeneous 4x4 matrix.

@@ -109,6 +109,17 @@ pub enum RegisterError {
         /// Which one.
         index: usize,
     },
+    /// Salient points that are not among all markers.
+    NotAmong {
+        /// How many are not.
+        missing: usize,
+        /// Salient points.
+        points: usize,
+        /// The first that is not.
+        index: usize,
+        /// All markers.
+        all: usize,
+    },
     /// The way of the press is no unit vector.
     PressDirection,
     /// A decay length that no gel has.
@@ -166,6 +177,12 @@ impl core::fmt::Display for RegisterError {
             Self::MarkerNotFinite { index } => write!(
                 f,
                 "marker {index} of those not pressed is NaN, infinite or beyond {REACH_MM:e} mm; leave lost markers out"
+            ),
+            Self::NotAmong { missing, points, index, all } => write!(
+                f,
+                "{missing} of {points} salient points are not among the {all} markers, the first of them point {index}; give \
+                 all markers of the same frame, the salient ones among them and unchanged (not rounded, filtered or \
+                 transformed), or leave them out"
             ),
             Self::PressDirection => {
                 write!(f, "the press direction is no unit vector; give the way from the part into the gel")

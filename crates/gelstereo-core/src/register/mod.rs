@@ -33,7 +33,7 @@ pub use localizer::{Localizer, Located, Standing};
 pub use observe::Observability;
 pub use rigid::{RigidFit, RigidFitError, rigid_fit};
 pub use soft::{SoftMatch, soft_match};
-pub use surface::{Alternative, Alternatives, Contact, GelDecay, unpressed};
+pub use surface::{Alternative, Alternatives, Contact, GelDecay, check_among, unpressed};
 pub use symmetry::Symmetry;
 pub use template::Template;
 pub use tree::Tree;

@@ -75,24 +75,6 @@ fn is_positive(c: &Symmetric<3>) -> bool {
     doubt > 0.0 && first > doubt && second > doubt && third > doubt
 }
 
-/// The markers that are not among the salient ones, for [`Contact::unpressed_mm`]: those at other places, bit for bit.
-#[must_use]
-pub fn unpressed(all_mm: &[DVec3], salient_mm: &[DVec3]) -> Vec<DVec3> {
-    let order = |a: &DVec3, b: &DVec3| {
-        a.x.total_cmp(&b.x).then_with(|| a.y.total_cmp(&b.y)).then_with(|| a.z.total_cmp(&b.z))
-    };
-    let mut salient = salient_mm.to_vec();
-    salient.sort_unstable_by(order);
-    // Most markers are not even near. What is not a number leaves the bounds, and is not told by them.
-    let bounds = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-    let (low, high) = salient.iter().fold(bounds, |(low, high), p| (p.min(low), p.max(high)));
-    let is_beside = |p: &DVec3| p.cmplt(low).any() || p.cmpgt(high).any();
-    let is_salient = |p: &DVec3| !is_beside(p) && salient.binary_search_by(|s| order(s, p)).is_ok();
-    let mut unpressed = Vec::with_capacity(all_mm.len());
-    unpressed.extend(all_mm.iter().filter(|p| !is_salient(p)));
-    unpressed
-}
-
 /// A point about the patch's centroid, with its covariance.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sample {
@@ -425,22 +407,6 @@ impl Samples {
 mod tests {
     use super::*;
     use crate::math::random::Stream;
-
-    #[test]
-    fn unpressed_are_the_markers_at_no_salient_place_bit_for_bit() {
-        let mut random = Stream::new(1, "unpressed");
-        let mut place = || DVec3::new(random.uniform(), random.uniform(), random.uniform());
-        let mut all: Vec<DVec3> = (0..200).map(|_| place() * 9.0).collect();
-        all.extend([all[3], DVec3::new(0.0, 4.0, 4.0), DVec3::new(-0.0, 4.0, 4.0), DVec3::NAN]);
-        all.push(DVec3::new(5.0, f64::NAN, 5.0));
-        let mut salient: Vec<DVec3> = all.iter().copied().filter(|p| p.x > 3.0 && p.y < 7.0).collect();
-        salient.extend([all[3], DVec3::new(-0.0, 4.0, 4.0), DVec3::NAN, DVec3::new(5.0, f64::NAN, 5.0)]);
-        let bits = |p: &DVec3| p.to_array().map(f64::to_bits);
-        let slow = all.iter().filter(|p| salient.iter().all(|s| bits(s) != bits(p)));
-        let found = unpressed(&all, &salient);
-        assert!(found.iter().map(bits).eq(slow.map(bits)));
-        assert!(found.len() > 50 && found.iter().all(|p| !p.is_nan()));
-    }
 
     /// Evidence is divided by variances and by the patch's height, and takes the logarithm of that: of points that are as
     /// high, said to be known exactly along the press, or a rounding better than that, both are still positive.

@@ -16,6 +16,7 @@ mod hanging;
 mod information;
 mod lattice;
 mod linear;
+mod markers;
 mod noise;
 mod odds;
 mod others;
@@ -30,8 +31,9 @@ mod settled;
 mod starts;
 mod step;
 
-pub use contact::{Contact, unpressed};
+pub use contact::Contact;
 pub use evidence::{Alternative, Alternatives};
+pub use markers::{check_among, unpressed};
 pub(super) use relief::Relief;
 pub use rest::GelDecay;
 
