@@ -33,7 +33,7 @@ pub use localizer::{Localizer, Located, Standing};
 pub use observe::Observability;
 pub use rigid::{RigidFit, RigidFitError, rigid_fit};
 pub use soft::{SoftMatch, soft_match};
-pub use surface::{Alternative, Alternatives, Contact, GelDecay, check_among, unpressed};
+pub use surface::{Alternative, Alternatives, Contact, GelDecay, Misfit, check_among, unpressed};
 pub use symmetry::Symmetry;
 pub use template::Template;
 pub use tree::Tree;
@@ -243,6 +243,18 @@ impl Registrar {
         };
         copies::honour(&mut found, template.symmetries(), &guess, resolution_mm);
         Ok(found)
+    }
+
+    /// How far markers are from what the gel does at a pose of a contact that has been registered, after as few steps
+    /// as make it usual, or else after all; and whether it is after all. `None` where it is not known: not all markers
+    /// are given, the part has holes, or the gel comes back to rest within a pitch.
+    fn misfit(
+        &mut self,
+        of: (&Contact<'_>, &Template),
+        t_sensor_object: &Pose,
+        usual: Option<&surface::Usual>,
+    ) -> Option<(Misfit, bool)> {
+        surface::misfit(&self.params, of, t_sensor_object, usual, &mut self.surface)
     }
 
     /// The rungs on the template's points.
