@@ -8,7 +8,7 @@ mod problems;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::params::{RegisterMethod, RegisterParams};
-use gelstereo_core::register::{Contact, Localizer, Located, Standing, Template};
+use gelstereo_core::register::{Contact, Localizer, Located, Registrar, Standing, Template};
 use problems::gel::{Gel, SOFT_MM};
 use problems::parts::{Part, parts};
 use problems::{Problem, REST_MM, Sensing};
@@ -117,4 +117,19 @@ fn a_part_that_was_turned_end_for_end_untouched_is_not_believed_where_it_was() {
     println!("{wrong} of {count} believed wrongly");
     // At most a tenth are, whose ends look the same in the gel: of 40 more than 11 with a probability of 4e-4.
     assert!(count >= 36 && wrong <= 11, "{wrong} of {count}");
+}
+
+/// The gel's shoulder is salient, and lies on no face.
+#[test]
+fn the_odds_of_a_right_pose_are_above_even_on_a_soft_gel() {
+    for name in ["square peg", "key", "USB-A plug", "irregular peg", "cylinder peg"] {
+        let (part, template) = part(name);
+        let mut random = Stream::new(53, part.name);
+        for method in METHODS {
+            let mut registrar = Registrar::new(&RegisterParams { method, ..Default::default() });
+            let problem = Problem::press_into(SOFT_MM, &part, Sensing::GOOD, &mut random);
+            let found = registrar.register(&soft(&problem), &template, &problem.t_sensor_object).unwrap();
+            assert!(found.log_odds.unwrap() > 0.0, "{name} {method:?}: {:?}", found.log_odds);
+        }
+    }
 }

@@ -75,6 +75,7 @@ pub struct Registration {
     pub log_likelihood: Option<f64>,
     /// Natural logarithm of the odds that the part is here over that no part is, both as likely beforehand; known to
     /// the rungs on the surface alone. Below 0 the pose does not explain the contact: the part is elsewhere, or another.
+    /// The gel's shoulder, as far beside the part as twice the contact's decay length, says little of either.
     pub log_odds: Option<f64>,
     /// The gel's decay length that explains the contact best; `None` where the gel was not asked, which `surface_search`
     /// alone does, and it only where markers show what the gel does.
