@@ -55,7 +55,7 @@ def test_one_contact_has_no_standing(box: Template) -> None:
     truth, salient, _ = corner(0.02)
     close = Params().replace({"register.method": "surface_close"})
     found = localize(salient, box, t_sensor_object=truth, params=close)
-    assert found.standing is None and found.log_odds > 0
+    assert found.standing is None and found.misfit is None and found.log_odds > 0
     assert localize(salient, box, t_sensor_object=truth).log_odds is None
 
 
@@ -74,6 +74,18 @@ def test_a_declared_symmetry_gives_the_copy_nearest_to_the_guess(box: Template) 
             params=search,
         )
         assert off_deg(found.t_sensor_object, truth @ copy) < 2
+
+
+@pytest.mark.parametrize("decay_mm", [2.0, 0.1])
+def test_the_misfit_is_told_where_the_gel_is_asked(box: Template, decay_mm: float) -> None:
+    truth, salient, everything = corner(0.02)
+    # Beside the box it is at rest at once: another gel than one of 2 mm, and one of 0.1 mm is not asked.
+    params = Params().replace({"contact.decay_mm": decay_mm})
+    localizer = Localizer(box, t_sensor_object=truth, params=params)
+    for standing in ("found", "followed"):
+        found = localizer.process(salient, all_points_mm=everything)
+        assert found.standing == standing
+        assert found.misfit is None if decay_mm < 1 else found.misfit > 2
 
 
 @pytest.mark.parametrize("how", ["rounded", "left out", "none"])

@@ -120,6 +120,29 @@ fn a_followed_part_allocates_nothing_whether_held_or_lost() {
 }
 
 #[test]
+fn a_part_that_the_gel_is_asked_about_allocates_nothing_followed() {
+    let parts = problems::parts::parts();
+    let template = Template::from_mesh(&parts[0].mesh, 0.5, 1).unwrap();
+    let mut random = Stream::new(4, "followed gel");
+    let (decay_mm, good) = (problems::gel::SOFT_MM, problems::Sensing::GOOD);
+    let problem = problems::Problem::press_into(decay_mm, &parts[0], good, &mut random);
+    let contact = Patch { decay_mm, ..problem.contact() };
+    for method in [RegisterMethod::SurfaceTrack, RegisterMethod::SurfaceClose] {
+        let settings = RegisterParams { method, ..Default::default() };
+        let mut localizer = Localizer::new(&settings, &problem.t_sensor_object);
+        assert_eq!(localizer.run(&contact, &template).unwrap().standing, Standing::Found);
+        localizer.run(&contact, &template).unwrap();
+        let before = ALLOCATIONS.get();
+        // Longer than it takes to know what is usual.
+        for _ in 0..30 {
+            let located = localizer.run(&contact, &template).unwrap();
+            assert!(located.standing == Standing::Followed && located.misfit.is_some());
+        }
+        assert_eq!(ALLOCATIONS.get(), before, "{method:?}");
+    }
+}
+
+#[test]
 fn questions_to_a_surface_allocate_nothing() {
     let mesh = contact_patch::cuboid(DVec3::new(3.0, 4.0, 5.0));
     let template = Template::from_mesh(&mesh, 0.5, 1).unwrap().with_field(0.5, 2.0);

@@ -90,6 +90,10 @@ pub struct Localization {
     /// How a `Localizer` came to the pose: ``"followed"`` from the frame before, ``"found"`` by a search, or ``"lost"``: the
     /// search found nothing that explains the contact, and this is its best. None from `localize`.
     standing: Option<&'static str>,
+    /// What a `Localizer` judges by where the gel is known: mean over the lifted markers of their squared distances
+    /// from what the gel would do, in standard deviations, each square up to 16. About 1 at a right pose; None where
+    /// it is not asked.
+    misfit: Option<f64>,
     /// The other poses that explain the contact about as well, likeliest first, at most 8: pairs of a (4, 4) pose and its
     /// logarithm of the likelihood. Each is at least 1 % as likely as the best, and stands where that one does along
     /// `free` directions. ``surface_search`` alone looks for them: empty from other methods.
@@ -118,6 +122,7 @@ impl Localization {
                 core::Standing::Found => "found",
                 core::Standing::Lost => "lost",
             }),
+            misfit: None,
             alternatives: PyTuple::new(py, alternatives)?.unbind(),
             alternatives_cut: found.alternatives.is_cut(),
             t_sensor_object: arrays::pose_matrix(py, &found.t_sensor_object)?,
@@ -252,9 +257,11 @@ fn with_contact<T: Send>(
 
 /// Localizes one part frame by frame: follows it, notices that it is lost, and finds it again.
 ///
-/// A pose is followed from the frame before by the part's exact surface (``register.method`` "surface_track": by its grid of
-/// distances first). It is believed while its ``log_odds`` are above 0. Otherwise the part is searched for, around the last pose
-/// that was believed and around where it is expected. What the contact leaves free stays as it was.
+/// A pose is followed from the frame before by the part's exact surface (``register.method`` "surface_track": by its
+/// grid of distances first). Where the gel explained the contact in which the part was found, it is believed while its
+/// `misfit` is as usual; elsewhere (not all markers given, a gel that comes back to rest within a pitch) while its
+/// ``log_odds`` are above 0. Otherwise the part is searched for, around the last pose that was believed and around
+/// where it is expected. What the contact leaves free stays as it was.
 ///
 /// Calls from several threads take turns; the interpreter is released meanwhile.
 ///
@@ -357,6 +364,7 @@ impl Localizer {
         let template = self.template.get().inner();
         let run = |contact: &core::Contact<'_>| self.lock().run(contact, template);
         let located = with_contact(py, points_mm, all_points_mm, covariance_mm2, self.decay_mm, run)?;
-        Localization::new(py, located.registration, Some(located.standing))
+        let misfit = located.misfit.map(|misfit| misfit.mean);
+        Ok(Localization { misfit, ..Localization::new(py, located.registration, Some(located.standing))? })
     }
 }

@@ -1,8 +1,9 @@
 //! Localization from frame to frame: follow, notice that the part is lost, find it again.
 
 use super::observe::PatchFrame;
+use super::surface::Usual;
 use super::template::Template;
-use super::{Contact, RegisterError, Registrar, Registration};
+use super::{Contact, Misfit, RegisterError, Registrar, Registration};
 use crate::math::Pose;
 use crate::params::{RegisterMethod, RegisterParams};
 
@@ -24,15 +25,22 @@ pub struct Located {
     pub registration: Registration,
     /// How it was come by.
     pub standing: Standing,
+    /// How far the markers are from what the gel does there, where it was asked.
+    pub misfit: Option<Misfit>,
 }
 
 /// Localizes one part frame by frame.
 ///
-/// From the pose before, a rung that follows needs one start: `surface_track` if that is the `register.method`, and then
-/// `surface_close` if it fails, otherwise `surface_close`. A pose is believed while [`Registration::log_odds`] is above
-/// 0, even odds. Below that the part is searched by `surface_search`, around the last pose that was believed and, if that
-/// finds nothing either, around where it is expected. What the contact leaves free stays as it was, so
-/// that noise does not make it wander.
+/// From the pose before, a rung that follows needs one start: `surface_track` if that is the `register.method`, and
+/// then `surface_close` if it fails, otherwise `surface_close`. Where the gel explained the contact in which the part
+/// was found, a pose is believed while its [`Misfit`] is as usual: as at poses that were believed before and, at
+/// first, as noise and `register.outlier_share` would have it. Were markers independent, a right pose at its peak
+/// would be doubted once in a million frames. That finds a part that was turned while nothing touched it, if the gel
+/// shows it; a turn after which the gel looks the same cannot be told. Elsewhere (not all markers given, a gel that
+/// comes back to rest within a pitch) a pose is believed while [`Registration::log_odds`] is above 0, even odds.
+/// Otherwise the part is searched by `surface_search`, around the last pose that was believed and, if that finds
+/// nothing either, around where it is expected. What the contact leaves free stays as it was, so that noise does not
+/// make it wander.
 ///
 /// Allocates nothing once patches as large have been followed and searched.
 #[derive(Clone, Debug)]
@@ -43,6 +51,10 @@ pub struct Localizer {
     expected: Pose,
     last: Option<Pose>,
     is_held: bool,
+    outlier_share: f64,
+    /// Whether the gel is as it is said to be: it explained what was found.
+    asks_gel: bool,
+    usual: Usual,
 }
 
 impl Localizer {
@@ -60,6 +72,9 @@ impl Localizer {
             expected: *expected,
             last: None,
             is_held: false,
+            outlier_share: params.outlier_share,
+            asks_gel: false,
+            usual: Usual::new(params.outlier_share),
         }
     }
 
@@ -68,6 +83,8 @@ impl Localizer {
         self.expected = *expected;
         self.last = None;
         self.is_held = false;
+        self.asks_gel = false;
+        self.usual = Usual::new(self.outlier_share);
     }
 
     /// The last pose that was believed (`t_sensor_object`).
@@ -83,12 +100,14 @@ impl Localizer {
     /// there first.
     pub fn run(&mut self, contact: &Contact<'_>, template: &Template) -> Result<Located, RegisterError> {
         if let Some(last) = self.last.filter(|_| self.is_held) {
-            for registrar in self.follow.iter_mut().flatten() {
+            for k in 0..self.follow.len() {
+                let Some(registrar) = &mut self.follow[k] else { continue };
                 // Out of reach is one way to be lost; what else is refused the search refuses as well.
-                let Ok(mut found) = registrar.register(contact, template, &last) else { continue };
-                if explains(&found) {
-                    hold_free(&mut found, &last);
-                    return Ok(self.believe(found, Standing::Followed));
+                let Ok(found) = registrar.register(contact, template, &last) else { continue };
+                let mut followed = self.judge(found, (contact, template), Standing::Followed);
+                if followed.standing == Standing::Followed {
+                    hold_free(&mut followed.registration, &last);
+                    return Ok(self.believe(followed));
                 }
             }
         }
@@ -98,38 +117,70 @@ impl Localizer {
 
     fn search(&mut self, contact: &Contact<'_>, template: &Template) -> Result<Located, RegisterError> {
         let around = self.last.unwrap_or(self.expected);
-        let first = self.search.register(contact, template, &around);
-        if let Ok(found) = &first
-            && explains(found)
-        {
-            return Ok(self.believe(found.clone(), Standing::Found));
+        let first = self.search_around(&around, contact, template);
+        let is_found = first.as_ref().is_ok_and(|one| one.standing == Standing::Found);
+        if is_found || around == self.expected {
+            return first.map(|one| self.believe(one));
         }
-        if around == self.expected {
-            return first.map(lost);
-        }
-        match (first, self.search.register(contact, template, &self.expected)) {
-            (_, Ok(found)) if explains(&found) => Ok(self.believe(found, Standing::Found)),
+        let second = self.search_around(&self.expected.clone(), contact, template);
+        let best = match (first, second) {
             (Ok(first), Ok(second)) => {
-                Ok(lost(if first.log_odds >= second.log_odds { first } else { second }))
+                let is_second = second.standing == Standing::Found
+                    || second.registration.log_odds > first.registration.log_odds;
+                Ok(if is_second { second } else { first })
             }
-            (Ok(one), Err(_)) | (Err(_), Ok(one)) => Ok(lost(one)),
+            (Ok(one), Err(_)) | (Err(_), Ok(one)) => Ok(one),
             (Err(error), Err(_)) => Err(error),
+        };
+        best.map(|one| self.believe(one))
+    }
+
+    fn search_around(
+        &mut self,
+        around: &Pose,
+        contact: &Contact<'_>,
+        template: &Template,
+    ) -> Result<Located, RegisterError> {
+        let found = self.search.register(contact, template, around)?;
+        Ok(self.judge(found, (contact, template), Standing::Found))
+    }
+
+    /// A pose that was come by in some way, or lost if it does not explain the contact.
+    fn judge(
+        &mut self,
+        registration: Registration,
+        of: (&Contact<'_>, &Template),
+        standing: Standing,
+    ) -> Located {
+        let asks = self.asks_gel || registration.gel_decay.is_some();
+        // Most of what is followed is right, and that is soon seen once it is known what is usual.
+        let is_soon = standing == Standing::Followed && self.usual.is_known();
+        let usual = is_soon.then_some(&self.usual);
+        let told = if asks { self.search.misfit(of, &registration.t_sensor_object, usual) } else { None };
+        let is_usual = told.as_ref().is_some_and(|(misfit, _)| !self.usual.is_exceeded(misfit));
+        if let Some((misfit, is_last)) = &told
+            && is_usual
+        {
+            self.asks_gel = true;
+            if *is_last {
+                self.usual.learn(misfit);
+            }
         }
+        // A gel that has explained nothing yet may be another than it is said to be.
+        let goes_by_odds = told.is_none() || !self.asks_gel;
+        let is_explained = is_usual || (goes_by_odds && registration.log_odds.is_some_and(|odds| odds > 0.0));
+        let standing = if is_explained { standing } else { Standing::Lost };
+        Located { registration, standing, misfit: told.map(|(misfit, _)| misfit) }
     }
 
-    fn believe(&mut self, registration: Registration, standing: Standing) -> Located {
-        self.last = Some(registration.t_sensor_object);
-        self.is_held = true;
-        Located { registration, standing }
+    /// Takes a pose for what to follow, unless the part is lost.
+    fn believe(&mut self, located: Located) -> Located {
+        if located.standing != Standing::Lost {
+            self.last = Some(located.registration.t_sensor_object);
+            self.is_held = true;
+        }
+        located
     }
-}
-
-fn lost(registration: Registration) -> Located {
-    Located { registration, standing: Standing::Lost }
-}
-
-fn explains(found: &Registration) -> bool {
-    found.log_odds.is_some_and(|odds| odds > 0.0)
 }
 
 /// Takes back the motion since `last` along the directions that the contact leaves free.

@@ -33,7 +33,7 @@ pub use localizer::{Localizer, Located, Standing};
 pub use observe::Observability;
 pub use rigid::{RigidFit, RigidFitError, rigid_fit};
 pub use soft::{SoftMatch, soft_match};
-pub use surface::{Alternative, Alternatives, Contact, GelDecay, check_among, unpressed};
+pub use surface::{Alternative, Alternatives, Contact, GelDecay, Misfit, check_among, unpressed};
 pub use symmetry::Symmetry;
 pub use template::Template;
 pub use tree::Tree;
@@ -75,6 +75,7 @@ pub struct Registration {
     pub log_likelihood: Option<f64>,
     /// Natural logarithm of the odds that the part is here over that no part is, both as likely beforehand; known to
     /// the rungs on the surface alone. Below 0 the pose does not explain the contact: the part is elsewhere, or another.
+    /// The gel's shoulder, as far beside the part as twice the contact's decay length, says little of either.
     pub log_odds: Option<f64>,
     /// The gel's decay length that explains the contact best; `None` where the gel was not asked, which `surface_search`
     /// alone does, and it only where markers show what the gel does.
@@ -243,6 +244,18 @@ impl Registrar {
         };
         copies::honour(&mut found, template.symmetries(), &guess, resolution_mm);
         Ok(found)
+    }
+
+    /// How far markers are from what the gel does at a pose of a contact that has been registered, after as few steps
+    /// as make it usual, or else after all; and whether it is after all. `None` where it is not known: not all markers
+    /// are given, the part has holes, or the gel comes back to rest within a pitch.
+    fn misfit(
+        &mut self,
+        of: (&Contact<'_>, &Template),
+        t_sensor_object: &Pose,
+        usual: Option<&surface::Usual>,
+    ) -> Option<(Misfit, bool)> {
+        surface::misfit(&self.params, of, t_sensor_object, usual, &mut self.surface)
     }
 
     /// The rungs on the template's points.

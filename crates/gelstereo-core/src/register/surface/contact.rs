@@ -140,6 +140,8 @@ pub(super) struct Samples {
     pub salient_from_mm: f64,
     /// From the lowest salient point to the highest, and no less than noise makes of level ones.
     pub height_mm: f64,
+    /// Of the contact: over which the gel comes back to rest.
+    pub decay_mm: f64,
     /// All markers, where a search asks what the gel does.
     pub gel: Gel,
     pressures: Pressures,
@@ -194,6 +196,7 @@ impl Samples {
         self.may_touch = self.pressed.len();
         self.find_saliency(contact.press_direction);
         self.gel.clear();
+        self.decay_mm = contact.decay_mm;
         if extent == Extent::Gel {
             self.fill_gel(contact);
         }

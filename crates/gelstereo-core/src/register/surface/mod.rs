@@ -17,6 +17,7 @@ mod information;
 mod lattice;
 mod linear;
 mod markers;
+mod misfit;
 mod noise;
 mod odds;
 mod others;
@@ -34,12 +35,14 @@ mod step;
 pub use contact::Contact;
 pub use evidence::{Alternative, Alternatives};
 pub use markers::{check_among, unpressed};
+pub use misfit::Misfit;
+pub(super) use misfit::Usual;
 pub(super) use relief::Relief;
 pub use rest::GelDecay;
 
 use super::error::LEAST_PATCH;
 use super::{RegisterError, Registration, Template};
-use crate::math::Pose;
+use crate::math::{DVec3, Pose};
 use crate::params::{RegisterMethod, RegisterParams};
 use alloc::vec::Vec;
 use contact::{Extent, Samples};
@@ -69,7 +72,7 @@ pub(super) fn run(
     guess: &Pose,
     scratch: &mut SurfaceScratch,
 ) -> Result<Registration, RegisterError> {
-    let (solid, field, relief) = template.touchable().ok_or(RegisterError::NoSurface)?;
+    let (solid, ..) = template.touchable().ok_or(RegisterError::NoSurface)?;
     contact.check()?;
     let SurfaceScratch { raster, samples, candidates, runners_up, polish, settled } = scratch;
     let extent = match params.method {
@@ -82,23 +85,8 @@ pub(super) fn run(
     let unpressed_mm = if extent == Extent::Salient { &[] } else { contact.unpressed_mm };
     let ordered = raster.ordered(&Contact { unpressed_mm, ..*contact });
     samples.fill(&ordered, params.point_sigma_mm, extent);
-    let centred = Pose { translation_mm: guess.translation_mm - samples.centre_mm, ..*guess };
-    let mut search = Search {
-        params,
-        samples,
-        press_direction: contact.press_direction,
-        field: Coarse(field),
-        faces: Exact { solid, relief, field: Coarse(field) },
-        prior: Prior {
-            guess: Placement::new(centred),
-            sigma_rad: params.start_sigma_deg.to_radians(),
-            sigma_mm: params.start_sigma_mm,
-        },
-        work: 0,
-        is_settled: false,
-        is_cut: false,
-        symmetries: template.symmetries(),
-    };
+    let mut search = searching(params, contact.press_direction, samples, template, guess)
+        .ok_or(RegisterError::NoSurface)?;
     check_reach(&search, solid, params)?;
     let end = match params.method {
         RegisterMethod::SurfaceTrack => search.track(candidates, polish),
@@ -111,6 +99,53 @@ pub(super) fn run(
     found.alternatives = evidence::alternatives(samples, candidates, search.is_cut);
     found.gel_decay = search.is_settled.then(|| candidates[0].rest.decay(contact.decay_mm));
     Ok(found)
+}
+
+/// How far markers are from what the gel does at a pose, after as few steps as make it usual, or else after all; and
+/// whether it is after all. `None` where the gel is not known.
+pub(super) fn misfit(
+    params: &RegisterParams,
+    (contact, template): (&Contact<'_>, &Template),
+    t_sensor_object: &Pose,
+    usual: Option<&Usual>,
+    scratch: &mut SurfaceScratch,
+) -> Option<(Misfit, bool)> {
+    template.touchable().filter(|(solid, ..)| solid.is_closed())?;
+    let SurfaceScratch { raster, samples, settled, .. } = scratch;
+    samples.fill(&raster.ordered(contact), params.point_sigma_mm, Extent::Gel);
+    if !samples.gel.is_known() {
+        return None;
+    }
+    let search = searching(params, contact.press_direction, samples, template, t_sensor_object)?;
+    Some(search.misfit(usual, settled))
+}
+
+/// What a search begins with.
+fn searching<'a>(
+    params: &'a RegisterParams,
+    press_direction: DVec3,
+    samples: &'a Samples,
+    template: &'a Template,
+    guess: &Pose,
+) -> Option<Search<'a>> {
+    let (solid, field, relief) = template.touchable()?;
+    let centred = Pose { translation_mm: guess.translation_mm - samples.centre_mm, ..*guess };
+    Some(Search {
+        params,
+        samples,
+        press_direction,
+        field: Coarse(field),
+        faces: Exact { solid, relief, field: Coarse(field) },
+        prior: Prior {
+            guess: Placement::new(centred),
+            sigma_rad: params.start_sigma_deg.to_radians(),
+            sigma_mm: params.start_sigma_mm,
+        },
+        work: 0,
+        is_settled: false,
+        is_cut: false,
+        symmetries: template.symmetries(),
+    })
 }
 
 /// Refuses a patch of which nothing is near the part at the guess.

@@ -30,7 +30,7 @@ pub(super) struct Candidate {
 }
 
 impl Candidate {
-    fn at(placement: Placement) -> Self {
+    pub fn at(placement: Placement) -> Self {
         Self { placement, rest: Rest::UNKNOWN, slot: 0, cost: f64::INFINITY }
     }
 }
@@ -235,7 +235,7 @@ impl Search<'_> {
         }
     }
 
-    fn settled(&self, is_exact: bool) -> Settled<'_> {
+    pub fn settled(&self, is_exact: bool) -> Settled<'_> {
         Settled {
             params: self.params,
             samples: self.samples,

@@ -115,6 +115,10 @@ impl SettledScratch {
         self.changes.resize(count, [0.0; UNKNOWN]);
     }
 
+    pub fn kept(&self, slot: usize) -> &Prediction {
+        &self.kept[slot]
+    }
+
     /// Brings a kept prediction to `here`; how another one changed does not count.
     pub fn show(&mut self, slot: usize) {
         self.changes.fill([0.0; UNKNOWN]);
@@ -141,15 +145,21 @@ impl Settled<'_> {
     /// Predicts at a candidate as it stands. On the field what its slot kept before is of another candidate; on the exact
     /// surface it is this one's, and close.
     pub fn begin(&self, state: &mut Candidate, scratch: &mut SettledScratch) -> u64 {
-        let nodes = &self.gel().nodes;
         if self.faces.is_none() {
-            scratch.make_room(nodes.len());
-            let over_rest_mm = nodes.iter().map(|node| (node.along_mm - state.rest.plane_mm[0]).max(0.0));
-            scratch.there.heights_mm.clear();
-            scratch.there.heights_mm.extend(over_rest_mm);
-        } else {
-            scratch.there.begin_as(&scratch.kept[state.slot]);
+            return self.begin_anew(state, scratch);
         }
+        scratch.there.begin_as(&scratch.kept[state.slot]);
+        scratch.hints.fill(0);
+        self.keep(state, 0.0, scratch)
+    }
+
+    /// Predicts, from the heights that were measured.
+    pub fn begin_anew(&self, state: &mut Candidate, scratch: &mut SettledScratch) -> u64 {
+        let nodes = &self.gel().nodes;
+        scratch.make_room(nodes.len());
+        let over_rest_mm = nodes.iter().map(|node| (node.along_mm - state.rest.plane_mm[0]).max(0.0));
+        scratch.there.heights_mm.clear();
+        scratch.there.heights_mm.extend(over_rest_mm);
         scratch.hints.fill(0);
         self.keep(state, 0.0, scratch)
     }
