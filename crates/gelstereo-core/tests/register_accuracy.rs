@@ -160,3 +160,36 @@ fn ransac_finds_broad_contacts() {
         assert!(found.success >= 0.9 && found.median < 3.0, "{}", scene.name);
     }
 }
+
+/// Points twice as noisy as the settings say: the covariance follows what the residuals say (Birge 1932).
+#[test]
+fn residuals_that_exceed_the_noise_widen_the_covariance() {
+    let scene = &scenes()[2];
+    let template = scene.shape.template(0.3);
+    let mut random = Stream::new(8, scene.name);
+    let trace = |m: &[[f64; 6]; 6]| (0..6).map(|k| m[k][k]).sum::<f64>();
+    let mut shares = 0.0;
+    for _ in 0..CONTACTS {
+        let contact = Contact::press(
+            &scene.shape,
+            Pose::exp(scene.turn, DVec3::ZERO),
+            0.9,
+            2.0 * NOISE_MM,
+            &mut random,
+        );
+        let guess = contact.guess(5.0_f64.to_radians(), 1.0, &mut random);
+        let [told, untold] = [2.0, 1.0].map(|share| {
+            let params = RegisterParams {
+                method: RegisterMethod::IcpPlane,
+                point_sigma_mm: share * NOISE_MM,
+                ..Default::default()
+            };
+            Registrar::new(&params).run(&contact.points_mm, &template, &guess).unwrap()
+        });
+        shares += trace(&untold.information) / trace(&told.information);
+    }
+    // Four if nothing were widened. Not quite one: of what lies over the part the farthest points count for nothing, and their
+    // residuals are those that show the noise.
+    let share = shares / CONTACTS as f64;
+    assert!((1.0..2.0).contains(&share), "{share}");
+}
