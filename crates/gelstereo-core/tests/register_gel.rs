@@ -36,9 +36,9 @@ fn a_long_shoulder_is_told_from_the_part() {
         }
     }
     println!("with {with}, without {without}");
-    // Of 48 contacts 94 and 79 in a hundred are found; two dozen tell that from chance in nine of ten cases.
+    // Of 48 contacts 94 and 79 in a hundred are found; two dozen tell that from chance in nine of ten cases. Errors are not
+    // compared: those found without the gel are the easier ones.
     assert!(with.share() >= 0.75 && with.share() >= without.share(), "with {with}, without {without}");
-    assert!(with.median() < without.median(), "with {with}, without {without}");
 }
 
 #[test]
