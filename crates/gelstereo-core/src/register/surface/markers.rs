@@ -6,6 +6,8 @@ use alloc::vec::Vec;
 use core::cmp::Ordering;
 
 /// The markers that are not among the salient ones, for [`Contact::unpressed_mm`]: those at other places, bit for bit.
+///
+/// [`Contact::unpressed_mm`]: super::Contact::unpressed_mm
 #[must_use]
 pub fn unpressed(all_mm: &[DVec3], salient_mm: &[DVec3]) -> Vec<DVec3> {
     let mut salient = salient_mm.to_vec();
