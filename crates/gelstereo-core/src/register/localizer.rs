@@ -122,7 +122,8 @@ impl Localizer {
         if is_found || around == self.expected {
             return first.map(|one| self.believe(one));
         }
-        let second = self.search_around(&self.expected.clone(), contact, template);
+        let expected = self.expected;
+        let second = self.search_around(&expected, contact, template);
         let best = match (first, second) {
             (Ok(first), Ok(second)) => {
                 let is_second = second.standing == Standing::Found

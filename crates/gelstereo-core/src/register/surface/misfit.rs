@@ -6,13 +6,11 @@
 
 use super::rest::Rest;
 use super::search::{Candidate, Search};
-use super::settled::{Prediction, SettledScratch};
+use super::settled::{LIFTED, Prediction, SettledScratch};
 use crate::math::sqrt;
 
 /// A squared deviation counts up to this: an outlier weighs no more than a marker four standard deviations off.
 const MOST: f64 = 16.0;
-/// Standard deviations from which gel counts as lifted.
-const LIFTED: f64 = 3.0;
 /// Steps from a pose that comes from a rung without the gel: it is off by several standard deviations of theirs.
 const STEPS: u32 = 3;
 /// A right pose at its peak is doubted once in e^14, 1.2 million, frames, were its markers independent. What is wrong
@@ -36,7 +34,7 @@ pub struct Misfit {
 
 impl Misfit {
     fn of(here: &Prediction) -> Self {
-        let (mut markers, mut sum, mut sum_squares) = (0, 0.0, 0.0);
+        let (mut markers, mut sum, mut sum_squares) = (0_usize, 0.0, 0.0);
         for (sight, &height_mm) in here.sights.iter().zip(&here.heights_mm) {
             let square = (sight.residual_mm * sight.residual_mm / sight.variance_mm2).min(MOST);
             let is_lifted = height_mm * height_mm > LIFTED * LIFTED * sight.variance_mm2;
@@ -46,7 +44,7 @@ impl Misfit {
                 sum_squares += square * square;
             }
         }
-        let per_marker = 1.0 / f64::from(u32::try_from(markers.max(1)).unwrap_or(u32::MAX));
+        let per_marker = 1.0 / markers.max(1) as f64;
         Self { markers, mean: sum * per_marker, mean_square: sum_squares * per_marker }
     }
 }

@@ -29,7 +29,7 @@ pub(super) const DECAY_SIGMA: f64 = 0.6;
 /// No free height is wrong by more than this share of its gap to the part.
 const GAP_SHARE: f64 = 0.5;
 /// Standard deviations from which gel is lifted.
-const LIFTED: f64 = 3.0;
+pub(super) const LIFTED: f64 = 3.0;
 /// Standard deviation of what lies anywhere between two markers, in pitches: 1 / √12.
 pub(super) const BETWEEN: f64 = 0.288_675;
 /// Outliers are spread over this much, and there may be some even where none are expected.
