@@ -160,7 +160,9 @@ def test_symmetries_are_found_or_declared() -> None:
     np.testing.assert_allclose(np.abs(found.symmetries[0].axis), [0.0, 0.0, 1.0], atol=1e-9)
     declared = found.with_symmetries([Symmetry([0, 0, 2], [0, 0, 0], 6)])
     (axis,) = declared.symmetries
-    assert axis.order == 6 and axis.axis[2] == 1.0 and declared.digest == found.digest
+    assert axis.order == 6 and axis.axis[2] == 1.0
+    # Registration may answer with another copy.
+    assert declared.digest != found.digest
     np.testing.assert_allclose(axis.turned(np.pi / 3)[:3, 0], [0.5, np.sqrt(0.75), 0.0], atol=1e-15)
     with pytest.raises(TemplateError, match="an order of 2 or more"):
         Symmetry([0, 0, 1], [0, 0, 0], 1)

@@ -9,6 +9,7 @@ use gelstereo_core::register::{Symmetry, Template, TemplateBytesError};
 use gelstereo_core::surface::TriangleMesh;
 use proptest::prelude::*;
 use solids::{block, star};
+use std::collections::BTreeSet;
 
 const TOLERANCE_MM: f64 = 0.02;
 
@@ -60,6 +61,30 @@ fn bytes_give_the_same_template_back() {
         let p = DVec3::new(1.1, 5.0, 2.2);
         assert_eq!(again.solid().map(|s| s.closest(p)), template.solid().map(|s| s.closest(p)));
         assert_eq!(again.solid().map(|s| *s.report()), template.solid().map(|s| *s.report()));
+    }
+}
+
+/// Registration answers with the copy that is nearest to the guess, so they are part of what a template is.
+#[test]
+fn templates_of_other_symmetries_have_other_digests() {
+    let plain = template(block(DVec3::splat(-1.0), DVec3::ONE, 1));
+    let of =
+        |axis: DVec3, centre_mm: DVec3, order: Option<u32>| Symmetry::new(axis, centre_mm, order).unwrap();
+    let half = of(DVec3::Z, DVec3::ZERO, Some(2));
+    let said = [
+        vec![],
+        vec![half],
+        vec![of(DVec3::Z, DVec3::ZERO, Some(4))],
+        vec![of(DVec3::Z, DVec3::ZERO, None)],
+        vec![of(DVec3::X, DVec3::ZERO, Some(2))],
+        vec![of(DVec3::Z, DVec3::X, Some(2))],
+        vec![half, of(DVec3::X, DVec3::ZERO, Some(2))],
+    ];
+    let templates = said.map(|symmetries| plain.clone().with_symmetries(symmetries));
+    let digests: BTreeSet<u64> = templates.iter().map(Template::digest).collect();
+    assert_eq!(digests.len(), templates.len());
+    for template in templates {
+        assert_eq!(Template::from_bytes(&template.to_bytes()).unwrap().digest(), template.digest());
     }
 }
 

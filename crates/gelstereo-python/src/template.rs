@@ -140,7 +140,7 @@ impl Template {
         self.inner.spacing_mm()
     }
 
-    /// Digest of points and normals, bit for bit.
+    /// Digest of points, normals, the mesh, the grid and the symmetries, bit for bit.
     #[getter]
     fn digest(&self) -> u64 {
         self.inner.digest()

@@ -236,7 +236,8 @@ impl Template {
         &self.blocks
     }
 
-    /// Digest of the points, normals and spacing, and of the exact surface and the grid if there are any.
+    /// Digest of the points, normals and spacing, of the exact surface and the grid if there are any, and of the symmetries
+    /// as they were said.
     #[must_use]
     pub fn digest(&self) -> u64 {
         let numbers = |v: &DVec3| v.to_array();
@@ -245,7 +246,14 @@ impl Template {
             .f64s(self.normals.iter().flat_map(numbers))
             .f64s([self.spacing_mm]);
         let solid = self.solid().map_or(points, |solid| points.u64(solid.digest()));
-        self.field().map_or(solid, |field| solid.u64(field.digest())).value()
+        let field = self.field().map_or(solid, |field| solid.u64(field.digest()));
+        self.symmetries
+            .iter()
+            .fold(field, |sum, Symmetry { axis, centre_mm, order }| {
+                // No order is 0: that is any turn, as in a file.
+                sum.f64s([*axis, *centre_mm].iter().flat_map(numbers)).u64(order.unwrap_or(0).into())
+            })
+            .value()
     }
 }
 
