@@ -6,6 +6,7 @@ import re
 import shutil
 from itertools import pairwise
 from pathlib import Path
+from types import ModuleType
 
 import gelstereo
 import numpy as np
@@ -14,10 +15,13 @@ import pytest
 from gelstereo.cli import main
 from gelstereo.frontier.baseline_fast import FastBaseline
 from gelstereo.frontier.covariance import Calibration
+from gelstereo.frontier.grasps import GRASPED
+from gelstereo.frontier.localization import measure_localization
 from gelstereo.frontier.nearest import PARTS as NEAREST_PARTS
 from gelstereo.frontier.nearest import SAMPLES, SCIPY, methods, points_around
 from gelstereo.frontier.page import SECTIONS, check_page, write_page
 from gelstereo.frontier.registering import Patch, observable_error_mm
+from gelstereo.frontier.rivals import rivals
 from gelstereo.frontier.rungs import RUNGS, rungs_of
 from gelstereo.frontier.runners import geometry_of, write_input
 from gelstereo.frontier.saliency import Score
@@ -395,3 +399,32 @@ def test_speed_is_judged_by_its_time_and_by_its_ratio_to_opencv() -> None:
     # A machine on which OpenCV is as quick asks for more than half a millisecond.
     assert (ratio.measured, ratio.limit, ratio.met) == (12.0, 13.33, False)
     assert targets["speed, preset fast, 640x480, 25x25, afresh, OpenCV's time over this"].limit == 5.33
+
+
+def test_libraries_that_cannot_be_loaded_are_named_and_the_others_measured(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def load(module: str) -> ModuleType:
+        if module == "open3d":
+            raise OSError("libusb-1.0.so.0: cannot open | shared\nobject file")
+        if module == "small_gicp":
+            return ModuleType(module)
+        raise ModuleNotFoundError(f"No module named {module!r}", name=module.split(".")[0])
+
+    with monkeypatch.context() as patch:
+        patch.setattr("gelstereo.frontier.rivals.importlib.import_module", load)
+        found, missing = rivals()
+    assert list(found) == ["small_gicp: GICP"]
+    assert missing["MeshLib: ICP on the mesh"] == "meshlib is not installed"
+    # The rest of the page is made without any of them, here of one part.
+    monkeypatch.setattr("gelstereo.frontier.localization.GRASPED", GRASPED[:1])
+    monkeypatch.setattr("gelstereo.frontier.localization.rivals", lambda: ({}, missing))
+    tables, targets = measure_localization(range(1, 2), 1, lambda what: None)
+    head, rows = tables[0].head, tables[0].rows
+    assert all(len(row) == len(head) for row in rows)
+    names = [row[0] for row in rows]
+    assert names[: len(rungs_of("register"))] == [rung.name for rung in rungs_of("register")]
+    why = "cannot be loaded: libusb-1.0.so.0: cannot open / shared object file"
+    assert f"Open3D: ICP, point to plane, Tukey ({why})" in names
+    assert "probreg: FilterReg, point to plane (probreg is not installed)" in names
+    assert targets

@@ -73,7 +73,8 @@ def measure_localization(seeds: range, rounds: int, report: Report) -> tuple[lis
     rounds
         Rounds of timing.
     """
-    methods = {rung.name: _native(rung) for rung in rungs_of("register")} | rivals()
+    others, missing = rivals()
+    methods = {rung.name: _native(rung) for rung in rungs_of("register")} | others
     tallies: dict[tuple[str, str, str], Tally] = {}
     contacts: dict[str, list[Grasp]] = {}
     for noise in NOISES:
@@ -99,6 +100,7 @@ def measure_localization(seeds: range, rounds: int, report: Report) -> tuple[lis
         shares = [grasp.at_bound(_DRAWS, seed) for seed, grasp in enumerate(contacts[noise.name])]
         ideal += [f"{100.0 * float(np.mean(shares)):.0f}", "1"]
     rows.append([*ideal, "-", "-"])
+    rows += _missing_rows(missing)
     head = [
         "method",
         *(cell for noise in NOISES for cell in (noise.name, "over the bound")),
@@ -116,6 +118,16 @@ def _from_truth(method: Method, contacts: Mapping[str, Sequence[Grasp]]) -> list
         tally = _tally(method, grasped, _TRUTH)
         row += [f"{tally.rate:.0f}", figure(tally.over_bound)]
     return [*row, "-", "-"]
+
+
+def _missing_rows(missing: Mapping[str, str]) -> list[list[str]]:
+    """Name the libraries that were not measured, and why, in as many cells as the others have."""
+    dashes = ["-"] * (2 * len(NOISES) + 2)
+    # A table's cell is one line without bars.
+    return [
+        [f"{name} ({' '.join(reason.replace('|', '/').split())})", *dashes]
+        for name, reason in missing.items()
+    ]
 
 
 def _parts_table(methods: Mapping[str, Method], tallies: Mapping[tuple[str, str, str], Tally]) -> Table:

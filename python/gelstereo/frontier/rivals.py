@@ -1,4 +1,4 @@
-"""Other libraries' registration at settings that suit tactile patches, where they are installed.
+"""Other libraries' registration at settings that suit tactile patches, where they can be loaded.
 
 ``pip install 'gelstereo[rivals]'`` brings them. Each takes a `Grasp` and a guess and gives a pose; settings were chosen
 on seeds of their own (900 on), for success from 10 deg and 2 mm.
@@ -6,7 +6,7 @@ on seeds of their own (900 on), for success from 10 deg and 2 mm.
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 from collections.abc import Callable
 from typing import Any
 
@@ -22,19 +22,30 @@ Array = npt.NDArray[np.float64]
 Method = Callable[[Grasp, Array], Array]
 
 
-def rivals() -> dict[str, Method]:
-    """Methods of the libraries that are installed, by name."""
-    known: dict[str, tuple[str, Method]] = {
-        "MeshLib: ICP on the mesh": ("meshlib", meshlib_icp),
-        "Open3D: ICP, point to plane, Tukey": ("open3d", open3d_icp),
-        "small_gicp: GICP": ("small_gicp", small_gicp_align),
-        "probreg: FilterReg, point to plane": ("probreg", probreg_filterreg),
+def rivals() -> tuple[dict[str, Method], dict[str, str]]:
+    """Methods of the libraries that can be loaded, by name, and why the others cannot be."""
+    known: dict[str, tuple[tuple[str, ...], Method]] = {
+        "MeshLib: ICP on the mesh": (("meshlib.mrmeshpy", "meshlib.mrmeshnumpy"), meshlib_icp),
+        "Open3D: ICP, point to plane, Tukey": (("open3d",), open3d_icp),
+        "small_gicp: GICP": (("small_gicp",), small_gicp_align),
+        "probreg: FilterReg, point to plane": (("probreg.filterreg",), probreg_filterreg),
     }
-    return {
-        name: method
-        for name, (module, method) in known.items()
-        if importlib.util.find_spec(module) is not None
-    }
+    reasons = {name: _missing(modules) for name, (modules, _) in known.items()}
+    methods = {name: method for name, (_, method) in known.items() if reasons[name] is None}
+    return methods, {name: reason for name, reason in reasons.items() if reason is not None}
+
+
+def _missing(modules: tuple[str, ...]) -> str | None:
+    """Why one of the modules cannot be loaded; ``None`` if all are."""
+    try:
+        for module in modules:
+            importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        return f"{error.name} is not installed"
+    except (ImportError, OSError) as error:
+        # A shared library that the system lacks: OSError through ctypes, ImportError through an extension.
+        return f"cannot be loaded: {error}"
+    return None
 
 
 #: Widest correspondences in turn, mm.
