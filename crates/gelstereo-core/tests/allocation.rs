@@ -1,7 +1,9 @@
 //! No stage allocates after its first frame, not even when a later one holds more.
 
+mod counting;
 mod support;
 
+use counting::ALLOCATIONS;
 use gelstereo_core::camera::{Camera, Layer, Layers};
 use gelstereo_core::detect::near::Found;
 use gelstereo_core::detect::{Detector, Markers};
@@ -14,35 +16,7 @@ use gelstereo_core::params::{
 use gelstereo_core::rig::Rig;
 use gelstereo_core::track::{Tracker, Tracks};
 use gelstereo_core::triangulate::{Centres, Triangulator};
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 use support::{Dots, paper_lattice, view};
-
-thread_local! {
-    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
-}
-
-struct Counting;
-
-// SAFETY: every call is handed to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        unsafe { System.dealloc(pointer, layout) }
-    }
-
-    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
-        unsafe { System.realloc(pointer, layout, size) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 fn allocations(mut work: impl FnMut()) -> usize {
     let before = ALLOCATIONS.get();

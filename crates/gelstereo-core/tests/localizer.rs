@@ -8,37 +8,18 @@ mod problems;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::params::{RegisterMethod, RegisterParams};
-use gelstereo_core::register::{Contact, Localizer, Located, RegisterError, Standing, Template};
+use gelstereo_core::register::{Contact, Localizer, RegisterError, Standing, Template};
+use problems::follow::{METHODS, is_right, moved, part, sense};
 use problems::gel::Gel;
-use problems::parts::{Part, parts};
+use problems::parts::Part;
 use problems::{Problem, REST_MM, Sensing};
-
-const METHODS: [RegisterMethod; 2] = [RegisterMethod::SurfaceTrack, RegisterMethod::SurfaceClose];
-
-fn part(name: &str) -> (Part, Template) {
-    let part = parts().into_iter().find(|part| part.name == name).unwrap();
-    let template = Template::from_mesh(&part.mesh, 0.4, 1).unwrap();
-    (part, template)
-}
 
 fn localizer(method: RegisterMethod, expected: &Pose) -> Localizer {
     Localizer::new(&RegisterParams { method, outlier_share: 0.05, ..Default::default() }, expected)
 }
 
 fn sensed(part: &Part, t_sensor_object: Pose, random: &mut Stream) -> Problem {
-    Problem::sense(&Gel::press(part, &t_sensor_object), t_sensor_object, Sensing::GOOD, random)
-}
-
-/// Turned about the middle of the gel, and shifted.
-fn moved(pose: Pose, omega: DVec3, shift_mm: DVec3) -> Pose {
-    let about = Pose::from_translation_mm(DVec3::new(0.0, 0.0, REST_MM));
-    about * Pose::exp(omega, shift_mm) * about.inverse() * pose
-}
-
-/// To 2 degrees and 0.3 mm, or where a weak contact does not tell that, to five times the Cramér-Rao bound.
-fn is_found(problem: &Problem, located: &Located) -> bool {
-    let score = problem.score(&located.registration.t_sensor_object);
-    score.is_success() || score.squared < 25.0 * score.observable as f64
+    sense(&Gel::press(part, &t_sensor_object), t_sensor_object, random)
 }
 
 #[test]
@@ -63,7 +44,7 @@ fn a_moving_part_is_followed() {
             // The field is wrong by up to 0.87 of its cells along edges, and so is what moves the patch by as much.
             let is_near =
                 score.angle_rad * problem.radius_mm + score.shift_mm < 0.87 * Template::DEFAULT_CELL_MM;
-            let is_good = is_found(&problem, &located) || (method == RegisterMethod::SurfaceTrack && is_near);
+            let is_good = is_right(&problem, &located) || (method == RegisterMethod::SurfaceTrack && is_near);
             assert!(is_good, "{name} {method:?}, frame {frame}: {score:?}");
             assert_eq!(located.standing, expected, "{name} {method:?}, frame {frame}");
             assert_eq!(localizer.last(), Some(&located.registration.t_sensor_object));
@@ -84,12 +65,12 @@ fn a_part_that_jumps_is_lost_and_found_again() {
         for _ in 0..3 {
             let first = Problem::press(&part, Sensing::GOOD, &mut random);
             let mut localizer = localizer(RegisterMethod::SurfaceClose, &first.t_sensor_object);
-            assert!(is_found(&first, &localizer.run(&first.contact(), &template).unwrap()));
+            assert!(is_right(&first, &localizer.run(&first.contact(), &template).unwrap()));
             let turned = moved(first.t_sensor_object, DVec3::Z * 0.35, DVec3::new(2.0, 1.5, 0.0));
             let second = sensed(&part, turned, &mut random);
             let located = localizer.run(&second.contact(), &template).unwrap();
             // A pose is never wrong and believed.
-            assert!(located.standing == Standing::Lost || is_found(&second, &located), "{name}");
+            assert!(located.standing == Standing::Lost || is_right(&second, &located), "{name}");
             recovered += usize::from(located.standing == Standing::Found);
             noticed += usize::from(located.standing != Standing::Followed);
         }
@@ -110,7 +91,7 @@ fn a_part_that_is_let_go_is_looked_for_where_it_was() {
     let back =
         sensed(&part, moved(first.t_sensor_object, DVec3::Z * 0.1, DVec3::new(0.8, -0.5, 0.0)), &mut random);
     let located = localizer.run(&back.contact(), &template).unwrap();
-    assert!(located.standing == Standing::Found && is_found(&back, &located));
+    assert!(located.standing == Standing::Found && is_right(&back, &located));
 }
 
 /// A part that was followed far from where it is expected is looked for where it was last, too.
@@ -131,7 +112,7 @@ fn a_part_that_turned_away_from_where_it_is_expected_is_found_where_it_was() {
     assert!(localizer.run(&Contact::new(&[]), &template).is_err());
     let back = sensed(&part, moved(pose, DVec3::Z * 0.1, DVec3::new(0.5, -0.5, 0.0)), &mut random);
     let located = localizer.run(&back.contact(), &template).unwrap();
-    assert!(located.standing == Standing::Found && is_found(&back, &located));
+    assert!(located.standing == Standing::Found && is_right(&back, &located));
 }
 
 #[test]
@@ -154,7 +135,7 @@ fn another_part_is_not_taken_for_it_and_a_new_grasp_is_found() {
     localizer.expect(&again.guess(0.15, 1.0, &mut random));
     assert_eq!(localizer.last(), None);
     let located = localizer.run(&again.contact(), &template).unwrap();
-    assert!(located.standing == Standing::Found && is_found(&again, &located));
+    assert!(located.standing == Standing::Found && is_right(&again, &located));
     let located = localizer.run(&again.contact(), &template).unwrap();
     assert_eq!(located.standing, Standing::Followed);
 }

@@ -1,6 +1,7 @@
 //! After the first frame nothing is allocated, whatever acts.
 #![allow(clippy::unwrap_used)]
 
+#[path = "../../gelstereo-core/tests/counting/mod.rs"]
 mod counting;
 
 use counting::ALLOCATIONS;

@@ -1,6 +1,7 @@
 //! An effect that is off is one that the scene never had: the same simulator, bit by bit, and so the same work.
 #![allow(clippy::unwrap_used)]
 
+#[path = "../../gelstereo-core/tests/counting/mod.rs"]
 mod counting;
 mod every_effect;
 

@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod common;
+#[path = "../../gelstereo-core/tests/counting/mod.rs"]
 mod counting;
 
 use common::{press, simulator, with_effects};

@@ -155,15 +155,15 @@ impl Localizer {
     ) -> Located {
         let asks = self.asks_gel || registration.gel_decay.is_some();
         // Most of what is followed is right, and that is soon seen once it is known what is usual.
-        let is_soon = standing == Standing::Followed && self.usual.is_known();
+        let is_soon = standing == Standing::Followed && self.usual.is_enough();
         let usual = is_soon.then_some(&self.usual);
         let told = if asks { self.search.misfit(of, &registration.t_sensor_object, usual) } else { None };
-        let is_usual = told.as_ref().is_some_and(|(misfit, _)| !self.usual.is_exceeded(misfit));
-        if let Some((misfit, is_last)) = &told
+        let is_usual = told.as_ref().is_some_and(|misfit| !self.usual.is_exceeded(misfit));
+        if let Some(misfit) = &told
             && is_usual
         {
             self.asks_gel = true;
-            if *is_last {
+            if !is_soon {
                 self.usual.learn(misfit);
             }
         }
@@ -171,7 +171,7 @@ impl Localizer {
         let goes_by_odds = told.is_none() || !self.asks_gel;
         let is_explained = is_usual || (goes_by_odds && registration.log_odds.is_some_and(|odds| odds > 0.0));
         let standing = if is_explained { standing } else { Standing::Lost };
-        Located { registration, standing, misfit: told.map(|(misfit, _)| misfit) }
+        Located { registration, standing, misfit: told }
     }
 
     /// Takes a pose for what to follow, unless the part is lost.

@@ -247,14 +247,14 @@ impl Registrar {
     }
 
     /// How far markers are from what the gel does at a pose of a contact that has been registered, after as few steps
-    /// as make it usual, or else after all; and whether it is after all. `None` where it is not known: not all markers
-    /// are given, the part has holes, or the gel comes back to rest within a pitch.
+    /// as make it usual, or else after all. `None` where it is not known: not all markers are given, the part has holes,
+    /// or the gel comes back to rest within a pitch.
     fn misfit(
         &mut self,
         of: (&Contact<'_>, &Template),
         t_sensor_object: &Pose,
         usual: Option<&surface::Usual>,
-    ) -> Option<(Misfit, bool)> {
+    ) -> Option<Misfit> {
         surface::misfit(&self.params, of, t_sensor_object, usual, &mut self.surface)
     }
 

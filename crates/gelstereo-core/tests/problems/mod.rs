@@ -2,6 +2,7 @@
 //! what any method can find.
 #![allow(dead_code, reason = "each user has its own part of this")]
 
+pub mod follow;
 pub mod gel;
 pub mod parts;
 

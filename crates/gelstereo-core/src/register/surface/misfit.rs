@@ -16,6 +16,8 @@ const STEPS: u32 = 3;
 /// A right pose at its peak is doubted once in e^14, 1.2 million, frames, were its markers independent. What is wrong
 /// of the gel's law is shared by neighbours; what is usual holds that.
 const ALARM_LOG: f64 = 14.0;
+/// Of so many frames in which it is known what is usual, one is looked at to the end and learned from, whatever it shows.
+const LEARNED_OF: u32 = 8;
 /// Markers that are remembered, of some ten frames, and those that what is known before stands for.
 const REMEMBERED: f64 = 4000.0;
 const BEFORE: f64 = 100.0;
@@ -55,6 +57,8 @@ pub(in crate::register) struct Usual {
     mean: f64,
     mean_square: f64,
     markers: f64,
+    /// Frames since the last one that was learned from.
+    since: u32,
 }
 
 impl Usual {
@@ -65,22 +69,26 @@ impl Usual {
             mean: good + outlier_share * MOST,
             mean_square: 3.0 * good + outlier_share * MOST * MOST,
             markers: BEFORE,
+            since: 0,
         }
     }
 
-    /// Whether so many are remembered that it is known what is usual.
-    pub fn is_known(&self) -> bool {
-        self.markers >= REMEMBERED
+    /// Whether a frame need not be looked at to the end: so many markers are remembered that it is known what is usual, and
+    /// this is not the one of several that is learned from.
+    pub fn is_enough(&mut self) -> bool {
+        self.since += 1;
+        self.markers >= REMEMBERED && self.since < LEARNED_OF
     }
 
-    /// The older ones count less. Of a misfit after all steps: those that stop as soon as they are usual would raise
-    /// it.
+    /// The older ones count less. Of frames that were looked at to the end whatever they showed: of those that stop as soon
+    /// as they are usual the ones that do not would raise it, and with it what is usual, for ever.
     pub fn learn(&mut self, one: &Misfit) {
         let count = one.markers as f64;
         let share = count / (self.markers + count);
         self.mean += share * (one.mean - self.mean);
         self.mean_square += share * (one.mean_square - self.mean_square);
         self.markers = (self.markers + count).min(REMEMBERED);
+        self.since = 0;
     }
 
     /// Whether markers that deviate as usual deviate as much with a probability below e^-14 (Bernstein 1924): n squares
@@ -95,8 +103,8 @@ impl Usual {
 }
 
 impl Search<'_> {
-    /// At the guess, after as few steps as make it usual, or else after all; and whether it is after all.
-    pub fn misfit(&self, usual: Option<&Usual>, settled: &mut SettledScratch) -> (Misfit, bool) {
+    /// At the guess, after as few steps as make it usual, or else after all.
+    pub fn misfit(&self, usual: Option<&Usual>, settled: &mut SettledScratch) -> Misfit {
         let mut one = Candidate::at(self.prior.guess);
         one.rest = Rest { plane_mm: self.samples.gel.rest_plane(self.samples.radius_mm), log_decay: 0.0 };
         let way = self.settled(true);
@@ -104,13 +112,13 @@ impl Search<'_> {
         for _ in 0..STEPS {
             let so_far = Misfit::of(settled.kept(one.slot));
             if usual.is_some_and(|usual| !usual.is_exceeded(&so_far)) {
-                return (so_far, false);
+                return so_far;
             }
             if way.run(&mut one, (1, self.budget()), settled).converged {
                 break;
             }
         }
-        (Misfit::of(settled.kept(one.slot)), true)
+        Misfit::of(settled.kept(one.slot))
     }
 }
 
@@ -124,7 +132,7 @@ mod tests {
 
     #[test]
     fn what_deviates_more_than_chance_explains_exceeds_the_usual() {
-        let mut usual = Usual { mean: 1.0, mean_square: 3.0, markers: REMEMBERED };
+        let mut usual = Usual { mean: 1.0, mean_square: 3.0, markers: REMEMBERED, since: 0 };
         // b = 74.67; of 400 squares of variance 2 the excess is 74.67 + √(74.67² + 28 · 800) = 242.0, 0.605 each.
         assert!(!usual.is_exceeded(&misfit(400, 1.604)) && usual.is_exceeded(&misfit(400, 1.606)));
         assert!(!usual.is_exceeded(&misfit(0, 0.0)) && !usual.is_exceeded(&misfit(5, 16.0)));
@@ -136,5 +144,23 @@ mod tests {
             usual.learn(&misfit(400, 1.0));
         }
         assert!(usual.is_exceeded(&misfit(400, 2.5)) && !usual.is_exceeded(&misfit(400, 1.5)));
+    }
+
+    /// One frame of several is looked at to the end, from when enough are remembered.
+    #[test]
+    fn what_is_learned_from_is_not_chosen_by_what_it_shows() {
+        let mut usual = Usual::new(0.1);
+        assert!((0..20).all(|_| !usual.is_enough()), "nothing is known yet");
+        for _ in 0..10 {
+            usual.learn(&misfit(400, 1.0));
+        }
+        let mut learned = 0;
+        for _ in 0..80 {
+            if !usual.is_enough() {
+                usual.learn(&misfit(400, 1.0));
+                learned += 1;
+            }
+        }
+        assert_eq!(learned, 10);
     }
 }

@@ -109,7 +109,7 @@ pub(super) fn misfit(
     t_sensor_object: &Pose,
     usual: Option<&Usual>,
     scratch: &mut SurfaceScratch,
-) -> Option<(Misfit, bool)> {
+) -> Option<Misfit> {
     template.touchable().filter(|(solid, ..)| solid.is_closed())?;
     let SurfaceScratch { raster, samples, settled, .. } = scratch;
     samples.fill(&raster.ordered(contact), params.point_sigma_mm, Extent::Gel);
