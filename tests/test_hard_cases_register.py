@@ -9,6 +9,7 @@ from gelstereo import RegisterError, geometry
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from scipy.spatial.transform import Rotation
 
 EPS = float(np.finfo(float).eps)
 METHODS = ["filterreg_point", "filterreg_plane", "ransac_icp", "icp_plane"]
@@ -67,6 +68,43 @@ def test_row_05_rigid_fit_agrees_with_singular_values(
     offset = np.abs(target).max() / np.abs(target - target.mean(axis=0)).max()
     assert np.abs(fit[:3, :3] - rotation).max() <= 64 * len(source) * EPS * (1 + offset) / gap
     assert np.linalg.det(fit[:3, :3]) > 0.999
+
+
+#: What each kind keeps of a cloud.
+KINDS = {
+    "coplanar": lambda points: points * [1, 1, 0],
+    "collinear": lambda points: points * [1, 0, 0],
+    "identical": lambda points: np.repeat(points[:1], len(points), axis=0),
+    "single": lambda points: points[:1],
+    "all": lambda points: points,
+}
+#: Rotations all over, 10 degrees or less from any.
+EVERYWHERE = Rotation.random(5000, random_state=5).as_matrix()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("mirror", [1.0, -1.0])
+@given(clouds, twists, st.booleans())
+def test_row_05_no_rotation_fits_degenerate_points_better(
+    kind: str, mirror: float, points: np.ndarray, twist: np.ndarray, is_exact: bool
+) -> None:
+    source = KINDS[kind](points)
+    target = moved(geometry.se3_exp(twist), source * [1, 1, mirror])
+    # Or anything at all, of the same number of points.
+    target = target if is_exact else np.roll(points, 1, axis=1)[: len(source)]
+    fit = geometry.rigid_fit(source, target)
+    assert np.abs(fit[:3, :3] @ fit[:3, :3].T - np.eye(3)).max() < 8 * EPS
+    assert np.linalg.det(fit[:3, :3]) > 0.999
+    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
+    correlation = a.T @ b
+    size = np.sum(a * a) + np.sum(b * b)
+    _, values = kabsch(source, target, np.ones(len(source)))
+    # Squares are summed of coordinates up to 100 mm, offsets and all.
+    slack = 64 * len(source) * EPS * (size + 100.0 * np.sqrt(size) + 1e4 * EPS)
+    residual = np.sum((moved(fit, source) - target) ** 2)
+    assert abs(residual - (size - 2 * values.sum())) <= slack
+    searched = size - 2 * np.einsum("kij,ji->k", EVERYWHERE, correlation)
+    assert residual <= searched.min() + slack
 
 
 @pytest.mark.parametrize(

@@ -114,8 +114,8 @@ fn row_09_the_same_problem_in_metres() {
     let contact = Contact::press(&shape, Pose::exp(DVec3::Y * 1.5, DVec3::ZERO), 1.0, 0.03, &mut random);
     let guess = contact.guess(0.03, 0.3, &mut random);
     // A power of two scales every product without rounding, so that the answer has to agree to the last iterations;
-    // a thousandth is the metre itself.
-    for scale in [1.0 / 1024.0, 1e-3] {
+    // a thousandth is the metre itself, and a thousand the micrometre.
+    for scale in [1.0 / 1024.0, 1e-3, 1024.0, 1e3] {
         let scaled = |v: &[DVec3]| v.iter().map(|&p| p * scale).collect::<Vec<_>>();
         let small =
             Template::new(&scaled(template.points_mm()), template.normals(), template.spacing_mm() * scale)

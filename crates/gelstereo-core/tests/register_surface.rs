@@ -235,8 +235,11 @@ fn row_06_contacts_without_meaning_are_refused_by_the_surface_rungs() {
         };
         let (good, truth) = (problem.contact(), problem.t_sensor_object);
         assert_eq!(run(&good, &points, &truth), Err(RegisterError::NoSurface));
-        let few = Contact { points_mm: &problem.points_mm[..2], ..good };
-        assert_eq!(run(&few, template, &truth), Err(RegisterError::TooFewPoints { found: 2, least: 3 }));
+        for found in 0..3 {
+            let covariance_mm2 = Some(&problem.covariance_mm2[..found]);
+            let few = Contact { points_mm: &problem.points_mm[..found], covariance_mm2, ..good };
+            assert_eq!(run(&few, template, &truth), Err(RegisterError::TooFewPoints { found, least: 3 }));
+        }
         let uneven = Contact { covariance_mm2: Some(&problem.covariance_mm2[1..]), ..good };
         assert!(matches!(run(&uneven, template, &truth), Err(RegisterError::Covariances { .. })));
         for bad in [f64::NAN, -1e-3, 0.0] {
