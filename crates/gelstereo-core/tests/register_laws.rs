@@ -199,8 +199,9 @@ fn scaled(scale: f64, method: RegisterMethod) -> (Template, RegisterParams) {
     (template.with_field(Template::DEFAULT_CELL_MM * scale, Template::DEFAULT_REACH_MM * scale), params)
 }
 
-/// The gel does not scale: its shoulder has a width of its own. So this is of points that the part touches, and of the
-/// rungs that look at the exact surface; where `surface_track` gives up a point is a length of the gel, too.
+/// The gel does not scale: its shoulder has a width of its own, and so have the steps from coarse to fine. So this is of points
+/// that the part touches, of parts half and twice as large (ten times is too far), and of the rungs that look at the exact
+/// surface; where `surface_track` gives up a point is a length of the gel, too.
 #[test]
 fn the_answer_scales_with_all_that_is_sensed() {
     let mut random = Stream::new(5, "scale");

@@ -14,7 +14,8 @@ pub enum RegisterMethod {
     FilterregPoint,
     /// FilterReg, point to plane, with a one-sided model of the gel's shoulder: 100 / 100 / 100 %, 4 ms.
     FilterregPlane,
-    /// RANSAC, then point-to-point ICP (the paper's comparison): 100 / 81 / 19 %, 47 ms.
+    /// RANSAC, then point-to-point ICP (the paper's comparison): 100 / 81 / 19 %, 47 ms. It draws points by their number, so
+    /// that another order of points is another seed; for the other rungs it is rounding, or nothing.
     RansacIcp,
     /// Point-to-plane ICP alone, from the guess, with the same model of the shoulder: 100 / 100 / 38 %, 0.9 ms.
     IcpPlane,
@@ -26,6 +27,9 @@ pub enum RegisterMethod {
     /// degrees and 0.3 mm over the directions that the contact determines, on six parts with shoulder, 0.03 mm along z,
     /// from guesses up to 5 degrees 1 mm / 10 degrees 2 mm / the same with twice the noise and a tenth of outliers /
     /// 30 degrees 5 mm off, and the median error over the Cramér-Rao bound (simulated; the example `starts`).
+    ///
+    /// They know lengths of the gel and of the markers on it in millimetres, and give another answer in another unit; the
+    /// rungs above have no length but those of their settings.
     SurfaceTrack,
     /// The exact surface of the part, from a close guess: 92 / 80 / 80 / 41 %, 1.2 times the bound, 1.1 ms. It looks for no
     /// alternatives either.
