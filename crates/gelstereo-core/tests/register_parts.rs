@@ -43,6 +43,9 @@ fn row_08_a_vanishing_width_sees_the_nearest_point_alone() {
         let soft = soft_match(&along_x(&[1.0, 2.0, 1.5]), DVec3::new(0.7, 0.0, 0.0), sigma);
         assert_eq!((soft.nearest, soft.spread_mm2), (0, 0.0), "{sigma}");
         assert!((soft.offset_mm.x - 0.3).abs() <= EPS);
+        // Found by the fuzz target `points`: on a point, 0 over the square of a width that has none.
+        let on = soft_match(&along_x(&[1.0, 2.0, 1.5]), DVec3::X, sigma);
+        assert_eq!((on.log_mass, on.offset_mm, on.distance_mm), (0.0, DVec3::ZERO, 0.0), "{sigma}");
     }
 }
 

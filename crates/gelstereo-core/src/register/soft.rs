@@ -9,7 +9,7 @@ use core::array;
 /// What a point sees of the template through a Gaussian of width σ, with p_k ∝ exp(-|y_k - x|² / 2σ²).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SoftMatch {
-    /// ln Σ exp(-|y_k - x|² / 2σ²): finite however far the template is.
+    /// ln Σ exp(-|y_k - x|² / 2σ²): finite however far the template is, unless the square of σ vanishes; never NaN.
     pub log_mass: f64,
     /// m - x, with m = Σ p_k y_k.
     pub offset_mm: DVec3,
@@ -127,8 +127,10 @@ impl Sums {
         let from_origin = DVec3::from_array(self.offset.map(|lanes| total(&lanes))) / mass;
         let mean_normal = DVec3::from_array(self.normal.map(|lanes| total(&lanes))) / mass;
         let length = sqrt(mean_normal.length_squared());
+        // On a point its term is 1, even where the width's square vanishes.
+        let exponent = if self.least > 0.0 { self.least / self.twice_variance } else { 0.0 };
         SoftMatch {
-            log_mass: ln(mass) - self.least / self.twice_variance,
+            log_mass: ln(mass) - exponent,
             offset_mm: (self.origin - self.point) + from_origin,
             spread_mm2: (total(&self.squared) / mass - from_origin.length_squared()).max(0.0),
             normal: if length > 1e-6 { mean_normal / length } else { template.normals()[nearest] },
