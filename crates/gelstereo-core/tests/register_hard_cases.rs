@@ -8,7 +8,7 @@ use contact_patch::{Contact, Shape};
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DQuat, DVec3, Pose, so3};
 use gelstereo_core::params::{RegisterMethod, RegisterParams};
-use gelstereo_core::register::{FreeDirection, Motion, RegisterError, Registrar, Template};
+use gelstereo_core::register::{FreeDirection, Motion, RegisterError, Registrar, Registration, Template};
 use proptest::prelude::*;
 
 const EPS: f64 = f64::EPSILON;
@@ -93,9 +93,9 @@ fn row_09_the_answer_moves_with_the_offset() {
             let moved: Vec<DVec3> = contact.points_mm.iter().map(|&p| shift.transform_point(p)).collect();
             let there = registrar.run(&moved, &template, &(shift * guess)).unwrap();
             // Adding the offset rounds every coordinate, and every translation of the iterations, by eps/2 of it. The
-            // fit averages such errors and its weakest direction amplifies them by its condition, here below 10;
-            // both runs stop within 1e-3 of the spacing.
-            let bound = 10.0 * EPS * offset_mm + 2e-3 * template.spacing_mm();
+            // fit averages such errors and its weakest direction amplifies them by its condition, here below 10; here as
+            // there coordinates of 30 mm are rounded through a hundred iterations that contract.
+            let bound = 10.0 * EPS * offset_mm + 1e3 * EPS * 30.0;
             let back = shift.inverse() * there.t_sensor_object;
             for &p in &contact.points_mm {
                 let q = here.t_sensor_object.inverse().transform_point(p);
@@ -139,7 +139,13 @@ fn row_09_the_same_problem_in_metres() {
             // Round-off of coordinates of 30 mm, through a hundred iterations that contract.
             let bound = 1e3 * EPS * 30.0;
             assert!(distance <= bound && angle <= bound, "{method:?} {scale}: {distance:e} mm {angle:e} rad");
-            assert_eq!((a.iterations, a.inliers, a.free.len()), (b.iterations, b.inliers, b.free.len()));
+            assert_eq!((a.iterations, a.inliers), (b.iterations, b.inliers));
+            // As they are named, but for the places of axes.
+            let named = |found: &Registration| -> Vec<String> {
+                let said = found.free.iter().map(ToString::to_string);
+                said.map(|said| said.split(" through").next().unwrap_or_default().to_owned()).collect()
+            };
+            assert_eq!(named(&a), named(&b), "{method:?} {scale}");
         }
     }
 }

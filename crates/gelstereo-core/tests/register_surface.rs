@@ -260,38 +260,57 @@ fn row_06_contacts_without_meaning_are_refused_by_the_surface_rungs() {
 
 // Row 32.
 
-/// Some of the covariances have a direction without variance, or one below 0 by rounding: the answer is that of
-/// covariances which have a millionth there. One that is negative beyond rounding is refused.
+/// Variance 4e-4 mm² and, along one of the axes or askew, (0, 1, 1), another one.
+fn thin(way: usize, least: f64) -> Symmetric<3> {
+    let (a, b) = (2e-4 + 0.5 * least, 0.5 * least - 2e-4);
+    let mut c = [[4e-4, 0.0, 0.0], [0.0, 4e-4, 0.0], [0.0, 0.0, 4e-4]];
+    match way {
+        0..3 => c[way][way] = least,
+        _ => (c[1], c[2]) = ([0.0, a, b], [0.0, b, a]),
+    }
+    c
+}
+
+/// Every second covariance has a direction without variance, or one below 0 by rounding: the answer is that of
+/// covariances which have a millionth there, and finite where nothing else is wrong with the surface, either. One that is
+/// negative beyond rounding is refused.
 #[test]
 fn row_32_singular_and_slightly_negative_covariances_are_taken_and_negative_ones_refused() {
     let (part, template) = some("square peg");
     let problem = Problem::press(part, Sensing::GOOD, &mut Stream::new(25, "singular"));
     let guess = problem.guess(0.02, 0.2, &mut Stream::new(26, "singular"));
     for method in RUNGS {
-        let run = |least: f64| {
-            let mut covariances = problem.covariance_mm2.clone();
-            // The thin direction in turn along x and askew, (0, 1, 1): every second one.
-            for (k, c) in covariances.iter_mut().enumerate().filter(|(k, _)| k % 2 == 0) {
-                let (a, b) = (2e-4 + 0.5 * least, 0.5 * least - 2e-4);
-                *c = if k % 4 == 0 {
-                    [[least, 0.0, 0.0], [0.0, 4e-4, 0.0], [0.0, 0.0, 4e-4]]
-                } else {
-                    [[4e-4, 0.0, 0.0], [0.0, a, b], [0.0, b, a]]
-                };
-            }
-            let contact = Contact { covariance_mm2: Some(&covariances), ..problem.contact() };
-            Registrar::new(&params(method)).register(&contact, template, &guess)
+        let run = |covariances: &[Symmetric<3>], surface_sigma_mm: f64| {
+            let contact = Contact { covariance_mm2: Some(covariances), ..problem.contact() };
+            let params = RegisterParams { surface_sigma_mm, ..params(method) };
+            Registrar::new(&params).register(&contact, template, &guess)
         };
-        let near = run(4e-10).unwrap();
+        let mixed = |ways: [usize; 2], least: f64| {
+            let mut covariances = problem.covariance_mm2.clone();
+            for (k, c) in covariances.iter_mut().enumerate().filter(|(k, _)| k % 2 == 0) {
+                *c = thin(ways[k / 2 % 2], least);
+            }
+            covariances
+        };
+        let near = run(&mixed([0, 3], 4e-10), 0.003).unwrap();
         for least in [0.0, -4e-17, -4e-14] {
-            let found = run(least).unwrap();
-            let finite = found.information.iter().chain(&found.covariance()).flatten().all(|x| x.is_finite());
-            assert!(finite && found.log_likelihood.is_some_and(f64::is_finite), "{method:?} {least:e}");
+            let found = run(&mixed([0, 3], least), 0.003).unwrap();
             let (omega, v_mm) = (found.t_sensor_object * near.t_sensor_object.inverse()).log();
             // To what steps end at, seen from 30 mm away.
             assert!(omega.length() * 30.0 + v_mm.length() < 0.03, "{method:?} {least:e}: {omega} {v_mm}");
+            // Along the gel's own normal, on a surface without an error of its own.
+            for found in [found, run(&mixed([2, 3], least), 1e-9).unwrap()] {
+                let known =
+                    found.information.iter().chain(&found.covariance()).flatten().all(|x| x.is_finite());
+                assert!(known && found.log_likelihood.is_some_and(f64::is_finite), "{method:?} {least:e}");
+            }
         }
-        assert_eq!(run(-4e-6).map(|_| ()), Err(RegisterError::BadCovariance { index: 0 }), "{method:?}");
+        for way in 0..4 {
+            let mut covariances = problem.covariance_mm2.clone();
+            covariances[3] = thin(way, -4e-6);
+            let refused = run(&covariances, 0.003).map(|_| ());
+            assert_eq!(refused, Err(RegisterError::BadCovariance { index: 3 }), "{method:?} {way}");
+        }
     }
 }
 
