@@ -164,6 +164,33 @@ fn the_order_of_points_changes_no_bit() {
     }
 }
 
+/// The field of distances lies along the part's axes and is wrong by up to 0.87 of a cell in either frame. That is what
+/// `surface_track` goes by; the others begin on it, and may end on another peak: of 24 contacts 8 and 9 did.
+#[test]
+fn in_another_frame_of_the_part_half_of_the_answers_are_the_same() {
+    let object = Pose::exp(DVec3::new(0.4, 0.9, -0.7), DVec3::new(12.0, -3.0, 40.0));
+    let mesh = &part().0.mesh;
+    let places = mesh.vertices_mm().iter().map(|&p| object.transform_point(p)).collect();
+    let mesh = TriangleMesh::new(places, mesh.triangles().to_vec()).unwrap();
+    let template = Template::from_mesh(&mesh, 0.4, 1).unwrap();
+    let apart = |method: RegisterMethod| -> Vec<f64> {
+        let of = |seed| {
+            let given = Given::new(seed);
+            let here = given.register(&params(method), &part().1).t_sensor_object;
+            let told = Given { guess: given.guess * object.inverse(), ..given.clone() };
+            let there = told.register(&params(method), &template).t_sensor_object;
+            given.apart_mm(&here, &(there * object))
+        };
+        (0..24).map(of).collect()
+    };
+    let field_mm = 2.0 * 0.87 * Template::DEFAULT_CELL_MM;
+    assert!(apart(RegisterMethod::SurfaceTrack).into_iter().all(|mm| mm <= field_mm));
+    for method in [RegisterMethod::SurfaceClose, RegisterMethod::SurfaceSearch] {
+        let same = apart(method).into_iter().filter(|mm| *mm <= STEPS_MM).count();
+        assert!(same >= 12, "{method:?} {same} of 24");
+    }
+}
+
 /// A search in a turned frame starts elsewhere, and then another pose may win. Both find the best one in 95 % of such contacts or
 /// more, so that two of them differ in no more than 10 %: more than 9 of 24 have a probability of 2e-4 then.
 #[test]

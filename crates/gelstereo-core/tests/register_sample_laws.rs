@@ -5,6 +5,7 @@
 mod contact_patch;
 
 use contact_patch::{Contact, Shape};
+use gelstereo_core::math::linalg::Symmetric;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::params::{RegisterMethod, RegisterParams};
@@ -99,6 +100,12 @@ fn pose() -> impl Strategy<Value = Pose> {
     (vector(1.8), vector(100.0)).prop_map(|(omega, v)| Pose::exp(omega, v))
 }
 
+/// zᵀ I z, and the sum of its terms' sizes.
+fn squared(information: &Symmetric<6>, z: &[f64; 6]) -> [f64; 2] {
+    let terms = || (0..36).map(|k| z[k / 6] * information[k / 6][k % 6] * z[k % 6]);
+    [terms().sum(), terms().map(f64::abs).sum()]
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
@@ -118,6 +125,17 @@ proptest! {
             let scale = values[0][5].max(1.0);
             let off = values[0].iter().zip(&values[1]).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
             prop_assert!(off <= 1e-9 * scale, "{method:?} {off:e} of {scale:e}");
+            // As many standard deviations for the same motion of the part, whichever frame it is told in.
+            for axis in 0..6 {
+                let mut z = [0.3; 6];
+                z[axis] = 1.0;
+                let (omega, v) = (DVec3::new(z[0], z[1], z[2]), DVec3::new(z[3], z[4], z[5]));
+                let turned = sensor.transform_vector(omega);
+                let shifted = sensor.transform_vector(v) + sensor.translation_mm.cross(turned);
+                let told = [turned.x, turned.y, turned.z, shifted.x, shifted.y, shifted.z];
+                let ([a, size_a], [b, size_b]) = (squared(&here.information, &z), squared(&there.information, &told));
+                prop_assert!((a - b).abs() <= 1e-9 * (size_a + size_b), "{method:?} {axis}: {a:e} {b:e}");
+            }
         }
     }
 

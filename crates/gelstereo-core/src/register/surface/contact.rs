@@ -414,7 +414,7 @@ mod tests {
     /// Evidence is divided by variances and by the patch's height, and takes the logarithm of that: of points that are as
     /// high, said to be known exactly along the press, or a rounding better than that, both are still positive.
     #[test]
-    fn a_covariance_that_knows_a_direction_exactly_leaves_positive_variances() {
+    fn row_32_a_direction_known_exactly_leaves_positive_variances() {
         for along_press in [0.0, -1e-9] {
             let covariance = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, along_press]];
             let points: Vec<DVec3> =
