@@ -9,8 +9,8 @@ use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::params::{RegisterMethod, RegisterParams};
 use gelstereo_core::register::{Alternatives, Contact, Registrar, Registration, Symmetry, Template};
 use gelstereo_core::surface::TriangleMesh;
-use problems::gel::{Gel, SHOULDER_MM};
-use problems::parts::{Part, parts};
+use problems::gel::{Gel, SHOULDER_MM, SOFT_MM};
+use problems::parts::{Part, parts, prism};
 use problems::{Problem, REST_MM, Sensing};
 use std::collections::BTreeSet;
 use std::f64::consts::{FRAC_PI_2, TAU};
@@ -37,11 +37,7 @@ fn some(name: &str) -> &'static (Part, Template) {
         (part, template)
     };
     let stock = STOCK.get_or_init(|| {
-        parts()
-            .into_iter()
-            .filter(|p| ["bolt M10", "cylinder peg", "square peg"].contains(&p.name))
-            .map(make)
-            .collect()
+        parts().into_iter().filter(|p| ["bolt M10", "cylinder peg"].contains(&p.name)).map(make).collect()
     });
     stock.iter().find(|(part, _)| part.name == name).unwrap()
 }
@@ -137,31 +133,47 @@ fn a_round_peg_that_may_spin_and_slide_has_one_answer() {
     }
 }
 
+/// A peg of that many sides, 4 mm from its axis.
+fn peg(sides: u32) -> Part {
+    let turn = TAU / f64::from(sides);
+    let radius_mm = 4.0 / (0.5 * turn).cos();
+    let corners = (0..sides).map(|k| (f64::from(k) + 0.5) * turn);
+    let outline: Vec<[f64; 2]> = corners.map(|a| [radius_mm * a.cos(), radius_mm * a.sin()]).collect();
+    Part::new("peg", false, prism(&outline, 30.0), |_, facet| facet)
+}
+
+/// From half way between two sides that are alike both are as likely; once the sides are declared to be alike they are one.
 #[test]
-fn a_square_peg_half_way_between_two_sides_may_lie_on_both() {
-    let (peg, bare) = some("square peg");
-    let quarter = Symmetry::new(DVec3::Z, DVec3::ZERO, Some(4)).unwrap();
-    let declared = bare.clone().with_symmetries(vec![quarter]);
-    let mut random = Stream::new(33, "sides");
-    let mut twice = 0;
-    for k in 0..12 {
-        let problem = across(peg, SHOULDER_MM, (4.0, 0.01 * f64::from(k)), &mut random);
-        let guess = problem.guess(0.02, 0.2, &mut random) * quarter.turned(0.5 * FRAC_PI_2);
-        let ways = |found: &Registration| -> Vec<i64> {
-            let turn = |pose: &Pose| (problem.t_sensor_object.inverse() * *pose).log().0.z / FRAC_PI_2;
-            let all: Vec<f64> = answers(found).iter().map(|(pose, _)| turn(pose)).collect();
-            assert!(all.iter().all(|turn| (turn - turn.round()).abs() < 0.05), "{all:?}");
-            all.iter().map(|turn| turn.round() as i64).collect()
-        };
-        let wide = RegisterParams { start_sigma_deg: 30.0, ..search() };
-        let both = register(&wide, &problem.contact(), bare, &guess);
-        twice += usize::from(ways(&both).len() == 2);
-        let one = register(&wide, &problem.contact(), &declared, &guess);
-        let sides = ways(&one);
-        assert!(sides.iter().all(|side| *side == sides[0]), "sides are known to be one answer: {sides:?}");
+fn a_peg_half_way_between_two_sides_may_lie_on_both() {
+    let (mut count, mut missing) = (0, 0);
+    for sides in [4, 6] {
+        let turn = TAU / f64::from(sides);
+        let (part, about) = (peg(sides), Symmetry::new(DVec3::Z, DVec3::ZERO, Some(sides)).unwrap());
+        let bare = template(&part.mesh);
+        let declared = bare.clone().with_symmetries(vec![about]);
+        // Half way is one and a half standard deviations off, and the sides beyond these two four and a half.
+        let params = RegisterParams { start_sigma_deg: turn.to_degrees() / 3.0, ..search() };
+        let mut random = Stream::new(33, "sides");
+        for k in 0..12 {
+            let decay_mm = [SHOULDER_MM, SOFT_MM][k % 2];
+            let problem = across(&part, decay_mm, (4.0, 0.01 * k as f64), &mut random);
+            let contact = Contact { decay_mm, ..problem.contact() };
+            let guess = problem.guess(0.02, 0.2, &mut random) * about.turned(0.5 * turn);
+            let ways = |template: &Template| -> BTreeSet<i64> {
+                let found = register(&params, &contact, template, &guess);
+                let off = |pose: &Pose| (problem.t_sensor_object.inverse() * *pose).log().0.z / turn;
+                let near = |off: &f64| (off - off.round()).abs() < 0.05;
+                let all = answers(&found).into_iter().map(|(pose, _)| off(&pose)).filter(near);
+                all.map(|off| off.round() as i64).collect()
+            };
+            let found = ways(&bare);
+            // Where the search has found neither there is nothing to repeat.
+            count += usize::from(!found.is_empty());
+            missing += usize::from(found.len() == 1);
+            assert!(ways(&declared).len() <= 1, "sides are known to be one answer");
+        }
     }
-    // 8 of these 12: the starts miss a side now and then, which docs/localization.md owns to. By three deviations less.
-    assert!(twice >= 3, "{twice}");
+    assert!(count >= 22 && missing == 0, "{missing} of {count}");
 }
 
 #[test]

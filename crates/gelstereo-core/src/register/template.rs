@@ -22,6 +22,10 @@ pub(crate) const REACH_MM: f64 = 1e12;
 /// Least spacing as a share of the extent: no template that can be held is finer, and squares do not underflow.
 pub(crate) const LEAST_SPACING: f64 = 1e-6;
 
+/// After a turn that leaves every point of the surface within this of it, less than the noise of points, a contact is as
+/// likely as before.
+const ALIKE_MM: f64 = 0.02;
+
 /// A part's surface: points with outward unit normals in the object frame, sampled evenly, and their tree; and if a
 /// mesh is known, the exact surface.
 ///
@@ -37,6 +41,8 @@ pub struct Template {
     pub(super) solid: Option<Solid>,
     pub(super) field: Option<Field>,
     pub(super) symmetries: Vec<Symmetry>,
+    /// Turns after which the exact surface looks the same, declared or not.
+    pub(super) alike: Vec<Symmetry>,
     pub(super) relief: Option<Relief>,
     /// Whether the surface is a mesh's, and not made of the points.
     is_exact: bool,
@@ -81,6 +87,7 @@ impl Template {
             relief: None,
             field: None,
             symmetries: Vec::new(),
+            alike: Vec::new(),
             is_exact: false,
         }
     }
@@ -106,7 +113,9 @@ impl Template {
     /// With the exact surface, and none that was made of the points.
     pub(super) fn with_solid(self, solid: Solid) -> Self {
         let relief = Some(Relief::new(&solid));
-        Self { solid: Some(solid), relief, field: None, is_exact: true, ..self }
+        let mut exact = Self { solid: Some(solid), relief, field: None, is_exact: true, ..self };
+        exact.alike = Symmetry::of(&exact, ALIKE_MM);
+        exact
     }
 
     /// Spacing for a part that a hand holds: a quarter of the lattice's pitch, rounded. Default of all who sample one.

@@ -13,7 +13,11 @@ use crate::register::{FreeDirections, Observability, Registration};
 
 /// Another pose that explains the contact about as well as the best: at least 1 % as likely, and apart from it and from
 /// every other one by five standard deviations over what the contact determines. It stands where the best one does along
-/// the directions that the contact leaves free. How far the guess is off counts in the likelihood.
+/// the directions that the contact leaves free, or where a turn that shows the part alike puts that pose. How far the guess
+/// is off counts in the likelihood.
+///
+/// Turns after which the whole part looks the same are tried on every answer, and motions that brought one answer to
+/// another. A pose that looks the same in this contact alone is missing if no start came near it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Alternative {
     /// Maps object coordinates to sensor coordinates.

@@ -145,6 +145,7 @@ fn searching<'a>(
         is_settled: false,
         is_cut: false,
         symmetries: template.symmetries(),
+        alike: &template.alike,
     })
 }
 

@@ -7,7 +7,8 @@
 //! directions, so that likelihoods compare nothing else.
 //!
 //! A motion D that brings the best pose to another answer is one after which the part looks as it did before, there. D
-//! and its inverse are tried on all answers: so the pitches of a thread are found that no start has led to.
+//! and its inverse are tried on all answers: so the pitches of a thread are found that no start has led to. Turns after
+//! which the whole part looks the same are known before; they are tried on every answer, too.
 
 use super::evidence;
 use super::polish::{End, PolishScratch};
@@ -19,6 +20,7 @@ use crate::math::{DVec3, Pose};
 use crate::register::observe::{dot, halves, stack};
 use crate::register::{Observability, copies, held};
 use alloc::vec::Vec;
+use core::f64::consts::TAU;
 
 /// A pose is as likely as the best one when its likelihood is at least e^-4.6 = 1 % of that one's.
 const LEAST_LOG: f64 = 4.6;
@@ -98,6 +100,8 @@ impl<'a, 'b> Others<'a, 'b> {
         self.gather(candidates, seeds);
         insertion_sort(seeds);
         candidates.truncate(1);
+        let best = candidates[0];
+        self.turn(&best, candidates);
         let (mut next, mut in_vain) = (0, 0);
         while next < seeds.len() && in_vain < MOST_IN_VAIN {
             if next == MOST_POLISHED || self.search.has_spent() {
@@ -115,6 +119,7 @@ impl<'a, 'b> Others<'a, 'b> {
                         end = ended;
                     }
                     if self.accept(candidates, seed) {
+                        self.turn(&seed, candidates);
                         self.repeat(candidates, seeds);
                         insertion_sort(&mut seeds[next..]);
                     }
@@ -149,6 +154,30 @@ impl<'a, 'b> Others<'a, 'b> {
             let placement = self.carried(&one.placement);
             if self.is_new(&placement, &[], &candidates[..1]) {
                 seeds.insert(0, Candidate { placement, cost: one.cost - self.best.cost, ..*one });
+            }
+        }
+    }
+
+    /// Accepts an answer after every turn that shows the part alike, as it stands: it is polished as well as the answer is,
+    /// and steps from there may lead elsewhere.
+    fn turn(&mut self, one: &Candidate, candidates: &mut Vec<Candidate>) {
+        let guess = self.guess_cost(&one.placement);
+        let axes = self.search.alike.iter().filter_map(|axis| Some((axis, axis.order?)));
+        for (axis, order) in axes {
+            for k in 1..order {
+                let turn = axis.turned(TAU * f64::from(k) / f64::from(order));
+                let placement = moved(&one.placement.pose, &Placement::new(turn));
+                let cost = one.cost + self.guess_cost(&placement) - guess;
+                if cost > candidates[0].cost + LEAST_LOG || self.is_one(&placement, &one.placement, 0.0) {
+                    continue;
+                }
+                if self.search.has_spent() || candidates.len() == MOST_SEEDS {
+                    self.is_cut = true;
+                    return;
+                }
+                let mut copy = Candidate { placement, slot: self.best.slot, ..*one };
+                self.search.read(&mut copy, self.scratch, self.settled);
+                self.accept(candidates, copy);
             }
         }
     }

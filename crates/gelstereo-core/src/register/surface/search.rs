@@ -83,8 +83,10 @@ pub(super) struct Search<'a> {
     pub is_settled: bool,
     /// Whether other answers may be missing among those that are left.
     pub is_cut: bool,
-    /// Turns after which the part looks the same.
+    /// Turns that are declared to make no other pose.
     pub symmetries: &'a [Symmetry],
+    /// Turns after which the part looks the same, declared or not.
+    pub alike: &'a [Symmetry],
 }
 
 impl Search<'_> {
