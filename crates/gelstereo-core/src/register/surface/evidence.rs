@@ -147,8 +147,9 @@ pub(super) fn observe(
     if let Some(told) = &told {
         add_settled(&mut system, samples, settled, best, told);
     } else {
-        let points = samples.pressed.iter().chain(&samples.unpressed);
-        let touching = points.zip(&scratch.here.all).zip(&scratch.touches).filter(|(_, t)| **t > 0.0);
+        // The steps took no others for touching: those pushed at most, and a push tells of one side alone.
+        let points = samples.pressed.iter().zip(&scratch.here.all).zip(&scratch.touches);
+        let touching = points.filter(|(_, touches)| **touches > 0.0);
         for ((sample, r), touches) in touching {
             system.add(&Sighting {
                 lever: back * sample.p_mm,
