@@ -137,6 +137,29 @@ fn what_is_claimed_of_the_error_holds() {
 }
 
 #[test]
+fn noise_that_is_larger_than_said_shows_in_the_covariance() {
+    let (part, template) = &stock()[0];
+    let mut random = Stream::new(16, part.name);
+    let (mut ratio, mut count) = (0.0, 0);
+    for _ in 0..20 {
+        let mut problem = Problem::press(part, Sensing::GOOD, &mut random);
+        let guess = problem.guess(0.01, 0.1, &mut random);
+        let strongest = |problem: &Problem| {
+            let found = register(RegisterMethod::SurfaceClose, problem, template, &guess);
+            found.observability.values.into_iter().fold(0.0, f64::max)
+        };
+        let right = strongest(&problem);
+        // Half the standard deviation would tell four times as much.
+        problem.covariance_mm2.iter_mut().flatten().flatten().for_each(|x| *x *= 0.25);
+        ratio += strongest(&problem) / right;
+        count += 1;
+    }
+    let mean = ratio / f64::from(count);
+    println!("tells {mean:.2} times as much");
+    assert!(mean < 2.0, "{mean}");
+}
+
+#[test]
 fn a_spent_budget_leaves_a_valid_answer() {
     let (part, template) = some("square peg");
     let mut random = Stream::new(15, "budget");

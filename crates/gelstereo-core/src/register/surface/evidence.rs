@@ -8,8 +8,11 @@ use super::settled::SettledScratch;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec3, Pose, sqrt};
 use crate::params::RegisterParams;
-use crate::register::observe::{Sighting, System};
+use crate::register::observe::{Sighting, System, dot, stack};
 use crate::register::{FreeDirections, Observability, Registration};
+
+/// Past half of what is told being missing, squares do not say how much is.
+const LEAST_CURVED: f64 = 0.5;
 
 /// Another pose that explains the contact about as well as the best: at least 1 % as likely, and apart from it and from
 /// every other one by five standard deviations over what the contact determines. It stands where the best one does along
@@ -143,14 +146,16 @@ pub(super) fn observe(
 ) -> Observability {
     let back = best.placement.pose.rotation.conjugate();
     let sigma_mm = params.point_sigma_mm;
+    // The steps took no others for touching: those pushed at most, and a push tells of one side alone.
+    let touching = || {
+        let points = samples.pressed.iter().zip(&scratch.here.all).zip(&scratch.touches);
+        points.filter(|(_, touches)| **touches > 0.0)
+    };
     let mut system = System::new(samples.radius_mm, sigma_mm);
     if let Some(told) = &told {
         add_settled(&mut system, samples, settled, best, told);
     } else {
-        // The steps took no others for touching: those pushed at most, and a push tells of one side alone.
-        let points = samples.pressed.iter().zip(&scratch.here.all).zip(&scratch.touches);
-        let touching = points.filter(|(_, touches)| **touches > 0.0);
-        for ((sample, r), touches) in touching {
+        for ((sample, r), touches) in touching() {
             system.add(&Sighting {
                 lever: back * sample.p_mm,
                 normal: back * r.normal,
@@ -164,7 +169,38 @@ pub(super) fn observe(
         system.blur(told.map_or_else(|| system.left_mm(), |told| told.left_mm));
     }
     // About the salient points' centroid, in the object's axes.
-    system.observe(best.placement.object_point(DVec3::ZERO))
+    let mut seen = system.observe(best.placement.object_point(DVec3::ZERO));
+    if told.is_none() {
+        for (u, value) in seen.directions.iter().zip(&mut seen.values).filter(|(_, value)| **value > 0.0) {
+            let more = doubt(touching().map(|((sample, r), touches)| {
+                let (lever, normal) = (back * sample.p_mm, back * r.normal);
+                let along = dot(u, &stack(lever.cross(normal) / samples.radius_mm, normal));
+                (*touches, along * along / r.variance_mm2, r.distance_mm * r.distance_mm / r.variance_mm2)
+            }));
+            *value /= 1.0 + *value * more;
+        }
+    }
+    seen
+}
+
+/// What is to be added to the variance along a direction for not knowing which points touch: from the probability w that
+/// each does, what it would tell, t = J² / σ², and how far off it is, r² / σ².
+///
+/// The weights tell Σ w t as if they were known. They change with the pose, and the likelihood is curved by
+/// Σ w t (1 - (1 - w) r²) alone (Louis 1982). Where the points pull against one another, by w r each, more than goes with
+/// such a curvature, the pose is as uncertain as that says: Σ w² t r² over the curvature squared (White 1982).
+fn doubt(points: impl Iterator<Item = (f64, f64, f64)>) -> f64 {
+    let (mut told, mut missing, mut pulls) = (0.0, 0.0, 0.0);
+    for (w, t, r_squared) in points {
+        told += w * t;
+        missing += w * (1.0 - w) * r_squared * t;
+        pulls += w * w * r_squared * t;
+    }
+    if !(told > 0.0) {
+        return 0.0;
+    }
+    let curved = (told - missing).max(LEAST_CURVED * told);
+    (1.0 / curved).max(pulls / (curved * curved)) - 1.0 / told
 }
 
 /// What the heights of the gel tell, with the noise of the normals that they are told by.
@@ -215,4 +251,46 @@ pub(super) fn alternatives(samples: &Samples, candidates: &[Candidate], is_cut: 
         out.push(Alternative { t_sensor_object: pose(samples, one), log_likelihood: -one.cost });
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::ln;
+    use crate::register::surface::noise::Mixture;
+
+    const SIGMA_MM: f64 = 0.03;
+
+    fn doubt_of(mixture: &Mixture, all_mm: &[f64]) -> f64 {
+        doubt(all_mm.iter().map(|d_mm| {
+            let r = d_mm / SIGMA_MM;
+            (mixture.at(*d_mm, SIGMA_MM).0, 1.0 / (SIGMA_MM * SIGMA_MM), r * r)
+        }))
+    }
+
+    #[test]
+    fn what_is_missing_is_what_the_likelihood_is_not_curved_by() {
+        // Contact and outliers, which are anywhere: no free gel, whose density has slopes of its own.
+        let mixture = Mixture::new(1.0, 0.8, 1.0);
+        let all_mm = [-0.03, -0.02, 0.0, 0.01, 0.04];
+        let cost = |shift_mm: f64| -> f64 {
+            all_mm.iter().map(|d_mm| -ln(mixture.at(d_mm + shift_mm, SIGMA_MM).1)).sum()
+        };
+        let h = 1e-4;
+        let curved = (cost(h) - 2.0 * cost(0.0) + cost(-h)) / (h * h);
+        let told: f64 =
+            all_mm.iter().map(|d_mm| mixture.at(*d_mm, SIGMA_MM).0).sum::<f64>() / (SIGMA_MM * SIGMA_MM);
+        let variance = 1.0 / told + doubt_of(&mixture, &all_mm);
+        // (h / σ)² of a fourth derivative that is a few times the second.
+        assert!((variance * curved - 1.0).abs() < 1e-4, "{}", variance * curved);
+        assert!(told > 1.02 * curved);
+    }
+
+    #[test]
+    fn points_that_scatter_more_than_their_noise_tell_as_much_less() {
+        // Where no point is doubted, that is the mean's variance: 4 σ² over their number at two standard deviations.
+        let sure = |r: f64| core::iter::repeat_n((1.0, 1.0, r * r), 10);
+        assert!((0.1 + doubt(sure(2.0)) - 0.4).abs() < 1e-15);
+        assert_eq!(doubt(sure(0.5)), 0.0);
+    }
 }
