@@ -90,6 +90,12 @@ impl Registration {
     ///
     /// It is always finite. Along [`Self::free`] directions the variance has no bound, and there the matrix is zero:
     /// it describes where the pose can be once a value for each free direction has been chosen.
+    ///
+    /// It takes for given that the points touch the faces that the pose puts them on. `surface_search` asks the gel, and
+    /// counts no marker that may as well hang. `surface_close` and `surface_track` add what is not known of which salient
+    /// points touch, and cannot know of a row of the gel's shoulder that passes for a face: there, and beside a wrong
+    /// thread or edge, errors are larger than it says. The rungs on samples add what their residuals exceed the noise by.
+    /// How large errors are is measured in `docs/localization.md`.
     #[must_use]
     pub fn covariance(&self) -> Symmetric<6> {
         self.observability.covariance()
