@@ -8,6 +8,7 @@
 //! and edges each have a minimum of their own.
 
 mod buckets;
+mod close;
 mod contact;
 mod evidence;
 mod fit;

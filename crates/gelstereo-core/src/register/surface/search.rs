@@ -35,22 +35,12 @@ impl Candidate {
     }
 }
 
-/// From a guess that is close: coarse looks, and steps on the field that are not checked. A step on the exact surface costs
-/// several of them.
-const CLOSE: &[f64] = &[0.5, 0.25, 0.15];
-const SLIDES: u32 = 8;
-/// Other markers this far over the part are not looked at: they count up to half a millimetre, and by then the part hardly
-/// moves.
-const SLIDE_REACH_MM: f64 = 1.0;
-const CLOSE_REACH_MM: f64 = 0.7;
-/// Steps on the field of a part that is followed.
-const TRACK_STEPS: u32 = 5;
 /// Steps on the field before candidates are compared, and how many go on.
 const FIELD_STEPS: u32 = 4;
 const FINALISTS: usize = 3;
 /// Steps of all of them on the exact surface, and of those that are left.
 const FIRST_STEPS: u32 = 3;
-const MOST_STEPS: u32 = 15;
+pub(super) const MOST_STEPS: u32 = 15;
 /// Finalists whose likelihood is less than that of the best by this, in logarithms, are not polished on.
 pub(super) const HOPELESS: f64 = 12.0;
 /// With fewer of the markers around the contact explained the gel is another than it is said to be, and is not asked.
@@ -103,7 +93,7 @@ impl Search<'_> {
         self.work >= self.budget()
     }
 
-    fn polish<D: Distances>(&self, part: D) -> Polish<'_, D> {
+    pub fn polish<D: Distances>(&self, part: D) -> Polish<'_, D> {
         Polish {
             params: self.params,
             samples: self.samples,
@@ -113,42 +103,6 @@ impl Search<'_> {
             prior: self.prior,
             reach_mm: OUT_OF_REACH_MM,
         }
-    }
-
-    /// From the guess alone, on the field.
-    pub fn track(&mut self, candidates: &mut Vec<Candidate>, scratch: &mut PolishScratch) -> End {
-        self.begin_at_guess(candidates);
-        let polish = self.polish(self.field);
-        let end = polish.slide(&mut candidates[0], TRACK_STEPS, self.budget(), scratch);
-        // The field knows no curvature, and without it facets would seem to hold a cylinder's spin.
-        let (cost, work) = self.polish(self.faces).compare(&candidates[0].placement, scratch);
-        candidates[0].cost = cost;
-        self.work = end.work + work;
-        end
-    }
-
-    /// From the guess alone: on the field, then on the exact surface.
-    pub fn close(&mut self, candidates: &mut Vec<Candidate>, scratch: &mut PolishScratch) -> End {
-        self.begin_at_guess(candidates);
-        let view = View::of(
-            self.samples,
-            self.samples.may_touch(),
-            self.samples.medium_unpressed,
-            self.press_direction,
-        );
-        for &width_mm in CLOSE {
-            self.step(&mut candidates[0], &view, width_mm);
-        }
-        let left = self.budget().saturating_sub(self.work);
-        let polish = Polish { reach_mm: SLIDE_REACH_MM, ..self.polish(self.field) };
-        self.work += polish.slide(&mut candidates[0], SLIDES, left, scratch).work;
-        let left = self.budget().saturating_sub(self.work);
-        let polish = Polish { reach_mm: CLOSE_REACH_MM, ..self.polish(self.faces) };
-        let end = polish.run(&mut candidates[0], self.params.max_iterations.min(MOST_STEPS), left, scratch);
-        let (cost, work) = polish.compare_ended(&candidates[0].placement, scratch);
-        candidates[0].cost = cost;
-        self.work += end.work + work;
-        end
     }
 
     /// From many starts. The best answer comes first, then the others; leaves the cheapest of the second round in
@@ -335,11 +289,6 @@ impl Search<'_> {
             }
         }
         best.1
-    }
-
-    fn begin_at_guess(&self, candidates: &mut Vec<Candidate>) {
-        candidates.clear();
-        candidates.push(Candidate::at(self.prior.guess));
     }
 
     /// The finalists on the exact surface, best first. How the best one ended; its readings are in the scratch.
