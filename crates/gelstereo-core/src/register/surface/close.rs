@@ -9,6 +9,9 @@ use alloc::vec::Vec;
 /// several of them.
 const CLOSE: &[f64] = &[0.5, 0.25, 0.15];
 const SLIDES: u32 = 8;
+/// Halvings of a step on the exact surface: where a quarter of it is no better an edge is near, and less of it gains less than it
+/// costs.
+const HALVINGS: u32 = 2;
 /// Other markers this far over the part are not looked at: they count up to half a millimetre, and by then the part hardly
 /// moves.
 const SLIDE_REACH_MM: f64 = 1.0;
@@ -45,7 +48,7 @@ impl Search<'_> {
         let polish = Polish { reach_mm: SLIDE_REACH_MM, ..self.polish(self.field) };
         self.work += polish.slide(&mut candidates[0], SLIDES, left, scratch).work;
         let left = self.budget().saturating_sub(self.work);
-        let polish = Polish { reach_mm: CLOSE_REACH_MM, ..self.polish(self.faces) };
+        let polish = Polish { reach_mm: CLOSE_REACH_MM, halvings: HALVINGS, ..self.polish(self.faces) };
         let end = polish.run(&mut candidates[0], self.params.max_iterations.min(MOST_STEPS), left, scratch);
         let (cost, work) = polish.compare_ended(&candidates[0].placement, scratch);
         candidates[0].cost = cost;

@@ -24,8 +24,6 @@ const FAR_MM: f64 = 0.5;
 pub(super) const OUT_OF_REACH_MM: f64 = 1.2;
 /// The last step of a run, in tolerances.
 const LAST_STEP: f64 = 10.0;
-/// Halvings of a step before it is given up.
-const HALVINGS: u32 = 4;
 /// Steps of expectation for one of maximisation: they cost no lookups.
 const EXPECTATIONS: u32 = 2;
 /// Longest step, over the patch.
@@ -107,6 +105,8 @@ pub(super) struct Polish<'a, D> {
     pub prior: Prior,
     /// Markers this far over the part at the start that are not salient are not looked at.
     pub reach_mm: f64,
+    /// Halvings of a step before it is given up.
+    pub halvings: u32,
 }
 
 /// Where it ended.
@@ -134,7 +134,7 @@ impl<D: Distances> Polish<'_, D> {
             let cost = self.cost(scratch, &scratch.here, &candidate.placement);
             let mut share = 1.0;
             let mut accepted = false;
-            for _ in 0..=HALVINGS {
+            for _ in 0..=self.halvings {
                 let next = candidate.placement.moved(omega * share, v * share);
                 end.work += self.read(&next, &mut scratch.there, Asked::Within);
                 if self.cost(scratch, &scratch.there, &next) < cost {

@@ -41,6 +41,8 @@ const FINALISTS: usize = 3;
 /// Steps of all of them on the exact surface, and of those that are left.
 const FIRST_STEPS: u32 = 3;
 pub(super) const MOST_STEPS: u32 = 15;
+/// Halvings of a step on the exact surface.
+const HALVINGS: u32 = 4;
 /// Finalists whose likelihood is less than that of the best by this, in logarithms, are not polished on.
 pub(super) const HOPELESS: f64 = 12.0;
 /// With fewer of the markers around the contact explained the gel is another than it is said to be, and is not asked.
@@ -102,6 +104,7 @@ impl Search<'_> {
             part,
             prior: self.prior,
             reach_mm: OUT_OF_REACH_MM,
+            halvings: HALVINGS,
         }
     }
 
