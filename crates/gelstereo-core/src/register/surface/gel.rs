@@ -124,6 +124,11 @@ impl Gel {
         plane
     }
 
+    /// Makes room for sweeps over the gel.
+    pub fn lay_out(&self, sweeps: &mut Sweeps) {
+        self.lattice.lay_out(sweeps);
+    }
+
     /// Heights of the gel over an obstacle; `heights_mm` is where to begin. Returns the sweeps that took.
     pub fn settle(
         &self,

@@ -88,7 +88,9 @@ mod tests {
         let obstacle = |index: usize| if is_under(index) { 1.0 } else { f64::NEG_INFINITY };
         let obstacle_mm: Vec<f64> = gel.nodes.iter().map(|node| obstacle(node.index)).collect();
         let mut heights_mm = alloc::vec![0.0; obstacle_mm.len()];
-        gel.settle((gel.stiffness(0.0), 500), &obstacle_mm, &mut heights_mm, &mut Sweeps::default());
+        let mut sweeps = Sweeps::default();
+        gel.lay_out(&mut sweeps);
+        gel.settle((gel.stiffness(0.0), 500), &obstacle_mm, &mut heights_mm, &mut sweeps);
         let mut random = Stream::new(1, "hanging");
         let mut noisy = level;
         let mut is_salient = alloc::vec![false; noisy.len()];

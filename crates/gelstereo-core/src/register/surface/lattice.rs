@@ -72,7 +72,7 @@ impl Lattice {
             return false;
         }
         self.join();
-        self.lay_out()
+        self.place()
     }
 
     /// The nearest marker shows one axis, and along both axes the nearest one each way counts.
@@ -154,7 +154,7 @@ impl Lattice {
 
     /// Patches beside and below one another, an empty row or column between them; whether that is a lattice. Cells of
     /// markers that are joined to none, and of those that came where another one is, are 0.
-    fn lay_out(&mut self) -> bool {
+    fn place(&mut self) -> bool {
         let Self { places, links, patches, is_marker, .. } = self;
         let columns = patches.iter().map(|patch| patch.size(0)).max().unwrap_or(0);
         let (mut x, mut y, mut below) = (0, 0, 0);
@@ -202,6 +202,11 @@ impl Lattice {
         near.filter(move |&j| self.links[j].near.contains(&(marker as u32)))
     }
 
+    /// Makes room for sweeps over it; cells without a marker stay as they are now.
+    pub fn lay_out(&self, sweeps: &mut Sweeps) {
+        sweeps.clear(2 * self.half, self.inner().len());
+    }
+
     /// Heights over an obstacle; `heights_mm` is where to begin. Returns the sweeps that took.
     pub fn settle(
         &self,
@@ -211,7 +216,6 @@ impl Lattice {
         sweeps: &mut Sweeps,
     ) -> u32 {
         let over = over_relaxation(stiffness);
-        sweeps.clear(2 * self.half, self.inner().len());
         let shares = shares(stiffness).map(|share| share * stiffness);
         for ((&(cell, count), &obstacle_mm), height_mm) in
             self.places.iter().zip(obstacle_mm).zip(&*heights_mm)
@@ -262,7 +266,6 @@ impl Lattice {
         (sweeps, cells): (&mut Sweeps, &mut Vec<[f64; N]>),
     ) -> u32 {
         let over = over_relaxation(stiffness);
-        sweeps.clear(2 * self.half, self.inner().len());
         cells.clear();
         cells.resize(2 * self.half, [0.0; N]);
         let shares = shares(stiffness);

@@ -107,6 +107,7 @@ impl Search<'_> {
     pub fn misfit(&self, usual: Option<&Usual>, settled: &mut SettledScratch) -> Misfit {
         let mut one = Candidate::at(self.prior.guess);
         one.rest = Rest { plane_mm: self.samples.gel.rest_plane(self.samples.radius_mm), log_decay: 0.0 };
+        settled.clear(&self.samples.gel);
         let way = self.settled(true);
         way.begin_anew(&mut one, settled);
         for _ in 0..STEPS {

@@ -47,8 +47,15 @@ const HALVINGS: u32 = 4;
 pub(super) const HOPELESS: f64 = 12.0;
 /// With fewer of the markers around the contact explained the gel is another than it is said to be, and is not asked.
 const EXPLAINED: f64 = 0.75;
-/// Widths of the steps that ask the gel on the field, and how many candidates go on from there.
-const BLURRED: [(f64, usize); 3] = [(0.3, 5), (0.2, 3), (0.1, 2)];
+/// Widths of the steps that ask the gel on the field, and how many candidates go on from there: of the first few, and of
+/// all others where what those came to does not fit.
+const BLURRED: [(f64, usize); 3] = [(0.3, 3), (0.2, 2), (0.1, 1)];
+const BLURRED_ON: [(f64, usize); 3] = [(0.3, 5), (0.2, 3), (0.1, 2)];
+const FIRST_FEW: usize = 4;
+/// A pose fits when the markers at the part miss it by no more than this share of the mean square that their noise makes
+/// likely. That is a safe figure, for what lies between two markers counts in it: two of three right poses fit, and of
+/// wrong ones less than half. To search on from a right one costs time alone.
+const FITS: f64 = 0.8;
 /// Width of the first step on the exact surface.
 const SHARP_MM: f64 = 0.05;
 /// Width on the field of those that come after the best one, which are near their end.
@@ -130,10 +137,11 @@ impl Search<'_> {
         self.is_settled = false;
         if self.samples.gel.is_known() {
             let before: [Option<Candidate>; KEPT] = core::array::from_fn(|k| candidates.get(k).copied());
-            let end = self.settle(candidates, scratch, settled);
+            let end = self.settle_few(candidates, settled);
+            settled.show(candidates[0].slot);
+            self.work += self.polish(self.faces).compare(&candidates[0].placement, scratch).1;
             // A pose that was not reached explains little, and there is nothing left to do without the gel.
-            self.is_settled =
-                self.work >= self.budget() || self.settled(true).explained(&settled.here) >= EXPLAINED;
+            self.is_settled = self.work >= self.budget() || settled.here.explained() >= EXPLAINED;
             if self.is_settled {
                 return self.others(candidates, runners_up, end, (scratch, settled));
             }
@@ -214,19 +222,39 @@ impl Search<'_> {
         Told { press_direction: self.press_direction, information, left_mm }
     }
 
-    /// The candidates by what the gel would do, best first. The best one's prediction is left in `settled`.
-    fn settle(
-        &mut self,
-        candidates: &mut Vec<Candidate>,
-        scratch: &mut PolishScratch,
-        settled: &mut SettledScratch,
-    ) -> End {
+    /// The candidates by what the gel would do, best first: the first few, and the others where these do not fit.
+    fn settle_few(&mut self, candidates: &mut Vec<Candidate>, settled: &mut SettledScratch) -> End {
         let rest = Rest { plane_mm: self.samples.gel.rest_plane(self.samples.radius_mm), log_decay: 0.0 };
         for (slot, candidate) in candidates.iter_mut().enumerate() {
             (candidate.rest, candidate.slot) = (rest, slot);
         }
+        settled.clear(&self.samples.gel);
+        let all: [Option<Candidate>; KEPT] = core::array::from_fn(|k| candidates.get(k).copied());
+        candidates.truncate(FIRST_FEW);
+        let end = self.settle(candidates, &BLURRED, settled);
+        let best = candidates[0];
+        let left = all.into_iter().flatten().filter(|one| one.slot != best.slot);
+        if self.has_spent() || settled.kept(best.slot).misfit() <= FITS || left.clone().count() == 0 {
+            return end;
+        }
+        candidates.clear();
+        candidates.extend(left);
+        let end_on = self.settle(candidates, &BLURRED_ON, settled);
+        // The one that was first stays so among equals.
+        candidates.insert(0, best);
+        keep(candidates, FINALISTS, 0.0, 0.0);
+        if candidates[0].slot == best.slot { end } else { end_on }
+    }
+
+    /// The candidates by what the gel would do, best first.
+    fn settle(
+        &mut self,
+        candidates: &mut Vec<Candidate>,
+        blurred: &[(f64, usize)],
+        settled: &mut SettledScratch,
+    ) -> End {
         self.begin_all(false, candidates, settled);
-        for (width_mm, keeps) in BLURRED {
+        for &(width_mm, keeps) in blurred {
             self.blurred_all((false, width_mm), candidates, settled);
             keep(candidates, keeps, self.samples.radius_mm, SECOND.same_mm);
         }
@@ -235,8 +263,6 @@ impl Search<'_> {
         self.blurred_all((true, SHARP_MM), candidates, settled);
         let end = self.settle_all(candidates, self.params.max_iterations.min(MOST_STEPS), settled);
         keep(candidates, FINALISTS, 0.0, 0.0);
-        settled.show(candidates[0].slot);
-        self.work += self.polish(self.faces).compare(&candidates[0].placement, scratch).1;
         end
     }
 

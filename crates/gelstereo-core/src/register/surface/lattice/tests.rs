@@ -47,6 +47,7 @@ fn heights_are_those_of_the_true_neighbours_one_by_one() {
     {
         let (nodes, at) = markers(&mut random, sides, disorder);
         assert!(lattice.find(&nodes, 1.0));
+        lattice.lay_out(&mut sweeps);
         let stiffness = 1.0 + 8.0 * random.uniform();
         let touch = |random: &mut Stream| random.uniform() < 0.3;
         let obstacle_mm: Vec<f64> = (0..at.len())
@@ -96,6 +97,8 @@ fn markers_without_neighbours_stand_on_the_part_alone() {
     let mut obstacle_mm = [f64::NEG_INFINITY; 38];
     obstacle_mm[37] = 0.7;
     let mut heights_mm = [0.3; 38];
-    lattice.settle((4.0, 500, 1e-10), &obstacle_mm, &mut heights_mm, &mut Sweeps::default());
+    let mut sweeps = Sweeps::default();
+    lattice.lay_out(&mut sweeps);
+    lattice.settle((4.0, 500, 1e-10), &obstacle_mm, &mut heights_mm, &mut sweeps);
     assert!(heights_mm[37] == 0.7 && heights_mm[..37].iter().all(|x| x.abs() < 1e-8), "{heights_mm:?}");
 }
