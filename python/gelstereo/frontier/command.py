@@ -16,6 +16,7 @@ from gelstereo.frontier.building import measure_building
 from gelstereo.frontier.centres import CONDITIONS, measure_centres
 from gelstereo.frontier.covariance import measure_covariance
 from gelstereo.frontier.figures import draw_errors, draw_growth
+from gelstereo.frontier.grasps import GRASPED, NOISES
 from gelstereo.frontier.localization import measure_localization
 from gelstereo.frontier.nearest import measure_nearest
 from gelstereo.frontier.page import LOCALIZATION_SECTIONS, SECTIONS, check_page, row_tables, write_page
@@ -92,6 +93,8 @@ def _sensing(arguments: argparse.Namespace, rounds: int, starts: int) -> int:
 def _localization(arguments: argparse.Namespace, rounds: int, starts: int) -> int:
     page = arguments.docs / "localization.md"
     check_page(page, LOCALIZATION_SECTIONS)
+    # Parts and noises differ in what they cost, and every contact counts.
+    rounds = max(rounds, starts * len(GRASPED) * len(NOISES))
     tables, targets = measure_localization(range(1, 1 + starts), rounds, _report)
     said = (
         f"simulated, {starts} contacts of each part and noise, markers every 0.9 mm, gel shoulder and spread; "
