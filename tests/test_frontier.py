@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import shutil
 from itertools import pairwise
@@ -412,13 +413,13 @@ def test_libraries_that_cannot_be_loaded_are_named_and_the_others_measured(
         raise ModuleNotFoundError(f"No module named {module!r}", name=module.split(".")[0])
 
     with monkeypatch.context() as patch:
-        patch.setattr("gelstereo.frontier.rivals.importlib.import_module", load)
+        patch.setattr(importlib, "import_module", load)
         found, missing = rivals()
     assert list(found) == ["small_gicp: GICP"]
     assert missing["MeshLib: ICP on the mesh"] == "meshlib is not installed"
     # The rest of the page is made without any of them, here of one part.
-    monkeypatch.setattr("gelstereo.frontier.localization.GRASPED", GRASPED[:1])
-    monkeypatch.setattr("gelstereo.frontier.localization.rivals", lambda: ({}, missing))
+    monkeypatch.setitem(measure_localization.__globals__, "GRASPED", GRASPED[:1])
+    monkeypatch.setitem(measure_localization.__globals__, "rivals", lambda: ({}, missing))
     tables, targets = measure_localization(range(1, 2), 1, lambda what: None)
     head, rows = tables[0].head, tables[0].rows
     assert all(len(row) == len(head) for row in rows)
