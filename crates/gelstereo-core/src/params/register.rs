@@ -35,7 +35,7 @@ pub enum RegisterMethod {
     /// alternatives either.
     SurfaceClose,
     /// The exact surface from many starts around the guess, with the markers that nothing presses: 96 / 97 / 96 / 98 %, 1.2
-    /// times the bound, 12 ms; of the bolt alone 85 %, on whose threads a gel finer than the markers hangs as they do not
+    /// times the bound, 13 ms; of the bolt alone 85 %, on whose threads a gel finer than the markers hangs as they do not
     /// show. A row of shoulder beside an edge may pass for the face beyond it; then the error is
     /// some 0.1 mm, and the covariance does not know. Where several poses explain the contact about as well all are
     /// returned, with their likelihoods.

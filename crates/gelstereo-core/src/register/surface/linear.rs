@@ -72,14 +72,13 @@ impl Settled<'_> {
                 }
                 None => UNDER_MM,
             };
-            let x = placement.object_point(node.sample.p_mm);
-            let again = sight.foot.as_ref().and_then(|foot| self.field.foot_again(foot, x, press));
-            let foot = again.map_or_else(|| self.field.foot(x, press, start_mm), Ok);
+            let foot = self.field.foot(placement.object_point(node.sample.p_mm), press, start_mm);
             lookups += 2;
             let over_plane_mm = node.along_mm - state.rest.at(node.across_mm * per_radius);
             obstacle_mm.push(foot.map_or(f64::NEG_INFINITY, |foot| over_plane_mm - foot.over_mm));
         }
-        there.begin_as(here);
+        there.heights_mm.clear();
+        there.heights_mm.extend_from_slice(&here.heights_mm);
         let stiffness = gel.stiffness(state.rest.log_decay);
         let sweeps = gel.settle((stiffness, FEW_SWEEPS), obstacle_mm, &mut there.heights_mm, sweeps);
         lookups + u64::from(sweeps) * gel.nodes.len() as u64 / SWEEPS_A_LOOKUP

@@ -49,20 +49,10 @@ pub(super) struct Foot {
     /// Outward there, object frame.
     pub normal: DVec3,
     pub curvature_per_mm: f64,
-    /// Of the plane of the face that it is on: how far it is along the normal, object frame.
-    plane_mm: f64,
-}
-
-impl Foot {
-    /// Of a line through a marker at `x_mm`.
-    fn new(x_mm: DVec3, press: DVec3, over_mm: f64, near: (DVec3, f64)) -> Self {
-        let (normal, curvature_per_mm) = near;
-        Self { over_mm, normal, curvature_per_mm, plane_mm: normal.dot(x_mm - press * over_mm) }
-    }
 }
 
 /// How far over and under a marker the part is looked for.
-pub(super) const OVER_MM: f64 = 2.0;
+const OVER_MM: f64 = 2.0;
 pub(super) const UNDER_MM: f64 = 1.5;
 /// Faces that are steeper than this, cosine to the press, are looked for along the line itself, and not by distances.
 const STEEP_COSINE: f64 = 0.2;
@@ -87,7 +77,6 @@ impl Coarse<'_> {
         let (mut at_mm, mut least_mm) = (start_mm, f64::INFINITY);
         for _ in 0..MOST_STEPS {
             let Some((distance_mm, gradient)) = self.0.distance(x_mm + press * at_mm) else {
-                least_mm = least_mm.min(self.0.reach_mm());
                 at_mm -= self.0.reach_mm();
                 if at_mm < -OVER_MM {
                     break;
@@ -96,12 +85,13 @@ impl Coarse<'_> {
             };
             least_mm = least_mm.min(distance_mm);
             if distance_mm < near_mm {
-                let normal = Self::normal(gradient, press);
+                let length = sqrt(gradient.length_squared());
+                let normal = if length > 1e-3 { gradient / length } else { press };
                 let cosine = normal.dot(press);
                 let is_on = distance_mm < 0.25 * near_mm;
                 if cosine >= STEEP_COSINE || (is_on && cosine >= WALL_COSINE) {
                     let over_mm = distance_mm / cosine.max(STEEP_COSINE) - at_mm;
-                    return Ok(Foot::new(x_mm, press, over_mm, (normal, 0.0)));
+                    return Ok(Foot { over_mm, normal, curvature_per_mm: 0.0 });
                 }
                 if is_on {
                     break;
@@ -114,51 +104,17 @@ impl Coarse<'_> {
         }
         Err(least_mm)
     }
-
-    /// The same of a line that met the part nearby before: looked up on the plane of that face. `None` where the part is
-    /// not found there.
-    pub fn foot_again(&self, before: &Foot, x_mm: DVec3, press: DVec3) -> Option<Foot> {
-        let cosine = before.normal.dot(press);
-        if cosine < STEEP_COSINE {
-            return None;
-        }
-        let over_mm = (before.normal.dot(x_mm) - before.plane_mm) / cosine;
-        if !(-UNDER_MM..=OVER_MM).contains(&over_mm) {
-            return None;
-        }
-        let (distance_mm, gradient) = self.0.distance(x_mm - press * over_mm)?;
-        if abs(distance_mm) >= NEAR * self.0.cell_mm() {
-            return None;
-        }
-        let normal = Self::normal(gradient, press);
-        let cosine = normal.dot(press);
-        (cosine >= STEEP_COSINE)
-            .then(|| Foot::new(x_mm, press, over_mm + distance_mm / cosine, (normal, 0.0)))
-    }
-
-    /// Whether a foot on the field may be one of the triangles that is at `level_mm` over it, or higher.
-    pub fn may_reach(&self, level_mm: f64) -> bool {
-        level_mm + FIELD_ERROR * self.0.cell_mm() >= 0.0
-    }
-
-    fn normal(gradient: DVec3, press: DVec3) -> DVec3 {
-        let length = sqrt(gradient.length_squared());
-        if length > 1e-3 { gradient / length } else { press }
-    }
 }
 
 impl Exact<'_> {
-    /// The same on the triangles, near one on the field.
-    pub fn foot(&self, coarse: &Foot, x_mm: DVec3, press: DVec3, hint: &mut u32) -> Result<Foot, f64> {
-        let coarse_mm = coarse.over_mm;
-        let mut over_mm = coarse_mm;
-        let near_mm = FIELD_ERROR * self.field.0.cell_mm();
+    /// The same on the triangles.
+    pub fn foot(&self, field: &Coarse<'_>, x_mm: DVec3, press: DVec3, hint: &mut u32) -> Result<Foot, f64> {
+        let mut foot = field.foot(x_mm, press, UNDER_MM)?;
+        let coarse_mm = foot.over_mm;
         let facing = Facing { direction: press, least_cosine: LEAST_COSINE };
         for _ in 0..MOST_REFINED {
-            let at_mm = x_mm - press * over_mm;
-            // Near it, unless that is an edge from which the field knows another face: the nearest is found sooner.
-            let nearest = |reach_mm| self.solid.closest_facing(at_mm, &facing, reach_mm, Some(*hint));
-            let found = nearest(near_mm).or_else(|| nearest(REACH_MM)).ok_or(0.0)?;
+            let at_mm = x_mm - press * foot.over_mm;
+            let found = self.solid.closest_facing(at_mm, &facing, REACH_MM, Some(*hint)).ok_or(0.0)?;
             *hint = found.triangle;
             let slope = self.relief.slope(self.solid, &found, at_mm - found.point_mm);
             let cosine = slope.normal.dot(press);
@@ -166,9 +122,13 @@ impl Exact<'_> {
                 break;
             }
             let step_mm = found.distance_mm / cosine;
-            over_mm += step_mm;
+            foot = Foot {
+                over_mm: foot.over_mm + step_mm,
+                normal: slope.normal,
+                curvature_per_mm: slope.curvature_per_mm,
+            };
             if abs(step_mm) < ON_MM || (abs(step_mm) < CLOSE_MM && found.feature == Feature::Face) {
-                return Ok(Foot::new(x_mm, press, over_mm, (slope.normal, slope.curvature_per_mm)));
+                return Ok(foot);
             }
         }
         self.first_met(x_mm, coarse_mm, press, hint).ok_or(0.0)
@@ -182,9 +142,11 @@ impl Exact<'_> {
         *hint = found.triangle;
         let slope = self.relief.slope(self.solid, &found, DVec3::ZERO);
         let is_seen = slope.normal.dot(press) >= WALL_COSINE;
-        let normal = if is_seen { slope.normal } else { found.normal };
-        let over_mm = coarse_mm + found.distance_mm;
-        Some(Foot::new(x_mm, press, over_mm, (normal, slope.curvature_per_mm)))
+        Some(Foot {
+            over_mm: coarse_mm + found.distance_mm,
+            normal: if is_seen { slope.normal } else { found.normal },
+            curvature_per_mm: slope.curvature_per_mm,
+        })
     }
 }
 

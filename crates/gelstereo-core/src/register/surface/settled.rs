@@ -7,11 +7,11 @@
 use super::contact::Samples;
 use super::gel::{Gel, Node};
 use super::lattice::Sweeps;
-use super::part::{Coarse, Exact, Foot, OVER_MM, UNDER_MM};
+use super::part::{Coarse, Exact, Foot, UNDER_MM};
 use super::polish::End;
 use super::rest::{DECAY_LOGS, Rest};
 use super::search::Candidate;
-use super::step::{Normal, Placement, Prior};
+use super::step::{Normal, Prior};
 
 use crate::math::{DVec3, abs, exp, ln, sqrt};
 use crate::params::RegisterParams;
@@ -71,8 +71,8 @@ pub(super) struct Sight {
 /// All of that at one state.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Prediction {
-    /// Where the part was; `None` where nothing is known of this contact.
-    placement: Option<Placement>,
+    /// Whether it is of this contact.
+    is_known: bool,
     pub sights: Vec<Sight>,
     pub heights_mm: Vec<f64>,
     cost: f64,
@@ -101,16 +101,9 @@ impl Prediction {
     }
 
     /// Heights to begin from are those of another.
-    pub fn begin_as(&mut self, other: &Self) {
+    fn begin_as(&mut self, other: &Self) {
         self.heights_mm.clear();
         self.heights_mm.extend_from_slice(&other.heights_mm);
-    }
-
-    /// The same after a step by which they change so much, to first order.
-    pub fn begin_after(&mut self, other: &Self, changes: &[Row], step: &Row) {
-        let change = |row: &Row| row.iter().zip(step).map(|(by, z)| by * z).sum::<f64>();
-        self.heights_mm.clear();
-        self.heights_mm.extend(other.heights_mm.iter().zip(changes).map(|(h, row)| h + change(row)));
     }
 }
 
@@ -147,7 +140,7 @@ impl SettledScratch {
         for one in self.kept.iter_mut().chain([&mut self.here, &mut self.there]) {
             one.sights.reserve(count.saturating_sub(one.sights.len()));
             one.heights_mm.reserve(count.saturating_sub(one.heights_mm.len()));
-            one.placement = None;
+            one.is_known = false;
         }
         self.hints.clear();
         self.hints.resize(count, 0);
@@ -185,10 +178,10 @@ impl Settled<'_> {
     /// Predicts at a candidate as it stands. On the field what its slot kept before is of another candidate; on the exact
     /// surface it is this one's, and close.
     pub fn begin(&self, state: &mut Candidate, scratch: &mut SettledScratch) -> u64 {
-        if scratch.kept[state.slot].placement.is_some() {
+        if scratch.kept[state.slot].is_known {
             swap(&mut scratch.kept[state.slot], &mut scratch.here);
         }
-        if self.faces.is_none() || scratch.here.placement.is_none() {
+        if self.faces.is_none() || !scratch.here.is_known {
             return self.begin_anew(state, scratch);
         }
         scratch.there.begin_as(&scratch.here);
@@ -197,7 +190,6 @@ impl Settled<'_> {
 
     /// Predicts, from the heights that were measured.
     pub fn begin_anew(&self, state: &mut Candidate, scratch: &mut SettledScratch) -> u64 {
-        scratch.here.placement = None;
         let over_rest_mm =
             self.gel().nodes.iter().map(|node| (node.along_mm - state.rest.plane_mm[0]).max(0.0));
         scratch.there.heights_mm.clear();
@@ -210,9 +202,10 @@ impl Settled<'_> {
         scratch.show(state.slot);
         self.weigh(state, width_mm, &mut scratch.here);
         let (step, work) = self.step(state, width_mm, scratch);
-        let step = step.unwrap_or([0.0; UNKNOWN]);
-        *state = self.moved(state, &step, 1.0);
-        scratch.there.begin_after(&scratch.here, &scratch.changes, &step);
+        if let Some(step) = step {
+            *state = self.moved(state, &step, 1.0);
+        }
+        scratch.there.begin_as(&scratch.here);
         work + self.keep(state, if self.faces.is_none() { JUDGED * width_mm } else { 0.0 }, scratch)
     }
 
@@ -233,6 +226,7 @@ impl Settled<'_> {
         scratch: &mut SettledScratch,
     ) -> End {
         scratch.show(state.slot);
+        scratch.there.begin_as(&scratch.here);
         let mut end = End { converged: false, iterations: 0, work: 0 };
         let sigma_mm = self.params.point_sigma_mm;
         let tolerance_mm = 10.0 * self.params.step_tolerance * sigma_mm;
@@ -245,7 +239,6 @@ impl Settled<'_> {
             let (mut share, mut accepted, before) = (1.0, false, scratch.here.cost);
             for _ in 0..=HALVINGS {
                 let next = self.moved(state, &step, share);
-                scratch.there.begin_after(&scratch.here, &scratch.changes, &step.map(|z| share * z));
                 end.work += self.predict(&next, scratch);
                 if scratch.there.cost < scratch.here.cost {
                     *state = next;
@@ -280,28 +273,25 @@ impl Settled<'_> {
         }
     }
 
-    /// What a state predicts, into `there`: where the part is, and the heights of the gel. `here` tells where it was.
+    /// What a state predicts, into `there`: where the part is, and the heights of the gel.
     fn predict_heights(&self, state: &Candidate, scratch: &mut SettledScratch) -> u64 {
-        let SettledScratch { here, there, obstacle_mm, hints, sweeps, .. } = scratch;
+        let SettledScratch { there, obstacle_mm, hints, sweeps, .. } = scratch;
         let (placement, gel) = (&state.placement, self.gel());
         let press = placement.object_direction(self.press_direction);
         let per_radius = 1.0 / self.samples.radius_mm;
         let mut work = 0;
         obstacle_mm.clear();
-        there.placement = Some(*placement);
+        there.is_known = true;
         there.sights.clear();
-        for (k, (node, hint)) in gel.nodes.iter().zip(hints).enumerate() {
+        for (node, hint) in gel.nodes.iter().zip(hints) {
             let x = placement.object_point(node.sample.p_mm);
-            let before = here.placement.as_ref().map(|was| (was, &here.sights[k]));
-            let mut foot = self.coarse_foot(node, (x, press), before);
-            let over_plane_mm = node.along_mm - state.rest.at(node.across_mm * per_radius);
-            if let (Some(faces), Ok(coarse)) = (&self.faces, &foot)
-                && self.field.may_reach(over_plane_mm - coarse.over_mm)
-            {
-                foot = faces.foot(coarse, x, press, hint);
-            }
+            let foot = match &self.faces {
+                Some(faces) => faces.foot(&self.field, x, press, hint),
+                None => self.field.foot(x, press, UNDER_MM),
+            };
             work += if self.faces.is_some() && foot.is_ok() { 16 } else { 3 };
             let (foot, clear_mm) = foot.map_or_else(|clear_mm| (None, clear_mm), |foot| (Some(foot), 0.0));
+            let over_plane_mm = node.along_mm - state.rest.at(node.across_mm * per_radius);
             obstacle_mm.push(foot.map_or(f64::NEG_INFINITY, |foot| over_plane_mm - foot.over_mm));
             let residual_mm = over_plane_mm;
             there.sights.push(Sight {
@@ -324,34 +314,6 @@ impl Settled<'_> {
             sight.touches = height_mm <= obstacle_mm;
         }
         work + u64::from(sweeps) * gel.nodes.len() as u64 / SWEEPS_A_LOOKUP
-    }
-
-    /// The foot on the field of a node at a place, and with what it saw before, if it has not gone far since.
-    fn coarse_foot(
-        &self,
-        node: &Node,
-        (x, press): (DVec3, DVec3),
-        before: Option<(&Placement, &Sight)>,
-    ) -> Result<Foot, f64> {
-        if let Some((was, sight)) = before {
-            // Of the node, and of the farther end of its line.
-            let turned = press - was.object_direction(self.press_direction);
-            let moved_mm = sqrt(x.distance_squared(was.object_point(node.sample.p_mm)))
-                + OVER_MM * sqrt(turned.length_squared());
-            // The likelihood of a pose in the end is that of the pose alone, whatever way led there.
-            if self.faces.is_none()
-                && moved_mm <= LONGEST_MM
-                && let Some(foot) = sight.foot.as_ref().and_then(|foot| self.field.foot_again(foot, x, press))
-            {
-                return Ok(foot);
-            }
-            // Between two lookups the part may be half as near as at them.
-            let clear_mm = sight.clear_mm - 2.0 * moved_mm;
-            if sight.foot.is_none() && clear_mm > 0.0 {
-                return Err(clear_mm);
-            }
-        }
-        self.field.foot(x, press, UNDER_MM)
     }
 
     /// What a state predicts, into `there`, and how likely that is.
