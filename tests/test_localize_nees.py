@@ -37,6 +37,16 @@ def _nees(contacts: list[Grasp], budget: int) -> tuple[Nees, int]:
     return nees, ended
 
 
+def _mean_inside(nees: Nees) -> tuple[float, int]:
+    """Mean, 1 where covariances are right, of those that lie where 95 % should; and how many directions these have."""
+    squared, directions = np.array(nees.squared), np.array(nees.directions)
+    limits = chi2.ppf(0.95, directions)
+    inside = squared <= limits
+    # The mean of the lower 95 % of a chi-squared law with k degrees is k times the share that one with k + 2 has below.
+    expected = directions * chi2.cdf(limits, directions + 2) / 0.95
+    return float(squared[inside].sum() / expected[inside].sum()), int(directions[inside].sum())
+
+
 @pytest.mark.parametrize("share", [0.05, 0.2, 0.5, 4.0])
 def test_successes_lie_within_their_covariance(contacts: list[Grasp], share: float) -> None:
     nees, ended = _nees(contacts, int(share * _WHOLE))
@@ -45,11 +55,12 @@ def test_successes_lie_within_their_covariance(contacts: list[Grasp], share: flo
     assert count >= len(contacts) // 3
     # One in twenty lies outside where covariances are right.
     assert outside <= binom.isf(_RARE, count, 0.05)
-    degrees = sum(nees.directions)
-    assert nees.mean <= chi2.isf(_RARE, degrees) / degrees
+    # An answer on a wrong peak, of which it does not know, is counted above; how far off it is does not count.
+    mean, degrees = _mean_inside(nees)
+    assert mean <= chi2.isf(_RARE, degrees) / degrees
     if share < 0.3:
         assert ended == 0
     if share > 1.0:
         assert ended >= 0.9 * count
         # And they claim no less than they know: half as large in every direction would be a fourth.
-        assert nees.mean > 0.25
+        assert mean > 0.25

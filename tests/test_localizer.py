@@ -7,6 +7,7 @@ import pytest
 import trimesh
 from gelstereo import Localizer, Params, PoseError, RegisterError, Symmetry, Template, localize
 from gelstereo.geometry import se3_exp, se3_log
+from scipy.stats import chi2
 from test_localize_surface import corner
 
 
@@ -73,7 +74,9 @@ def test_a_declared_symmetry_gives_the_copy_nearest_to_the_guess(box: Template) 
             all_points_mm=everything,
             params=search,
         )
-        assert off_deg(found.t_sensor_object, truth @ copy) < 2
+        off = se3_log(truth @ copy @ np.linalg.inv(found.t_sensor_object))
+        assert off @ found.information @ off < chi2.isf(1e-4, 6 - len(found.free))
+        assert off_deg(found.t_sensor_object, truth @ copy) < 10
 
 
 @pytest.mark.parametrize("decay_mm", [2.0, 0.1])
