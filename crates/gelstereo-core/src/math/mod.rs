@@ -12,7 +12,7 @@ pub mod so3;
 pub(crate) use exp::exp_nonpositive;
 pub use glam::{DMat3, DQuat, DVec2, DVec3};
 pub use libm::{
-    acos, asin, asinh, atan, atan2, cbrt, ceil, cos, cosh, erf, exp, expm1, fabs as abs, floor, hypot,
+    acos, asin, asinh, atan, atan2, cbrt, ceil, cos, cosh, erf, erfc, exp, expm1, fabs as abs, floor, hypot,
     j0 as bessel_j0, j1 as bessel_j1, log as ln, log1p, pow, rint as round_even, round, sin, sqrt, tan, tanh,
 };
 pub use se3::Pose;

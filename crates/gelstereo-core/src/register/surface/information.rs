@@ -8,26 +8,41 @@
 //! another pose puts a row of markers on the face beyond an edge, or lets it hang, and explains the heights about as
 //! well. Two rules keep what a marker is not known to say out of the sum.
 //!
-//! - A marker whose neighbour touches a face beyond a crease may be on that face: the crease runs anywhere between the two.
-//!   It is then wrong by up to the pitch times the difference of the slopes, and by 1 / √12 of that in standard deviations.
-//!   This is added to the variance of its height.
+//! - A marker whose neighbour touches a face beyond a crease may be on that face. Where the crease runs between the two
+//!   follows from the planes that they touch; it runs elsewhere by as much as the pose and the marker's own place are
+//!   uncertain along the way from one to the other. The marker is wrong by as much of that as takes the crease beyond it,
+//!   times the difference of the slopes; but no more than if the crease ran anywhere between the two, 1 / √12 of the way.
+//!   This is added to the variance of its height. How uncertain the pose is, is told by all markers with creases
+//!   anywhere, and not again after that: a row of markers would vouch for itself.
 //! - A marker over which the gel would stand as high if nothing touched it there is under no pressure, and may as well hang.
 //!   It counts for nothing.
 
+use super::gel::Node;
+use super::part::Foot;
 use super::relief::CREASE_COS;
 use super::search::Candidate;
 use super::settled::{BETWEEN, LONGEST_MM, Settled, SettledScratch};
-use crate::math::linalg::Symmetric;
-use crate::math::sqrt;
+use crate::math::linalg::{Eigen, Symmetric, eigen};
+use crate::math::{erfc, exp, sqrt};
+use core::f64::consts::{FRAC_1_SQRT_2, TAU};
 
 /// Standard deviations by which a marker that touches lifts the gel at least.
 const LIFTS: f64 = 0.25;
+/// Information that is none, per mm²: what is known no better is off by a metre.
+const LEAST_KNOWN: f64 = 1e-6;
 
 impl Settled<'_> {
     /// Information about (ρ ω, v) about the centroid, of the state whose prediction is in the scratch. Leaves there what
     /// every marker counts for.
     pub fn information(&self, state: &Candidate, scratch: &mut SettledScratch) -> Symmetric<6> {
-        self.count(state, scratch);
+        self.count(state, None, scratch);
+        let known = eigen(&self.sum(state, scratch));
+        self.count(state, Some(&known), scratch);
+        self.sum(state, scratch)
+    }
+
+    /// Σ w J Jᵀ with what every marker counts for.
+    fn sum(&self, state: &Candidate, scratch: &SettledScratch) -> Symmetric<6> {
         let nodes = self.gel().nodes.iter().zip(&scratch.here.sights).zip(&scratch.counts_per_mm2);
         let rows = nodes.filter(|(_, count)| **count > 0.0).filter_map(|((node, sight), count)| {
             Some((self.touching_row(state, node, sight.foot.as_ref()?), *count))
@@ -46,11 +61,10 @@ impl Settled<'_> {
         self.next(state, scratch).map_or(LONGEST_MM, |step| sqrt(step[..6].iter().map(|x| x * x).sum()))
     }
 
-    /// What the height of every marker counts for, per mm².
-    fn count(&self, state: &Candidate, scratch: &mut SettledScratch) {
+    /// What the height of every marker counts for, per mm², where so much is known of the pose.
+    fn count(&self, state: &Candidate, known: Option<&Eigen<6>>, scratch: &mut SettledScratch) {
         let SettledScratch { here, counts_per_mm2, .. } = scratch;
         let gel = self.gel();
-        let press = state.placement.object_direction(self.press_direction);
         counts_per_mm2.clear();
         counts_per_mm2.resize(gel.nodes.len(), 0.0);
         let touched = |k: usize| here.sights[k].foot.as_ref().filter(|_| here.sights[k].touches);
@@ -61,16 +75,88 @@ impl Settled<'_> {
             if here.heights_mm[k] - free_mm < LIFTS * sqrt(sight.variance_mm2) {
                 continue;
             }
-            let slope = foot.normal / foot.normal.dot(press);
-            let wrong_squared = gel.near(k).fold(0.0, |most: f64, j| {
-                let Some(other) = touched(j).filter(|other| other.normal.dot(foot.normal) < CREASE_COS)
-                else {
-                    return most;
-                };
-                let apart = slope.distance_squared(other.normal / other.normal.dot(press));
-                most.max(apart * gel.nodes[k].across_mm.distance_squared(gel.nodes[j].across_mm))
+            let beyond =
+                |j: usize| Some((j, touched(j)?)).filter(|(_, o)| o.normal.dot(foot.normal) < CREASE_COS);
+            let wrong_mm2 = gel.near(k).filter_map(beyond).fold(0.0, |most: f64, (j, other)| {
+                most.max(self.wrong_mm2(state, known, [(&gel.nodes[k], foot), (&gel.nodes[j], other)]))
             });
-            counts_per_mm2[k] = sight.weight / (sight.variance_mm2 + BETWEEN * BETWEEN * wrong_squared);
+            counts_per_mm2[k] = sight.weight / (sight.variance_mm2 + wrong_mm2);
         }
+    }
+
+    /// Mean square of what the height of the first of two nodes is wrong by, for the crease between them.
+    fn wrong_mm2(
+        &self,
+        state: &Candidate,
+        known: Option<&Eigen<6>>,
+        [(node, foot), (next, other)]: [(&Node, &Foot); 2],
+    ) -> f64 {
+        let placement = &state.placement;
+        let press = placement.object_direction(self.press_direction);
+        let slopes = [foot, other].map(|foot| foot.normal / foot.normal.dot(press));
+        let way = next.sample.p_mm - node.sample.p_mm;
+        let way = way - self.press_direction * way.dot(self.press_direction);
+        let (way_squared, in_object) = (way.length_squared(), placement.object_direction(way));
+        if way_squared == 0.0 {
+            return 0.0;
+        }
+        let anywhere = BETWEEN * BETWEEN;
+        let share = known.map_or(anywhere, |known| {
+            // Both planes are as high where they cross.
+            let [rise, next_rise] = slopes.map(|slope| -slope.dot(in_object));
+            let whole_mm = (next.along_mm - other.over_mm) - (node.along_mm - foot.over_mm);
+            let crosses = ((whole_mm - next_rise) / (rise - next_rise)).clamp(0.0, 1.0);
+            // A crease along the way is as near to one end as to the other.
+            let crosses = if rise == next_rise { 0.0 } else { crosses };
+            let u = way / sqrt(way_squared);
+            let turn = node.sample.p_mm.cross(u) / self.samples.radius_mm;
+            let row = [turn.x, turn.y, turn.z, u.x, u.y, u.z];
+            let variance_mm2 = variance(known, &row) + node.sample.variance(u);
+            square_beyond(crosses, sqrt(variance_mm2 / way_squared)).min(anywhere)
+        });
+        slopes[0].distance_squared(slopes[1]) * way_squared * share
+    }
+}
+
+/// Variance along a row of what is known.
+fn variance(known: &Eigen<6>, row: &[f64; 6]) -> f64 {
+    let along = |u: &[f64; 6]| u.iter().zip(row).map(|(a, b)| a * b).sum::<f64>();
+    let squares = known.vectors.iter().map(|u| along(u) * along(u));
+    known.values.iter().zip(squares).map(|(value, square)| square / value.max(LEAST_KNOWN)).sum()
+}
+
+/// Mean square of what a normal variable is greater by than `s`, 0 where it is less.
+fn square_beyond(s: f64, sigma: f64) -> f64 {
+    let z = s / sigma;
+    let above = 0.5 * erfc(z * FRAC_1_SQRT_2);
+    let density = exp(-0.5 * z * z) / sqrt(TAU);
+    // Where hardly any is, the difference is rounding.
+    ((sigma * sigma + s * s) * above - s * sigma * density).max(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_square_beyond_is_its_integral() {
+        for (s, sigma) in [(0.0, 0.3), (0.2, 0.3), (0.5, 0.1), (1.0, 0.2), (1.0, 5.0)] {
+            // Midpoints over twelve standard deviations beyond it.
+            let (steps, width) = (20_000, 12.0 * sigma / 20_000.0);
+            let at = |k: i32| {
+                let over = width * (f64::from(k) + 0.5);
+                let z = (s + over) / sigma;
+                over * over * exp(-0.5 * z * z) / (sigma * sqrt(TAU)) * width
+            };
+            let sum: f64 = (0..steps).map(at).sum();
+            // The rule's error is width² / 24 times the slope at its ends, which is none at the first.
+            assert!((square_beyond(s, sigma) - sum).abs() < 1e-9 * sigma * sigma, "{s} {sigma}");
+        }
+    }
+
+    #[test]
+    fn what_is_surely_not_beyond_counts_nothing() {
+        assert!(square_beyond(1.0, 0.01) < 1e-300);
+        assert!(square_beyond(0.0, 1e-9) <= 1e-18);
     }
 }
