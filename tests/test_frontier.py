@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import re
 import shutil
 from itertools import pairwise
@@ -22,7 +23,7 @@ from gelstereo.frontier.nearest import PARTS as NEAREST_PARTS
 from gelstereo.frontier.nearest import SAMPLES, SCIPY, methods, points_around
 from gelstereo.frontier.page import SECTIONS, check_page, write_page
 from gelstereo.frontier.registering import Patch, observable_error_mm
-from gelstereo.frontier.rivals import rivals
+from gelstereo.frontier.rivals import Apart, rivals
 from gelstereo.frontier.rungs import RUNGS, rungs_of
 from gelstereo.frontier.runners import geometry_of, write_input
 from gelstereo.frontier.saliency import Score
@@ -429,3 +430,11 @@ def test_libraries_that_cannot_be_loaded_are_named_and_the_others_measured(
     assert f"Open3D: ICP, point to plane, Tukey ({why})" in names
     assert "probreg: FilterReg, point to plane (probreg is not installed)" in names
     assert targets
+
+
+def test_what_crashes_apart_ends_nothing_else() -> None:
+    apart = Apart()
+    assert apart.call(abs, -3) == 3
+    with pytest.raises(RuntimeError):
+        apart.call(os._exit, 1)
+    assert apart.call(abs, -4) == 4

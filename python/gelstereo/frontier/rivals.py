@@ -8,6 +8,9 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
@@ -15,7 +18,7 @@ import numpy.typing as npt
 
 from gelstereo.frontier.grasps import Grasp
 
-__all__ = ["Method", "rivals"]
+__all__ = ["Apart", "Method", "rivals"]
 
 Array = npt.NDArray[np.float64]
 #: From a grasp and a guess to the pose of the part in the sensor.
@@ -94,25 +97,68 @@ def small_gicp_align(grasp: Grasp, guess: Array) -> Array:
     return np.linalg.inv(pose)
 
 
-def probreg_filterreg(grasp: Grasp, guess: Array) -> Array:
-    """FilterReg, point to plane, from the guess."""
-    from probreg import filterreg
+#: FilterReg is given samples this much farther from the patch's centroid than its farthest point, mm.
+_MARGIN_MM = 3.0
 
+
+def probreg_filterreg(grasp: Grasp, guess: Array) -> Array:
+    """FilterReg, point to plane, from the guess, on every other sample around it.
+
+    In a process of its own: where planes leave a pose free its steps run off, and some end in a segmentation fault.
+    """
     start = np.linalg.inv(guess)
     placed = grasp.points_mm @ start[:3, :3].T + start[:3, 3]
+    centre = placed.mean(axis=0)
+    reach_mm = np.linalg.norm(placed - centre, axis=1).max() + _MARGIN_MM
+    points, normals = np.asarray(grasp.template.points_mm), np.asarray(grasp.template.normals)
+    near = np.linalg.norm(points - centre, axis=1) < reach_mm
+    motion = _APART.call(_filterreg, placed, points[near][::2], normals[near][::2])
+    return np.asarray(np.linalg.inv(motion @ start), np.float64)
+
+
+def _filterreg(placed_mm: Array, points_mm: Array, normals: Array) -> Array:
+    from probreg import filterreg
+
     found = filterreg.registration_filterreg(
-        placed,
-        np.array(grasp.template.points_mm),
-        target_normals=np.array(grasp.template.normals),
+        placed_mm,
+        points_mm,
+        target_normals=normals,
         objective_type="pt2pl",
-        sigma2=0.7**2,
+        sigma2=1.0,
         update_sigma2=True,
+        min_sigma2=0.1**2,
         w=0.1,
         maxiter=50,
     ).transformation
     motion = np.eye(4)
     motion[:3, :3], motion[:3, 3] = found.rot, found.t
-    return np.asarray(np.linalg.inv(motion @ start), np.float64)
+    return motion
+
+
+class Apart:
+    """Calls functions in a process of its own; after a crash in a new one."""
+
+    def __init__(self) -> None:
+        self._pool: ProcessPoolExecutor | None = None
+
+    def call(self, function: Callable[..., Any], *arguments: object) -> Any:
+        """Give what the function gives; it and its arguments can be pickled.
+
+        Raises
+        ------
+        RuntimeError
+            If the process ended on the way.
+        """
+        if self._pool is None:
+            self._pool = ProcessPoolExecutor(max_workers=1, mp_context=get_context("spawn"))
+        try:
+            return self._pool.submit(function, *arguments).result()
+        except BrokenProcessPool:
+            self._pool = None
+            raise
+
+
+_APART = Apart()
 
 
 def meshlib_icp(grasp: Grasp, guess: Array) -> Array:
