@@ -32,13 +32,16 @@ if TYPE_CHECKING:
 __all__ = [
     "GRASPED",
     "NOISES",
+    "SIDE",
     "STARTS",
+    "STRAY_MM",
     "Grasp",
     "Noise",
     "Press",
     "Start",
     "grasps",
     "place",
+    "simulator_of",
     "surface_normals",
 ]
 
@@ -49,7 +52,9 @@ _SALIENT_MM = 0.35
 #: Faces that are steeper to the gel do not count: simulated markers meet them beside an edge, where gel would hang.
 _STEEP_COSINE = 0.35
 #: Rows and columns of markers.
-_SIDE = 25
+SIDE = 25
+#: Outliers lie anywhere within this of where they should, mm.
+STRAY_MM = 1.5
 #: Directions that the bound knows no better, rotations in mm at the patch's radius, count as free.
 _OBSERVABLE_MM = 0.06
 #: Least markers that truly touch, and least and most that are salient, for a contact to count.
@@ -234,20 +239,25 @@ def grasps(press: Press, noise: Noise, seeds: range) -> Iterator[Grasp]:
     """Press a part once per seed: lying across the gel, held within 4 mm of the middle, 0.8 to 1.4 mm deep."""
     mesh = press.make()
     template = Template.from_mesh(mesh, units="mm", spacing_mm=0.3).with_grid()
+    simulator = simulator_of(mesh)
+    for seed in seeds:
+        random = np.random.default_rng([seed, 20211])
+        for _ in range(100):
+            found = _grasp(press, mesh, template, simulator, noise, random)
+            if found is not None:
+                yield found
+                break
+        else:
+            raise Error(f"{press.name} does not lie on the gel in a way that can be used (seed {seed})")
+
+
+def simulator_of(mesh: trimesh.Trimesh) -> Simulator:
+    """Of a part that is pressed into the gel."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "part.stl"
         mesh.export(path)
         indenter = {"kind": "mesh", "path": str(path), "units": "mm"}
-        simulator = Simulator(VGA.scene().replace({"indenter": indenter}))
-        for seed in seeds:
-            random = np.random.default_rng([seed, 20211])
-            for _ in range(100):
-                found = _grasp(press, mesh, template, simulator, noise, random)
-                if found is not None:
-                    yield found
-                    break
-            else:
-                raise Error(f"{press.name} does not lie on the gel in a way that can be used (seed {seed})")
+        return Simulator(VGA.scene().replace({"indenter": indenter}))
 
 
 def _grasp(
@@ -265,7 +275,7 @@ def _grasp(
     points += sigma * random.normal(size=points.shape)
     salient = _salient(simulator, points, noise)
     outlier = salient & (random.uniform(size=len(points)) < noise.outliers)
-    points[outlier, 2] += random.uniform(-1.5, 1.5, size=int(outlier.sum()))
+    points[outlier, 2] += random.uniform(-STRAY_MM, STRAY_MM, size=int(outlier.sum()))
     touching &= ~outlier
     if touching.sum() < _LEAST_TOUCHING or int(salient.sum()) not in _SALIENT:
         return None
@@ -284,7 +294,7 @@ def _salient(simulator: Simulator, points_mm: Array, noise: Noise) -> npt.NDArra
     variance = np.full(len(points_mm), noise.sigma_mm**2)
     heights = rest.indentation_mm(points_mm)
     decay_mm = Params().to_dict()["contact"]["decay_mm"]
-    salient, _ = pressure_saliency(rest, heights, variance, rows=_SIDE, cols=_SIDE, decay_mm=decay_mm)
+    salient, _ = pressure_saliency(rest, heights, variance, rows=SIDE, cols=SIDE, decay_mm=decay_mm)
     return np.asarray(salient)
 
 
