@@ -165,9 +165,11 @@ fn the_order_of_points_changes_no_bit() {
 }
 
 /// The field of distances lies along the part's axes and is wrong by up to 0.87 of a cell in either frame. That is what
-/// `surface_track` goes by; the others begin on it, and may end on another peak: of 24 contacts 8 and 9 did.
+/// `surface_track` goes by; the others begin on it, and may end on another peak: of a search's 24 contacts 9 did. A close start
+/// ends at the first step that is no better, too: of 80 contacts 32 gave the same, so that of 24 fewer than 4 have a probability
+/// of 4e-3.
 #[test]
-fn in_another_frame_of_the_part_half_of_the_answers_are_the_same() {
+fn in_another_frame_of_the_part_many_answers_are_the_same() {
     let object = Pose::exp(DVec3::new(0.4, 0.9, -0.7), DVec3::new(12.0, -3.0, 40.0));
     let mesh = &part().0.mesh;
     let places = mesh.vertices_mm().iter().map(|&p| object.transform_point(p)).collect();
@@ -185,9 +187,9 @@ fn in_another_frame_of_the_part_half_of_the_answers_are_the_same() {
     };
     let field_mm = 2.0 * 0.87 * Template::DEFAULT_CELL_MM;
     assert!(apart(RegisterMethod::SurfaceTrack).into_iter().all(|mm| mm <= field_mm));
-    for method in [RegisterMethod::SurfaceClose, RegisterMethod::SurfaceSearch] {
+    for (method, least) in [(RegisterMethod::SurfaceClose, 4), (RegisterMethod::SurfaceSearch, 12)] {
         let same = apart(method).into_iter().filter(|mm| *mm <= STEPS_MM).count();
-        assert!(same >= 12, "{method:?} {same} of 24");
+        assert!(same >= least, "{method:?} {same} of 24");
     }
 }
 
@@ -228,11 +230,14 @@ fn scaled(scale: f64, method: RegisterMethod) -> (Template, RegisterParams) {
 
 /// The gel does not scale: its shoulder has a width of its own, and so have the steps from coarse to fine. So this is of points
 /// that the part touches, of parts half and twice as large (ten times is too far), and of the rungs that look at the exact
-/// surface; where `surface_track` gives up a point is a length of the gel, too.
+/// surface; where `surface_track` gives up a point is a length of the gel, too. A close start may end on another peak by
+/// these lengths: of 120 answers 99 were the same, and 101 with its earlier widths, so that of 32
+/// fewer than 19 have a probability of 5e-4.
 #[test]
 fn the_answer_scales_with_all_that_is_sensed() {
     let mut random = Stream::new(5, "scale");
-    for seed in 0..4 {
+    let mut same = 0;
+    for seed in 0..16 {
         let problem = Problem::press(&part().0, Sensing::GOOD, &mut random);
         let touching = problem.normals.iter().map(Option::is_some);
         let keep: Vec<usize> = touching.enumerate().filter(|(_, touches)| *touches).map(|(k, _)| k).collect();
@@ -248,7 +253,12 @@ fn the_answer_scales_with_all_that_is_sensed() {
                 guess: Pose { translation_mm: guess.translation_mm * scale, ..guess },
             }
         };
-        for method in [RegisterMethod::SurfaceClose, RegisterMethod::SurfaceSearch] {
+        let methods: &[RegisterMethod] = if seed < 4 {
+            &[RegisterMethod::SurfaceClose, RegisterMethod::SurfaceSearch]
+        } else {
+            &[RegisterMethod::SurfaceClose]
+        };
+        for &method in methods {
             let (template, params) = scaled(1.0, method);
             let here = of(1.0).register(&params, &template).t_sensor_object;
             for scale in [0.5, 2.0] {
@@ -256,8 +266,13 @@ fn the_answer_scales_with_all_that_is_sensed() {
                 let there = of(scale).register(&params, &template).t_sensor_object;
                 let back = Pose { translation_mm: there.translation_mm / scale, ..there };
                 let apart_mm = of(1.0).apart_mm(&here, &back);
-                assert!(apart_mm <= STEPS_MM, "{method:?} {seed} {scale} {apart_mm}");
+                if method == RegisterMethod::SurfaceClose {
+                    same += usize::from(apart_mm <= STEPS_MM);
+                } else {
+                    assert!(apart_mm <= STEPS_MM, "{method:?} {seed} {scale} {apart_mm}");
+                }
             }
         }
     }
+    assert!(same >= 19, "{same} of 32");
 }

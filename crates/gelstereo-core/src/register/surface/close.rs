@@ -2,16 +2,24 @@
 
 use super::fit::View;
 use super::polish::{End, Polish, PolishScratch};
-use super::search::{Candidate, MOST_STEPS, Search};
+use super::search::{Candidate, Search};
+use crate::math::{exp, ln};
 use alloc::vec::Vec;
 
-/// From a guess that is close: coarse looks, and steps on the field that are not checked. A step on the exact surface costs
-/// several of them.
-const CLOSE: &[f64] = &[0.5, 0.25, 0.15];
-const SLIDES: u32 = 8;
-/// Halvings of a step on the exact surface: where a quarter of it is no better an edge is near, and less of it gains less than it
-/// costs.
-const HALVINGS: u32 = 2;
+/// Widths of the coarse looks go in equal ratios from what a guess is off by to what noise is off by, in standard deviations,
+/// and stay there (graduated non-convexity, Blake and Zisserman 1987): a wide look comes close from afar, and only a narrow one
+/// tells the gel's shoulder from the part. They find the part; a look costs a fifth of a step on the exact surface.
+const WIDEST: f64 = 0.25;
+const NARROWEST: f64 = 3.0;
+const NARROWING: u32 = 4;
+const NARROW: u32 = 8;
+/// Between its nodes the field bends by about this, in cells: no look is narrower.
+const BLUNT: f64 = 0.25;
+/// Steps on the field that are not checked, and then on the exact surface.
+const SLIDES: u32 = 2;
+const STEPS: u32 = 6;
+/// Halvings of a step on the exact surface: where the whole is no better an edge is near, and less of it gains less than it costs.
+const HALVINGS: u32 = 0;
 /// Other markers this far over the part are not looked at: they count up to half a millimetre, and by then the part hardly
 /// moves.
 const SLIDE_REACH_MM: f64 = 1.0;
@@ -35,25 +43,38 @@ impl Search<'_> {
     /// From the guess alone: on the field, then on the exact surface.
     pub fn close(&mut self, candidates: &mut Vec<Candidate>, scratch: &mut PolishScratch) -> End {
         self.begin_at_guess(candidates);
-        let view = View::of(
-            self.samples,
-            self.samples.may_touch(),
-            self.samples.medium_unpressed,
-            self.press_direction,
-        );
-        for &width_mm in CLOSE {
-            self.step(&mut candidates[0], &view, width_mm);
-        }
+        self.look_closer(&mut candidates[0]);
         let left = self.budget().saturating_sub(self.work);
         let polish = Polish { reach_mm: SLIDE_REACH_MM, ..self.polish(self.field) };
         self.work += polish.slide(&mut candidates[0], SLIDES, left, scratch).work;
         let left = self.budget().saturating_sub(self.work);
         let polish = Polish { reach_mm: CLOSE_REACH_MM, halvings: HALVINGS, ..self.polish(self.faces) };
-        let end = polish.run(&mut candidates[0], self.params.max_iterations.min(MOST_STEPS), left, scratch);
+        let end = polish.run(&mut candidates[0], self.params.max_iterations.min(STEPS), left, scratch);
         let (cost, work) = polish.compare_ended(&candidates[0].placement, scratch);
         candidates[0].cost = cost;
         self.work += end.work + work;
         end
+    }
+
+    /// Coarse looks, narrower and narrower.
+    fn look_closer(&mut self, candidate: &mut Candidate) {
+        let touching = self.samples.may_touch();
+        let view = View::of(self.samples, touching, self.samples.medium_unpressed, self.press_direction);
+        let widest_mm = WIDEST * self.params.start_sigma_mm;
+        let narrowest_mm = (NARROWEST * self.samples.sigma_mm(self.press_direction))
+            .max(BLUNT * self.field.0.cell_mm())
+            .min(widest_mm);
+        let ratio = exp(ln(narrowest_mm / widest_mm) / f64::from(NARROWING));
+        let mut width_mm = widest_mm;
+        for look in 0..NARROWING + NARROW {
+            if self.has_spent() {
+                return;
+            }
+            self.step(candidate, &view, width_mm);
+            if look < NARROWING {
+                width_mm *= ratio;
+            }
+        }
     }
 
     fn begin_at_guess(&self, candidates: &mut Vec<Candidate>) {

@@ -217,6 +217,12 @@ impl Samples {
         }
     }
 
+    /// Noise of the salient points along a direction, the surer ones before the others (harmonic mean of the variances).
+    pub fn sigma_mm(&self, direction: DVec3) -> f64 {
+        let sum: f64 = self.pressed.iter().map(|s| 1.0 / s.variance(direction)).sum();
+        sqrt(self.pressed.len() as f64 / sum)
+    }
+
     /// What is not known of the noise of other markers is taken to be as with the salient ones.
     fn fill_gel(&mut self, contact: &Contact<'_>) {
         if contact.unpressed_mm.is_empty() {

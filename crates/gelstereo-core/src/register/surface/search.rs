@@ -40,7 +40,7 @@ const FIELD_STEPS: u32 = 4;
 const FINALISTS: usize = 3;
 /// Steps of all of them on the exact surface, and of those that are left.
 const FIRST_STEPS: u32 = 3;
-pub(super) const MOST_STEPS: u32 = 15;
+const MOST_STEPS: u32 = 15;
 /// Halvings of a step on the exact surface.
 const HALVINGS: u32 = 4;
 /// Finalists whose likelihood is less than that of the best by this, in logarithms, are not polished on.
