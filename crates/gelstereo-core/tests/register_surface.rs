@@ -452,6 +452,22 @@ fn row_34_surface_rungs_give_the_same_bits_whatever_ran_between() {
     }
 }
 
+#[test]
+fn row_34_other_settings_in_the_same_memory_give_the_bits_of_a_new_registrar() {
+    let (part, template) = some("key");
+    let problem = Problem::press(part, Sensing::NOISY, &mut Stream::new(22, "settings"));
+    let mut kept = Registrar::new(&params(RUNGS[0]));
+    // Every rung after every other one.
+    for k in 0..RUNGS.len() * RUNGS.len() {
+        let settings = params(RUNGS[(k + k / RUNGS.len()) % RUNGS.len()]);
+        kept.set_params(&settings);
+        let digest = |registrar: &mut Registrar| {
+            registrar.register(&problem.contact(), template, &problem.t_sensor_object).unwrap().digest()
+        };
+        assert_eq!(digest(&mut kept), digest(&mut Registrar::new(&settings)), "{:?}", settings.method);
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 

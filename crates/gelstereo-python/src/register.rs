@@ -54,101 +54,153 @@ impl FreeDirection {
 }
 
 /// Where the part sits, with the evidence.
-#[pyclass(frozen, get_all, module = "gelstereo")]
+// Arrays are made when they are asked for: making all of them takes a tenth as long as the quickest method.
+#[pyclass(frozen, module = "gelstereo")]
 pub struct Localization {
-    /// (4, 4) maps object coordinates to sensor coordinates.
-    t_sensor_object: Matrix,
-    /// (6, 6) information of a left perturbation (ωx ωy ωz vx vy vz) in the sensor frame; singular along `free`.
-    information: Matrix,
-    /// (6, 6) covariance of the same perturbation, over the determined directions; zero along `free`, where the
-    /// variance has no bound.
-    covariance: Matrix,
-    /// Whether the steps fell below ``register.step_tolerance`` before the iterations ran out.
-    converged: bool,
-    /// Iterations of the last stage.
-    iterations: u32,
-    /// Points within ``register.max_distance_mm`` of the template.
-    inliers: usize,
-    /// Points given.
-    points: usize,
-    /// Root mean square distance of the inliers; for point-to-plane methods along the normals, each point by its
-    /// probability of being in contact.
-    rmse_mm: f64,
-    /// The `FreeDirection` s that the contact leaves undetermined; empty when all six are known.
-    free: Py<PyTuple>,
-    /// Logarithm of the pose's likelihood, to compare poses of one contact; None but for the surface methods.
-    log_likelihood: Option<f64>,
-    /// Logarithm of the odds that the part is here over that no part is, both as likely beforehand; None but for the
-    /// surface methods. Below 0 the pose does not explain the contact: the part is elsewhere, or another.
-    log_odds: Option<f64>,
-    /// The gel's decay length that explains the contact best, mm; None where the gel was not asked: ``surface_search``
-    /// alone does, and it only where markers show what the gel does.
-    gel_decay_mm: Option<f64>,
-    /// Whether that stands at an end of where it is looked for, 0.22 and 2.1 times ``contact.decay_mm``: the gel is another
-    /// than it is said to be, and the pose is to be believed the less. None where the gel was not asked.
-    gel_decay_at_limit: Option<bool>,
-    /// How a `Localizer` came to the pose: ``"followed"`` from the frame before, ``"found"`` by a search, or ``"lost"``: the
-    /// search found nothing that explains the contact, and this is its best. None from `localize`.
-    standing: Option<&'static str>,
-    /// What a `Localizer` judges by where the gel is known: mean over the lifted markers of their squared distances
-    /// from what the gel would do, in standard deviations, each square up to 16. About 1 at a right pose; None where
-    /// it is not asked.
+    found: core::Registration,
+    standing: Option<core::Standing>,
     misfit: Option<f64>,
-    /// The other poses that explain the contact about as well, likeliest first, at most 8: pairs of a (4, 4) pose and its
-    /// logarithm of the likelihood. Each is at least 1 % as likely as the best, and stands where that one does along
-    /// `free` directions. ``surface_search`` alone looks for them: empty from other methods.
-    alternatives: Py<PyTuple>,
-    /// Whether there may be more `alternatives` than are given: there was no room for all, or ``register.budget`` was spent
-    /// before all were looked at.
-    alternatives_cut: bool,
-    /// Digest of all results, bit for bit.
-    digest: u64,
-}
-
-impl Localization {
-    fn new(py: Python<'_>, found: core::Registration, standing: Option<core::Standing>) -> PyResult<Self> {
-        let (digest, covariance) = (found.digest(), found.covariance());
-        let free = found.free.iter().map(|&inner| Py::new(py, FreeDirection { inner }));
-        let other =
-            |a: &core::Alternative| Ok((arrays::pose_matrix(py, &a.t_sensor_object)?, a.log_likelihood));
-        let alternatives = found.alternatives.iter().map(other).collect::<PyResult<Vec<_>>>()?;
-        Ok(Self {
-            log_likelihood: found.log_likelihood,
-            log_odds: found.log_odds,
-            gel_decay_mm: found.gel_decay.map(|gel| gel.length_mm),
-            gel_decay_at_limit: found.gel_decay.map(|gel| gel.is_at_limit),
-            standing: standing.map(|standing| match standing {
-                core::Standing::Followed => "followed",
-                core::Standing::Found => "found",
-                core::Standing::Lost => "lost",
-            }),
-            misfit: None,
-            alternatives: PyTuple::new(py, alternatives)?.unbind(),
-            alternatives_cut: found.alternatives.is_cut(),
-            t_sensor_object: arrays::pose_matrix(py, &found.t_sensor_object)?,
-            information: arrays::matrix(py, found.information)?,
-            covariance: arrays::matrix(py, covariance)?,
-            converged: found.converged,
-            iterations: found.iterations,
-            inliers: found.inliers,
-            points: found.points,
-            rmse_mm: found.rmse_mm,
-            free: PyTuple::new(py, free.collect::<PyResult<Vec<_>>>()?)?.unbind(),
-            digest,
-        })
-    }
 }
 
 #[pymethods]
 impl Localization {
-    fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
-        let end = if self.converged { "converged" } else { "not converged" };
-        let free = self.free.bind(py).len();
-        Ok(format!(
-            "<Localization: {end} after {} iterations, {} of {} points within reach, rmse {:.4} mm, {free} free \
+    /// (4, 4) maps object coordinates to sensor coordinates.
+    #[getter]
+    fn t_sensor_object(&self, py: Python<'_>) -> PyResult<Matrix> {
+        arrays::pose_matrix(py, &self.found.t_sensor_object)
+    }
+
+    /// (6, 6) information of a left perturbation (ωx ωy ωz vx vy vz) in the sensor frame; singular along `free`.
+    #[getter]
+    fn information(&self, py: Python<'_>) -> PyResult<Matrix> {
+        arrays::matrix(py, self.found.information)
+    }
+
+    /// (6, 6) covariance of the same perturbation, over the determined directions; zero along `free`, where the
+    /// variance has no bound.
+    #[getter]
+    fn covariance(&self, py: Python<'_>) -> PyResult<Matrix> {
+        arrays::matrix(py, self.found.covariance())
+    }
+
+    /// Whether the steps fell below ``register.step_tolerance`` before the iterations ran out.
+    #[getter]
+    const fn converged(&self) -> bool {
+        self.found.converged
+    }
+
+    /// Iterations of the last stage.
+    #[getter]
+    const fn iterations(&self) -> u32 {
+        self.found.iterations
+    }
+
+    /// Points within ``register.max_distance_mm`` of the template.
+    #[getter]
+    const fn inliers(&self) -> usize {
+        self.found.inliers
+    }
+
+    /// Points given.
+    #[getter]
+    const fn points(&self) -> usize {
+        self.found.points
+    }
+
+    /// Root mean square distance of the inliers; for point-to-plane methods along the normals, each point by its
+    /// probability of being in contact.
+    #[getter]
+    const fn rmse_mm(&self) -> f64 {
+        self.found.rmse_mm
+    }
+
+    /// The `FreeDirection` s that the contact leaves undetermined; empty when all six are known.
+    #[getter]
+    fn free<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let free = self.found.free.iter().map(|&inner| Py::new(py, FreeDirection { inner }));
+        PyTuple::new(py, free.collect::<PyResult<Vec<_>>>()?)
+    }
+
+    /// Logarithm of the pose's likelihood, to compare poses of one contact; None but for the surface methods.
+    #[getter]
+    const fn log_likelihood(&self) -> Option<f64> {
+        self.found.log_likelihood
+    }
+
+    /// Logarithm of the odds that the part is here over that no part is, both as likely beforehand; None but for the
+    /// surface methods. Below 0 the pose does not explain the contact: the part is elsewhere, or another.
+    #[getter]
+    const fn log_odds(&self) -> Option<f64> {
+        self.found.log_odds
+    }
+
+    /// The gel's decay length that explains the contact best, mm; None where the gel was not asked: ``surface_search``
+    /// alone does, and it only where markers show what the gel does.
+    #[getter]
+    fn gel_decay_mm(&self) -> Option<f64> {
+        self.found.gel_decay.map(|gel| gel.length_mm)
+    }
+
+    /// Whether that stands at an end of where it is looked for, 0.22 and 2.1 times ``contact.decay_mm``: the gel is another
+    /// than it is said to be, and the pose is to be believed the less. None where the gel was not asked.
+    #[getter]
+    fn gel_decay_at_limit(&self) -> Option<bool> {
+        self.found.gel_decay.map(|gel| gel.is_at_limit)
+    }
+
+    /// How a `Localizer` came to the pose: ``"followed"`` from the frame before, ``"found"`` by a search, or ``"lost"``: the
+    /// search found nothing that explains the contact, and this is its best. None from `localize`.
+    #[getter]
+    fn standing(&self) -> Option<&'static str> {
+        self.standing.map(|standing| match standing {
+            core::Standing::Followed => "followed",
+            core::Standing::Found => "found",
+            core::Standing::Lost => "lost",
+        })
+    }
+
+    /// What a `Localizer` judges by where the gel is known: mean over the lifted markers of their squared distances
+    /// from what the gel would do, in standard deviations, each square up to 16. About 1 at a right pose; None where
+    /// it is not asked.
+    #[getter]
+    const fn misfit(&self) -> Option<f64> {
+        self.misfit
+    }
+
+    /// The other poses that explain the contact about as well, likeliest first, at most 8: pairs of a (4, 4) pose and its
+    /// logarithm of the likelihood. Each is at least 1 % as likely as the best, and stands where that one does along
+    /// `free` directions. ``surface_search`` alone looks for them: empty from other methods.
+    #[getter]
+    fn alternatives<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let other =
+            |a: &core::Alternative| Ok((arrays::pose_matrix(py, &a.t_sensor_object)?, a.log_likelihood));
+        PyTuple::new(py, self.found.alternatives.iter().map(other).collect::<PyResult<Vec<_>>>()?)
+    }
+
+    /// Whether there may be more `alternatives` than are given: there was no room for all, or ``register.budget`` was spent
+    /// before all were looked at.
+    #[getter]
+    fn alternatives_cut(&self) -> bool {
+        self.found.alternatives.is_cut()
+    }
+
+    /// Digest of all results, bit for bit.
+    #[getter]
+    fn digest(&self) -> u64 {
+        self.found.digest()
+    }
+
+    fn __repr__(&self) -> String {
+        let end = if self.found.converged { "converged" } else { "not converged" };
+        format!(
+            "<Localization: {end} after {} iterations, {} of {} points within reach, rmse {:.4} mm, {} free \
              directions>",
-            self.iterations, self.inliers, self.points, self.rmse_mm
-        ))
+            self.found.iterations,
+            self.found.inliers,
+            self.found.points,
+            self.found.rmse_mm,
+            self.found.free.len()
+        )
     }
 }
 
@@ -197,25 +249,19 @@ pub fn localize(
     let template = template.get().inner();
     let params = Params::or_default(params);
     let register = |contact: &core::Contact<'_>| {
-        with_registrar(&params.register, |stage| stage.register(contact, template, &guess))
+        REGISTRAR.with_borrow_mut(|stage| {
+            stage.set_params(&params.register);
+            stage.register(contact, template, &guess)
+        })
     };
     let decay_mm = params.contact.decay_mm;
     let found = with_contact(py, points_mm, all_points_mm, covariance_mm2, decay_mm, register)?;
-    Localization::new(py, found, None)
+    Ok(Localization { found, standing: None, misfit: None })
 }
 
 thread_local! {
-    /// The stage of this thread's last call, for the memory it has: asking for it anew takes as long as a tenth of the work.
-    static REGISTRAR: RefCell<Option<(RegisterParams, core::Registrar)>> = const { RefCell::new(None) };
-}
-
-/// Runs a stage with these settings.
-fn with_registrar<T>(params: &RegisterParams, run: impl FnOnce(&mut core::Registrar) -> T) -> T {
-    REGISTRAR.with_borrow_mut(|kept| {
-        let same = kept.take().filter(|(with, _)| with == params);
-        let (_, stage) = kept.insert(same.unwrap_or_else(|| (params.clone(), core::Registrar::new(params))));
-        run(stage)
-    })
+    /// This thread's stage, for the memory it has: asking for it anew takes as long as a tenth of the work.
+    static REGISTRAR: RefCell<core::Registrar> = RefCell::new(core::Registrar::new(&RegisterParams::default()));
 }
 
 /// Runs what needs a contact, with the interpreter released.
@@ -364,7 +410,10 @@ impl Localizer {
         let template = self.template.get().inner();
         let run = |contact: &core::Contact<'_>| self.lock().run(contact, template);
         let located = with_contact(py, points_mm, all_points_mm, covariance_mm2, self.decay_mm, run)?;
-        let misfit = located.misfit.map(|misfit| misfit.mean);
-        Ok(Localization { misfit, ..Localization::new(py, located.registration, Some(located.standing))? })
+        Ok(Localization {
+            found: located.registration,
+            standing: Some(located.standing),
+            misfit: located.misfit.map(|misfit| misfit.mean),
+        })
     }
 }

@@ -211,6 +211,11 @@ impl Registrar {
         }
     }
 
+    /// Goes on with other settings, in the memory that it has: the answers are those of a new one.
+    pub fn set_params(&mut self, params: &RegisterParams) {
+        self.params.clone_from(params);
+    }
+
     /// Registers a patch of salient points (sensor frame) to the template, from a guess.
     ///
     /// Allocates nothing once a patch as large has been seen. The same input gives the same bits.
