@@ -36,8 +36,9 @@ impl<'a> Contact<'a> {
 
     /// Refuses covariances and markers without meaning; the salient points have been checked.
     pub(super) fn check(&self) -> Result<(), RegisterError> {
-        let bad = |p: &DVec3| !p.is_finite() || p.abs().max_element() > REACH_MM;
-        if let Some(index) = self.unpressed_mm.iter().position(bad) {
+        // What is not a number is not within.
+        let is_within = |p: &DVec3| p.x.abs() <= REACH_MM && p.y.abs() <= REACH_MM && p.z.abs() <= REACH_MM;
+        if let Some(index) = self.unpressed_mm.iter().position(|p| !is_within(p)) {
             return Err(RegisterError::MarkerNotFinite { index });
         }
         if !((self.press_direction.length_squared() - 1.0).abs() < 1e-6) {
