@@ -46,7 +46,7 @@ pub(super) fn registration(
         system.add(&Sighting { normal, normal_variance, weight, ..seen });
     }
     if !outcome.converged {
-        system.blur(system.left_mm());
+        system.blur(None);
     }
     let in_object = system.observe(frame.centre_mm);
     let determined = 6 - in_object.free_count();

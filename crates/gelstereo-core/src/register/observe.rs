@@ -27,7 +27,7 @@
 //! For degenerate registration see J. Zhang, M. Kaess, S. Singh, "On Degeneracy of Optimization-based State
 //! Estimation Problems" (2016); there the threshold is tuned, here it follows from the noise.
 
-use crate::math::linalg::{self, Symmetric};
+use crate::math::linalg::{self, Eigen, Symmetric};
 use crate::math::{DVec3, Pose, centroid, so3, sqrt};
 
 /// A vector over (ρ ωx, ρ ωy, ρ ωz, vx, vy, vz).
@@ -145,18 +145,17 @@ impl System {
         self.hessian = information.map(|row| row.map(|x| x * sigma_squared));
     }
 
-    /// How far the step is that would be taken next, over the patch and at most as far as the patch is wide.
-    pub fn left_mm(&self) -> f64 {
-        let (omega, v_mm) = self.solve(self.radius_mm);
-        sqrt((omega * self.radius_mm).length_squared() + v_mm.length_squared())
-    }
-
-    /// An answer that steps did not end at is short of the best one by about the step that was not taken. Where the steps
-    /// would end is not known before they are taken, and that one tells how far rather than whereto: an error as large in
-    /// every direction, on its own, is added to the covariance, σ² / λ + left².
-    pub fn blur(&mut self, left_mm: f64) {
-        let blur = left_mm * left_mm / (self.sigma_mm * self.sigma_mm);
+    /// An answer that steps did not end at is short of the best one by about the step that was not taken: `left_mm` over the
+    /// patch or, where that is not known, as far as [`Self::solve`] would go and at most as the patch is wide. Where the
+    /// steps would end is not known before they are taken, and that one tells how far rather than whereto: an error as large
+    /// in every direction, on its own, is added to the covariance, σ² / λ + left².
+    pub fn blur(&mut self, left_mm: Option<f64>) {
         let spectrum = linalg::eigen(&self.hessian);
+        let left_mm = left_mm.unwrap_or_else(|| {
+            let (omega, v_mm) = self.solve_along(&spectrum, self.radius_mm);
+            sqrt((omega * self.radius_mm).length_squared() + v_mm.length_squared())
+        });
+        let blur = left_mm * left_mm / (self.sigma_mm * self.sigma_mm);
         self.hessian = [[0.0; 6]; 6];
         for (value, u) in spectrum.values.iter().zip(&spectrum.vectors) {
             let value = value.max(0.0);
@@ -166,7 +165,11 @@ impl System {
 
     /// The rule of this module, about a centroid.
     pub fn observe(&self, centre_mm: DVec3) -> Observability {
-        let eigen = linalg::eigen(&self.hessian);
+        self.observe_along(&linalg::eigen(&self.hessian), centre_mm)
+    }
+
+    /// The same, by the eigenvectors of Σ J Jᵀ.
+    fn observe_along(&self, eigen: &Eigen<6>, centre_mm: DVec3) -> Observability {
         let sigma_squared = self.sigma_mm * self.sigma_mm;
         let scatter = 1.0 + 3.0 * sqrt(2.0 / self.points.max(1.0));
         let values = core::array::from_fn(|k| {
@@ -181,7 +184,12 @@ impl System {
     /// directions. It moves no more than `limit_mm` rms over the patch: the planes say nothing of places farther off
     /// than the correspondences, and a weak direction must not carry the patch there.
     pub fn solve(&self, limit_mm: f64) -> (DVec3, DVec3) {
-        let seen = self.observe(DVec3::ZERO);
+        self.solve_along(&linalg::eigen(&self.hessian), limit_mm)
+    }
+
+    /// The same, by the eigenvectors of Σ J Jᵀ.
+    fn solve_along(&self, eigen: &Eigen<6>, limit_mm: f64) -> (DVec3, DVec3) {
+        let seen = self.observe_along(eigen, DVec3::ZERO);
         let mut z = [0.0; 6];
         for (u, value) in seen.directions.iter().zip(seen.values) {
             if value > 0.0 {

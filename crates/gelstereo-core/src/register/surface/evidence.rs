@@ -166,7 +166,7 @@ pub(super) fn observe(
         }
     }
     if !converged {
-        system.blur(told.map_or_else(|| system.left_mm(), |told| told.left_mm));
+        system.blur(told.map(|told| told.left_mm));
     }
     // About the salient points' centroid, in the object's axes.
     let mut seen = system.observe(best.placement.object_point(DVec3::ZERO));
@@ -257,14 +257,18 @@ pub(super) fn alternatives(samples: &Samples, candidates: &[Candidate], is_cut: 
 mod tests {
     use super::*;
     use crate::math::ln;
-    use crate::register::surface::noise::Mixture;
+    use crate::register::surface::noise::{Bell, Mixture};
 
     const SIGMA_MM: f64 = 0.03;
+
+    fn at(mixture: &Mixture, d_mm: f64) -> (f64, f64) {
+        mixture.at(d_mm, SIGMA_MM, Bell::at(d_mm, SIGMA_MM))
+    }
 
     fn doubt_of(mixture: &Mixture, all_mm: &[f64]) -> f64 {
         doubt(all_mm.iter().map(|d_mm| {
             let r = d_mm / SIGMA_MM;
-            (mixture.at(*d_mm, SIGMA_MM).0, 1.0 / (SIGMA_MM * SIGMA_MM), r * r)
+            (at(mixture, *d_mm).0, 1.0 / (SIGMA_MM * SIGMA_MM), r * r)
         }))
     }
 
@@ -273,13 +277,11 @@ mod tests {
         // Contact and outliers, which are anywhere: no free gel, whose density has slopes of its own.
         let mixture = Mixture::new(1.0, 0.8, 1.0);
         let all_mm = [-0.03, -0.02, 0.0, 0.01, 0.04];
-        let cost = |shift_mm: f64| -> f64 {
-            all_mm.iter().map(|d_mm| -ln(mixture.at(d_mm + shift_mm, SIGMA_MM).1)).sum()
-        };
+        let cost =
+            |shift_mm: f64| -> f64 { all_mm.iter().map(|d_mm| -ln(at(&mixture, d_mm + shift_mm).1)).sum() };
         let h = 1e-4;
         let curved = (cost(h) - 2.0 * cost(0.0) + cost(-h)) / (h * h);
-        let told: f64 =
-            all_mm.iter().map(|d_mm| mixture.at(*d_mm, SIGMA_MM).0).sum::<f64>() / (SIGMA_MM * SIGMA_MM);
+        let told: f64 = all_mm.iter().map(|d_mm| at(&mixture, *d_mm).0).sum::<f64>() / (SIGMA_MM * SIGMA_MM);
         let variance = 1.0 / told + doubt_of(&mixture, &all_mm);
         // (h / σ)² of a fourth derivative that is a few times the second.
         assert!((variance * curved - 1.0).abs() < 1e-4, "{}", variance * curved);

@@ -40,6 +40,30 @@ pub(super) fn coarse_unpressed(r: f64) -> (f64, f64) {
 /// Widths within the part from which a coarse look takes a point for an outlier.
 const DEEP: f64 = 3.0;
 
+/// What a normal distribution says of a distance, whatever the shares: of one distance shares are asked for again and again.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Bell {
+    /// exp(-r² / 2), 0 where there is never contact.
+    near: f64,
+    /// erfc(|r| / √2).
+    tail: f64,
+}
+
+impl Bell {
+    /// Where there is never contact.
+    pub const NONE: Self = Self { near: 0.0, tail: 0.0 };
+
+    #[inline]
+    pub fn at(d_mm: f64, sigma_mm: f64) -> Self {
+        let r = (d_mm / sigma_mm).abs();
+        if r > NEVER {
+            return Self::NONE;
+        }
+        let near = exp(-0.5 * r * r);
+        Self { near, tail: tail(r, near) }
+    }
+}
+
 /// Shares of the mixture that a marker is drawn from.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Mixture {
@@ -66,19 +90,14 @@ impl Mixture {
 
     /// Probability that the marker touches, and the mixture's density, per mm.
     #[inline]
-    pub fn at(&self, d_mm: f64, sigma_mm: f64) -> (f64, f64) {
-        let r = d_mm / sigma_mm;
-        if r.abs() > NEVER {
-            let free = if r > 0.0 && d_mm < self.reach_mm { self.free } else { 0.0 };
-            return (0.0, free + self.stray);
-        }
-        let peak = self.contact / (sigma_mm * sqrt(core::f64::consts::TAU));
-        let near = exp(-0.5 * r * r);
-        let touch = peak * near;
-        let free = if r >= 0.0 {
-            if d_mm < self.reach_mm { self.free * (1.0 - 0.5 * tail(r, near)) } else { 0.0 }
+    pub fn at(&self, d_mm: f64, sigma_mm: f64, bell: Bell) -> (f64, f64) {
+        let touch = self.contact / (sigma_mm * sqrt(core::f64::consts::TAU)) * bell.near;
+        let free = if d_mm >= self.reach_mm {
+            0.0
+        } else if d_mm >= 0.0 {
+            self.free * (1.0 - 0.5 * bell.tail)
         } else {
-            0.5 * self.free * tail(-r, near)
+            0.5 * self.free * bell.tail
         };
         let all = touch + free + self.stray;
         (touch / all, all)

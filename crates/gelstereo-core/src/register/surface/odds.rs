@@ -9,7 +9,7 @@ const STRAY_MM: f64 = 3.0;
 /// The gel's shoulder is salient as far beside the part as this many decay lengths: there it has sunk to a seventh.
 const BESIDE: f64 = 2.0;
 /// The share of points that touch is what the points themselves say; it starts close and settles at once.
-const STEPS: u32 = 3;
+const STEPS: u32 = 2;
 
 /// ln P(points | part at the pose) - ln P(points | no part), the prior odds even.
 ///
@@ -25,20 +25,20 @@ pub(super) fn log_odds(samples: &Samples, readings: &Readings, touches: &[f64], 
     let mut share = (touches.iter().take(pressed.len()).sum::<f64>() + 1.0) / (count + 2.0);
     let beside_mm = BESIDE * samples.decay_mm;
     let hangs_mm = 0.0..sqrt(samples.height_mm * samples.height_mm + beside_mm * beside_mm);
-    let mut salient = 0.0;
+    let densities = |r: &Reading, share: f64| {
+        let touch = share * good * normal(r);
+        let hangs = hangs_mm.contains(&r.distance_mm);
+        let free = if hangs { (1.0 - share) * good / samples.height_mm } else { 0.0 };
+        (touch, touch + free + stray / STRAY_MM)
+    };
     for _ in 0..STEPS {
-        let mut touching = 0.0;
-        salient = 0.0;
-        for r in pressed {
-            let touch = share * good * normal(r);
-            let hangs = hangs_mm.contains(&r.distance_mm);
-            let free = if hangs { (1.0 - share) * good / samples.height_mm } else { 0.0 };
-            let all = touch + free + stray / STRAY_MM;
-            touching += touch / all;
-            salient += ln(all * samples.height_mm);
-        }
-        share = (touching + 1.0) / (count + 2.0);
+        let believed = |r| {
+            let (touch, all) = densities(r, share);
+            touch / all
+        };
+        share = (pressed.iter().map(believed).sum::<f64>() + 1.0) / (count + 2.0);
     }
+    let salient: f64 = pressed.iter().map(|r| ln(densities(r, share).1 * samples.height_mm)).sum();
     let within = others.iter().filter(|r| r.distance_mm < 0.0);
     let deviations = |r: &Reading| r.distance_mm / r.sigma_mm;
     salient + within.map(|r| ln(good * exp(-0.5 * deviations(r) * deviations(r)) + stray)).sum::<f64>()

@@ -6,7 +6,7 @@
 
 use super::contact::Samples;
 use super::fit::View;
-use super::noise::Mixture;
+use super::noise::{Bell, Mixture};
 use super::part::{Coarse, Distances, Last, Near, Range, press_in_object};
 use super::search::Candidate;
 use super::step::{Normal, Placement, Prior};
@@ -47,6 +47,7 @@ pub(super) struct Reading {
     pub normal: DVec3,
     pub variance_mm2: f64,
     pub sigma_mm: f64,
+    bell: Bell,
     pub curvature_per_mm: f64,
     /// A marker whose foot on the part lies below where saliency begins is not asked, salient or not: asking those
     /// alone that noise has raised over it would raise the part.
@@ -59,6 +60,7 @@ impl Reading {
         normal: DVec3::ZERO,
         variance_mm2: 1.0,
         sigma_mm: 1.0,
+        bell: Bell::NONE,
         curvature_per_mm: 0.0,
         can_touch: false,
     };
@@ -271,15 +273,14 @@ impl<D: Distances> Polish<'_, D> {
             let normal = placement.sensor_direction(normal);
             let variance_mm2 = sample.variance(normal) + model;
             let foot_mm = sample.p_mm - normal * distance_mm;
-            *reading = Reading {
-                distance_mm,
-                normal,
-                variance_mm2,
-                sigma_mm: sqrt(variance_mm2),
-                curvature_per_mm,
-                can_touch: normal.dot(toward) >= STEEP_COSINE
-                    && foot_mm.dot(toward) >= self.samples.salient_from_mm,
-            };
+            let sigma_mm = sqrt(variance_mm2);
+            let can_touch =
+                normal.dot(toward) >= STEEP_COSINE && foot_mm.dot(toward) >= self.samples.salient_from_mm;
+            // A salient point that cannot touch here may have been believed to before the step.
+            let is_asked = k < pressed || (can_touch && may_touch);
+            let bell = if is_asked { Bell::at(distance_mm, sigma_mm) } else { Bell::NONE };
+            *reading =
+                Reading { distance_mm, normal, variance_mm2, sigma_mm, bell, curvature_per_mm, can_touch };
         }
         work
     }
@@ -296,7 +297,7 @@ impl<D: Distances> Polish<'_, D> {
         for (k, r) in here.all[..count].iter().enumerate() {
             let reach_mm = if k < pressed { SHOULDER_MM } else { FREE_MM };
             let mixture = Mixture::new(before[k].max(0.01), self.params.outlier_share, reach_mm);
-            touches[k] = if r.can_touch { mixture.at(r.distance_mm, r.sigma_mm).0 } else { 0.0 };
+            touches[k] = if r.can_touch { mixture.at(r.distance_mm, r.sigma_mm, r.bell).0 } else { 0.0 };
             if k < pressed {
                 total += touches[k];
             }
@@ -343,7 +344,7 @@ impl<D: Distances> Polish<'_, D> {
             let reach_mm = if k < pressed { SHOULDER_MM } else { FREE_MM };
             let mixture = Mixture::new(before, outliers, reach_mm);
             let (d_mm, (weight, density)) = if before > 0.0 {
-                (r.distance_mm, mixture.at(r.distance_mm, r.sigma_mm))
+                (r.distance_mm, mixture.at(r.distance_mm, r.sigma_mm, r.bell))
             } else if r.distance_mm > reach_mm {
                 (0.0, (0.0, Mixture::new(0.0, 1.0, reach_mm).free_density()))
             } else {
