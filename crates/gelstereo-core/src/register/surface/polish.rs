@@ -162,7 +162,8 @@ impl<D: Distances> Polish<'_, D> {
     }
 
     /// At most `most` steps, each as far as it says, and none once `budget` of work is spent: the field has no creases for
-    /// steps to go back and forth between, and what a step would cost takes as long to ask as the next one to do.
+    /// steps to go back and forth between, and what a step would cost takes as long to ask as the next one to do. What is
+    /// read where it ends is another's to ask.
     pub fn slide(
         &self,
         candidate: &mut Candidate,
@@ -173,12 +174,14 @@ impl<D: Distances> Polish<'_, D> {
         let mut end =
             End { converged: false, iterations: 0, work: self.start(&candidate.placement, scratch) };
         while end.iterations < most && !end.converged && end.work < budget {
+            if end.iterations > 0 {
+                end.work += self.read(&candidate.placement, &mut scratch.here, Asked::Within);
+            }
             end.iterations += 1;
             self.believe(scratch, Asked::Within);
             let now = self.sum::<true>(scratch, &scratch.here, &candidate.placement);
             let Some((omega, v)) = now.solve(self.view.radius_mm, LONGEST_MM) else { break };
             candidate.placement = candidate.placement.moved(omega, v);
-            end.work += self.read(&candidate.placement, &mut scratch.here, Asked::Within);
             let least_mm = LAST_STEP * self.params.step_tolerance * scratch.here.all[0].sigma_mm;
             end.converged = self.length_mm(omega, v) < least_mm;
         }
