@@ -128,7 +128,8 @@ impl Localization {
     }
 
     /// Logarithm of the odds that the part is here over that no part is, both as likely beforehand; None but for the
-    /// surface methods. Below 0 the pose does not explain the contact: the part is elsewhere, or another.
+    /// surface methods. Below 0 the pose does not explain the contact: the part is elsewhere, or another. Those of
+    /// ``surface_search`` are charged for taking the best pose of all that the guess allows; the others' are not.
     #[getter]
     const fn log_odds(&self) -> Option<f64> {
         self.found.log_odds

@@ -75,7 +75,12 @@ pub struct Registration {
     pub log_likelihood: Option<f64>,
     /// Natural logarithm of the odds that the part is here over that no part is, both as likely beforehand; known to
     /// the rungs on the surface alone. Below 0 the pose does not explain the contact: the part is elsewhere, or another.
-    /// The gel's shoulder, as far beside the part as twice the contact's decay length, says little of either.
+    ///
+    /// Where the gel was asked its heights tell; elsewhere distances from the part, and the gel's shoulder, as far beside
+    /// the part as twice the contact's decay length, says little of either. A search takes the pose that fits best of all
+    /// within `register.start_sigma_deg` and `register.start_sigma_mm`, and its odds are charged for that: noise seldom
+    /// has odds above 0. Those of the rungs from one start are not: of noise they have odds above 0
+    /// once in 25 times (`surface_close`) or in 100 (`surface_track`; simulated).
     pub log_odds: Option<f64>,
     /// The gel's decay length that explains the contact best; `None` where the gel was not asked, which `surface_search`
     /// alone does, and it only where markers show what the gel does.

@@ -1,13 +1,13 @@
 //! What the contact says about the pose that was found: information, free directions, and other poses as likely.
 
 use super::contact::Samples;
-use super::odds::log_odds;
+use super::odds::{log_odds, searched};
 use super::polish::{End, PolishScratch};
 use super::search::Candidate;
 use super::settled::SettledScratch;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec3, Pose, sqrt};
-use crate::params::RegisterParams;
+use crate::params::{RegisterMethod, RegisterParams};
 use crate::register::observe::{Sighting, System, dot, stack};
 use crate::register::{FreeDirections, Observability, Registration};
 
@@ -116,6 +116,11 @@ pub(super) fn registration(
         total += touches;
     }
     let in_object = observe(params, samples, best, readings, end.converged);
+    let asked = readings.2.is_some().then_some(readings.1);
+    let at_pose = log_odds(params, samples, (scratch, asked));
+    // One start looks nowhere else.
+    let has_searched = params.method == RegisterMethod::SurfaceSearch;
+    let elsewhere = if has_searched { searched(params, &in_object, candidates) } else { 0.0 };
     let observability = in_object.turned(&t_sensor_object, samples.centre_mm);
     let information = observability.information();
     Registration {
@@ -129,7 +134,7 @@ pub(super) fn registration(
         rmse_mm: sqrt(sum_squared / total.max(f64::MIN_POSITIVE)),
         free: FreeDirections::new(&in_object, params.point_sigma_mm, &[]),
         log_likelihood: Some(-best.cost),
-        log_odds: Some(log_odds(samples, &scratch.here, &scratch.touches, params.outlier_share)),
+        log_odds: Some(at_pose - elsewhere),
         gel_decay: None,
         alternatives: Alternatives::NONE,
     }

@@ -1,28 +1,82 @@
 //! Whether the part is where it is said to be: the odds of that over no part being there.
 
 use super::contact::Samples;
-use super::polish::{Reading, Readings};
+use super::polish::{PolishScratch, Reading};
+use super::search::Candidate;
+use super::settled::{SettledScratch, Sight};
 use crate::math::{exp, ln, sqrt};
+use crate::params::RegisterParams;
+use crate::register::Observability;
+use crate::register::observe::halves;
+use core::f64::consts::TAU;
 
 /// Outliers are spread over this much, as for the pose.
 const STRAY_MM: f64 = 3.0;
+/// There may be some even where none are expected.
+const LEAST_OUTLIERS: f64 = 1e-4;
 /// The gel's shoulder is salient as far beside the part as this many decay lengths: there it has sunk to a seventh.
 const BESIDE: f64 = 2.0;
 /// The share of points that touch is what the points themselves say; it starts close and settles at once.
 const STEPS: u32 = 2;
 
-/// ln P(points | part at the pose) - ln P(points | no part), the prior odds even.
+/// What was read at a pose: distances, and the gel's heights if it was asked.
+pub(super) type Read<'a> = (&'a PolishScratch, Option<&'a SettledScratch>);
+
+/// ln P(markers | part at the pose) - ln P(markers | no part), the prior odds even.
 ///
-/// With the part there a salient point touches it, within its noise, or hangs up to as high over it as the patch is
-/// and as far beside it as the gel takes to sink, or is an outlier; any other marker is not in it. Without it the
-/// salient points are anywhere within that height. Points count as independent: far from even odds the figure is too
-/// sure of itself, its sign is not.
-pub(super) fn log_odds(samples: &Samples, readings: &Readings, touches: &[f64], outliers: f64) -> f64 {
-    let (pressed, others) = readings.all.split_at(samples.pressed.len());
+/// Without the part the salient points are anywhere within the patch's height, and something else has lifted those
+/// around. Points count as independent: far from even odds the figure is too sure of itself.
+pub(super) fn log_odds(params: &RegisterParams, samples: &Samples, (scratch, settled): Read<'_>) -> f64 {
+    match settled {
+        Some(settled) => by_heights(samples, settled, params.outlier_share),
+        None => by_distances(samples, scratch, params.outlier_share),
+    }
+}
+
+/// How much less likely the part is for having been looked for anywhere within the guess's uncertainty: to noise some
+/// pose always fits a little. What counts is the mean over all poses, the likelihood at a peak times the share of that
+/// volume that the peak fills (Laplace's evidence; MacKay 1992), over all answers; the best one comes first.
+pub(super) fn searched(params: &RegisterParams, seen: &Observability, answers: &[Candidate]) -> f64 {
+    let turn_mm = params.start_sigma_deg.to_radians() * seen.radius_mm;
+    let shift_mm = params.start_sigma_mm;
+    // What is free stays as it was guessed.
+    let narrowed = |(u, value): (&[f64; 6], f64)| {
+        let (omega, v) = halves(u);
+        let guessed = turn_mm * turn_mm * omega.length_squared() + shift_mm * shift_mm * v.length_squared();
+        0.5 * ln(1.0 + value * guessed)
+    };
+    let peaks: f64 = answers.iter().map(|one| exp(answers[0].cost - one.cost)).sum();
+    seen.directions.iter().zip(seen.values).map(narrowed).sum::<f64>() - ln(peaks)
+}
+
+/// By the heights of the gel with the part in it. Of a marker that is not salient the gel on whatever lifts it tells as well
+/// as noise lets it: half a squared deviation of 1.
+fn by_heights(samples: &Samples, settled: &SettledScratch, outliers: f64) -> f64 {
+    let salient = samples.pressed.len();
+    let stray = outliers.max(LEAST_OUTLIERS) / STRAY_MM;
+    let gain = |with: f64, without: f64| {
+        ln(((1.0 - outliers) * with + stray) / ((1.0 - outliers) * without + stray))
+    };
+    let one = |(k, sight): (usize, &Sight)| {
+        let peak = 1.0 / sqrt(TAU * sight.variance_mm2);
+        let half_squared = 0.5 * sight.residual_mm * sight.residual_mm / sight.variance_mm2;
+        if k < salient {
+            gain(peak * exp(-half_squared), 1.0 / samples.height_mm)
+        } else {
+            gain(peak * exp(0.5 - half_squared), peak)
+        }
+    };
+    samples.gel.nodes.iter().map(|node| node.index).zip(&settled.here.sights).map(one).sum()
+}
+
+/// By distances from the part. A salient point touches it, within its noise, or hangs up to as high over it as the patch
+/// is and as far beside it as the gel takes to sink, or is an outlier; any other marker is not in it.
+fn by_distances(samples: &Samples, scratch: &PolishScratch, outliers: f64) -> f64 {
+    let (pressed, others) = scratch.here.all.split_at(samples.pressed.len());
     let good = 1.0 - outliers;
-    let stray = outliers.max(1e-4);
+    let stray = outliers.max(LEAST_OUTLIERS);
     let count = pressed.len() as f64;
-    let mut share = (touches.iter().take(pressed.len()).sum::<f64>() + 1.0) / (count + 2.0);
+    let mut share = (scratch.touches.iter().take(pressed.len()).sum::<f64>() + 1.0) / (count + 2.0);
     let beside_mm = BESIDE * samples.decay_mm;
     let hangs_mm = 0.0..sqrt(samples.height_mm * samples.height_mm + beside_mm * beside_mm);
     let densities = |r: &Reading, share: f64| {
@@ -46,5 +100,5 @@ pub(super) fn log_odds(samples: &Samples, readings: &Readings, touches: &[f64], 
 
 /// Density of a point that touches, per mm.
 fn normal(r: &Reading) -> f64 {
-    exp(-0.5 * r.distance_mm * r.distance_mm / r.variance_mm2) / sqrt(core::f64::consts::TAU * r.variance_mm2)
+    exp(-0.5 * r.distance_mm * r.distance_mm / r.variance_mm2) / sqrt(TAU * r.variance_mm2)
 }

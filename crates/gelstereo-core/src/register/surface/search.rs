@@ -175,7 +175,8 @@ impl Search<'_> {
     ) -> End {
         let (best, before) = (candidates[0], self.work);
         // Where the part is not what touches the gel, nothing explains the contact as well.
-        if log_odds(self.samples, &scratch.here, &scratch.touches, self.params.outlier_share) <= 0.0 {
+        let asked = self.is_settled.then_some(&*settled);
+        if log_odds(self.params, self.samples, (scratch, asked)) <= 0.0 {
             candidates.truncate(1);
             return end;
         }
