@@ -143,10 +143,13 @@ fn peg(sides: u32) -> Part {
 }
 
 /// From half way between two sides that are alike both are as likely; once the sides are declared to be alike they are one.
+///
+/// A triangle's edges are sharp, and whether a row of markers at one has the part under it or hangs may turn on rounding:
+/// of 143 contacts 17 give one side alone, so that of 72 more than 18 do with a probability of 1e-3.
 #[test]
 fn a_peg_half_way_between_two_sides_may_lie_on_both() {
-    let (mut count, mut missing) = (0, 0);
-    for sides in [4, 6] {
+    for (sides, most_missing) in [(3, 18), (4, 0), (6, 0)] {
+        let (mut count, mut missing) = (0, 0);
         let turn = TAU / f64::from(sides);
         let (part, about) = (peg(sides), Symmetry::new(DVec3::Z, DVec3::ZERO, Some(sides)).unwrap());
         let bare = template(&part.mesh);
@@ -174,9 +177,9 @@ fn a_peg_half_way_between_two_sides_may_lie_on_both() {
                 assert!(k > 2 || ways(&declared).len() <= 1, "sides are known to be one answer");
             }
         }
+        // Of 72.
+        assert!(count >= 70 && missing <= most_missing, "{sides} sides: {missing} of {count}");
     }
-    // Of 144.
-    assert!(count >= 140 && missing == 0, "{missing} of {count}");
 }
 
 #[test]

@@ -73,8 +73,15 @@ impl Coarse<'_> {
     /// The first of the part that gel coming against the press meets on the line through a marker, from `start_mm` over
     /// the marker on; without one, how near the line came to the part.
     pub fn foot(&self, x_mm: DVec3, press: DVec3, start_mm: f64) -> Result<Foot, f64> {
+        self.march(x_mm, press, start_mm).map_err(|missed| missed.clear_mm)
+    }
+
+    /// The same; without one, also where the line may meet the part that the field cuts off.
+    fn march(&self, x_mm: DVec3, press: DVec3, start_mm: f64) -> Result<Foot, Missed> {
         let near_mm = NEAR * self.0.cell_mm();
-        let (mut at_mm, mut least_mm) = (start_mm, f64::INFINITY);
+        let mut at_mm = start_mm;
+        let mut missed = Missed { clear_mm: f64::INFINITY, near_over_mm: None };
+        let error_mm = FIELD_ERROR * self.0.cell_mm();
         for _ in 0..MOST_STEPS {
             let Some((distance_mm, gradient)) = self.0.distance(x_mm + press * at_mm) else {
                 at_mm -= self.0.reach_mm();
@@ -83,7 +90,10 @@ impl Coarse<'_> {
                 }
                 continue;
             };
-            least_mm = least_mm.min(distance_mm);
+            missed.clear_mm = missed.clear_mm.min(distance_mm);
+            if distance_mm < error_mm && missed.near_over_mm.is_none() {
+                missed.near_over_mm = Some(-at_mm);
+            }
             if distance_mm < near_mm {
                 let length = sqrt(gradient.length_squared());
                 let normal = if length > 1e-3 { gradient / length } else { press };
@@ -102,14 +112,29 @@ impl Coarse<'_> {
                 break;
             }
         }
-        Err(least_mm)
+        Err(missed)
     }
+}
+
+/// A line that does not meet the part on the field.
+struct Missed {
+    /// How near it came.
+    clear_mm: f64,
+    /// How far its node is over the first place where the part is as near as the field may be wrong by.
+    near_over_mm: Option<f64>,
 }
 
 impl Exact<'_> {
     /// The same on the triangles.
     pub fn foot(&self, field: &Coarse<'_>, x_mm: DVec3, press: DVec3, hint: &mut u32) -> Result<Foot, f64> {
-        let mut foot = field.foot(x_mm, press, UNDER_MM)?;
+        let mut foot = match field.march(x_mm, press, UNDER_MM) {
+            Ok(foot) => foot,
+            // An edge that the field cuts off: ask the faces.
+            Err(Missed { clear_mm, near_over_mm: Some(near_mm) }) => {
+                return self.first_met(x_mm, near_mm, press, hint).ok_or(clear_mm);
+            }
+            Err(missed) => return Err(missed.clear_mm),
+        };
         let coarse_mm = foot.over_mm;
         let facing = Facing { direction: press, least_cosine: LEAST_COSINE };
         for _ in 0..MOST_REFINED {
