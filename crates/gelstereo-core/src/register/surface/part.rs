@@ -126,8 +126,8 @@ struct Missed {
 
 impl Exact<'_> {
     /// The same on the triangles.
-    pub fn foot(&self, field: &Coarse<'_>, x_mm: DVec3, press: DVec3, hint: &mut u32) -> Result<Foot, f64> {
-        let mut foot = match field.march(x_mm, press, UNDER_MM) {
+    pub fn foot(&self, x_mm: DVec3, press: DVec3, hint: &mut u32) -> Result<Foot, f64> {
+        let mut foot = match self.field.march(x_mm, press, UNDER_MM) {
             Ok(foot) => foot,
             // An edge that the field cuts off: ask the faces.
             Err(Missed { clear_mm, near_over_mm: Some(near_mm) }) => {

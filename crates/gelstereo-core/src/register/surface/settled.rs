@@ -286,7 +286,7 @@ impl Settled<'_> {
         for (node, hint) in gel.nodes.iter().zip(hints) {
             let x = placement.object_point(node.sample.p_mm);
             let foot = match &self.faces {
-                Some(faces) => faces.foot(&self.field, x, press, hint),
+                Some(faces) => faces.foot(x, press, hint),
                 None => self.field.foot(x, press, UNDER_MM),
             };
             work += if self.faces.is_some() && foot.is_ok() { 16 } else { 3 };
