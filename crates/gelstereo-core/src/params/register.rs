@@ -28,8 +28,8 @@ pub enum RegisterMethod {
     /// from guesses up to 5 degrees 1 mm / 10 degrees 2 mm / the same with twice the noise and a tenth of outliers /
     /// 30 degrees 5 mm off, and the median error over the Cramér-Rao bound (simulated; the example `starts`).
     ///
-    /// They know lengths of the gel and of the markers on it in millimetres, and give another answer in another unit; the
-    /// rungs above have no length but those of their settings.
+    /// They know lengths of a usual gel: how far its shoulder reaches, how far steps may go. Of a sensor that is larger or
+    /// smaller as a whole [`RegisterParams::gel_scale`] says by how much; then answers scale with all that is sensed.
     SurfaceTrack,
     /// The exact surface of the part, from a close guess: 95 / 87 / 89 / 57 %, 1.3 times the bound, 0.8 ms. It looks for no
     /// alternatives either.
@@ -85,6 +85,9 @@ pub struct RegisterParams {
     pub start_sigma_mm: f64,
     /// What the mesh may be wrong by, added to every point's noise. Default: `0.003` mm.
     pub surface_sigma_mm: f64,
+    /// How large gel, markers and presses are, over those that the surface rungs' own lengths are for: markers every 0.9
+    /// mm, presses of 0.4 to 1.5 mm. Default: `1`.
+    pub gel_scale: f64,
     /// Work after which the surface rungs stop with the best pose so far, in lookups of the field of distances, 21
     /// ns each by itself (example `nearest`) and several times that with what is done with it; one on the exact surface
     /// counts as 16. Default: `1000000`.
@@ -112,12 +115,18 @@ impl Default for RegisterParams {
             start_sigma_deg: 12.0,
             start_sigma_mm: 2.0,
             surface_sigma_mm: 0.003,
+            gel_scale: 1.0,
             budget: 1_000_000,
         }
     }
 }
 
 impl RegisterParams {
+    /// A length of the usual gel, of one of this scale.
+    pub(crate) fn scaled(&self, mm: f64) -> f64 {
+        mm * self.gel_scale
+    }
+
     /// Checks every setting of registration against its meaning.
     ///
     /// # Errors
@@ -145,6 +154,7 @@ impl RegisterParams {
             "at least 1",
         )?;
         positive("register.search_radius_mm", r.search_radius_mm)?;
+        positive("register.gel_scale", r.gel_scale)?;
         let starts_ok = (1..=MOST_STARTS).contains(&r.starts);
         check(starts_ok, "register.starts", f64::from(r.starts), "from 1 to 4096")?;
         let turn_ok = r.start_sigma_deg > 0.0 && r.start_sigma_deg <= 180.0;

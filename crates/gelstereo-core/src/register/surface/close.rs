@@ -45,10 +45,14 @@ impl Search<'_> {
         self.begin_at_guess(candidates);
         self.look_closer(&mut candidates[0]);
         let left = self.budget().saturating_sub(self.work);
-        let polish = Polish { reach_mm: SLIDE_REACH_MM, ..self.polish(self.field) };
+        let polish = Polish { reach_mm: self.params.scaled(SLIDE_REACH_MM), ..self.polish(self.field) };
         self.work += polish.slide(&mut candidates[0], SLIDES, left, scratch).work;
         let left = self.budget().saturating_sub(self.work);
-        let polish = Polish { reach_mm: CLOSE_REACH_MM, halvings: HALVINGS, ..self.polish(self.faces) };
+        let polish = Polish {
+            reach_mm: self.params.scaled(CLOSE_REACH_MM),
+            halvings: HALVINGS,
+            ..self.polish(self.faces)
+        };
         let end = polish.run(&mut candidates[0], self.params.max_iterations.min(STEPS), left, scratch);
         let (cost, work) = polish.compare_ended(&candidates[0].placement, scratch);
         candidates[0].cost = cost;
@@ -62,7 +66,7 @@ impl Search<'_> {
         let view = View::of(self.samples, touching, self.samples.medium_unpressed, self.press_direction);
         let widest_mm = WIDEST * self.params.start_sigma_mm;
         let narrowest_mm = (NARROWEST * self.samples.sigma_mm(self.press_direction))
-            .max(BLUNT * self.field.0.cell_mm())
+            .max(BLUNT * self.field.field.cell_mm())
             .min(widest_mm);
         let ratio = exp(ln(narrowest_mm / widest_mm) / f64::from(NARROWING));
         let mut width_mm = widest_mm;

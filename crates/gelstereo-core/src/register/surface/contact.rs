@@ -5,7 +5,7 @@ use super::gel::Gel;
 use super::hanging::Pressures;
 use crate::math::linalg::{Symmetric, eigen};
 use crate::math::{DVec3, sqrt};
-use crate::params::ContactParams;
+use crate::params::{ContactParams, RegisterParams};
 use crate::register::RegisterError;
 use crate::register::template::REACH_MM;
 use alloc::vec::Vec;
@@ -123,6 +123,8 @@ pub(super) const MEDIUM: usize = 64;
 #[derive(Clone, Debug, Default)]
 pub(super) struct Samples {
     pub centre_mm: DVec3,
+    /// As [`RegisterParams::gel_scale`].
+    pub gel_scale: f64,
     /// Rms radius of the patch.
     pub radius_mm: f64,
     pub pressed: Vec<Sample>,
@@ -180,7 +182,9 @@ pub(super) const NEIGHBOURS: usize = 6;
 
 impl Samples {
     /// The salient points alone, soon; or all markers that a search of one start needs; or of many.
-    pub fn fill(&mut self, contact: &Contact<'_>, sigma_mm: f64, extent: Extent) {
+    pub fn fill(&mut self, contact: &Contact<'_>, params: &RegisterParams, extent: Extent) {
+        let sigma_mm = params.point_sigma_mm;
+        self.gel_scale = params.gel_scale;
         let square = sigma_mm * sigma_mm;
         let isotropic = [square, square, square, 0.0, 0.0, 0.0];
         self.centre_mm = crate::math::centroid(contact.points_mm);
@@ -232,17 +236,17 @@ impl Samples {
         let count = self.pressed.len().max(1) as f64;
         let covariance =
             core::array::from_fn(|i| self.pressed.iter().map(|s| s.covariance[i]).sum::<f64>() / count);
-        let Self { pressed, gel, centre_mm, .. } = self;
+        let Self { pressed, gel, centre_mm, gel_scale, .. } = self;
         let others = contact.unpressed_mm.iter();
         let others = others.map(|&p| Sample::new(p - *centre_mm, covariance));
         let markers = pressed.iter().copied().chain(others);
-        gel.fill(markers, pressed.len(), contact.press_direction, contact.decay_mm);
+        gel.fill((markers, pressed.len()), contact.press_direction, contact.decay_mm, *gel_scale);
     }
 
     /// All markers beside salient ones, these first, about the centroid with the press along z.
     fn lay_flat(&mut self, contact: &Contact<'_>) {
         let (a, b) = contact.press_direction.any_orthonormal_pair();
-        let centre_mm = self.centre_mm;
+        let (centre_mm, beside_mm) = (self.centre_mm, BESIDE_MM * self.gel_scale);
         let flat = |p: &DVec3| {
             let p = *p - centre_mm;
             DVec3::new(p.dot(a), p.dot(b), p.dot(contact.press_direction))
@@ -254,7 +258,7 @@ impl Samples {
             .iter()
             .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), &p| (low.min(p), high.max(p)));
         let beside = |p: &DVec3| {
-            let (p, margin) = (p.truncate(), BESIDE_MM);
+            let (p, margin) = (p.truncate(), beside_mm);
             p.cmpge(low.truncate() - margin).all() && p.cmple(high.truncate() + margin).all()
         };
         self.flat.extend(contact.unpressed_mm.iter().map(flat).filter(beside));
@@ -370,7 +374,7 @@ impl Samples {
     /// Those no farther from the patch's outermost point than they may be and tell of the part.
     fn take_near(&mut self, unpressed_mm: &[DVec3], covariance: [f64; 6]) {
         let widest = self.pressed.iter().map(|s| s.p_mm.length_squared()).fold(0.0, f64::max);
-        let reach_mm = sqrt(widest) + BESIDE_MM;
+        let reach_mm = sqrt(widest) + BESIDE_MM * self.gel_scale;
         let centre_mm = self.centre_mm;
         let near = |&p: &DVec3| {
             let p_mm = p - centre_mm;
@@ -386,15 +390,16 @@ impl Samples {
     fn take_unpressed(&mut self, unpressed_mm: &[DVec3], covariance: [f64; 6]) {
         self.unpressed.clear();
         let spread = &self.pressed[..COARSE.min(self.pressed.len())];
+        let [around_mm, beside_mm] = [AROUND_MM, BESIDE_MM].map(|mm| mm * self.gel_scale);
         let mut beside = 0;
         for &point in unpressed_mm {
             let p_mm = point - self.centre_mm;
             let near = spread.iter().map(|s| s.p_mm.distance_squared(p_mm)).fold(f64::INFINITY, f64::min);
-            if near > AROUND_MM * AROUND_MM {
+            if near > around_mm * around_mm {
                 continue;
             }
             self.unpressed.push(Sample::new(p_mm, covariance));
-            if near <= BESIDE_MM * BESIDE_MM {
+            if near <= beside_mm * beside_mm {
                 let last = self.unpressed.len() - 1;
                 self.unpressed.swap(beside, last);
                 beside += 1;
@@ -430,7 +435,7 @@ mod tests {
             let contact = Contact { covariance_mm2: Some(&covariances), ..Contact::new(&points) };
             assert_eq!(contact.check(), Ok(()));
             let mut samples = Samples::default();
-            samples.fill(&contact, 0.03, Extent::Around);
+            samples.fill(&contact, &RegisterParams::default(), Extent::Around);
             assert!(samples.height_mm > 0.0, "{}", samples.height_mm);
             for sample in &samples.pressed {
                 let variance = sample.variance(DVec3::NEG_Z);

@@ -262,7 +262,7 @@ pub(super) fn alternatives(samples: &Samples, candidates: &[Candidate], is_cut: 
 mod tests {
     use super::*;
     use crate::math::ln;
-    use crate::register::surface::noise::{Bell, Mixture};
+    use crate::register::surface::noise::{Bell, Mixture, STRAY_MM};
 
     const SIGMA_MM: f64 = 0.03;
 
@@ -280,7 +280,7 @@ mod tests {
     #[test]
     fn what_is_missing_is_what_the_likelihood_is_not_curved_by() {
         // Contact and outliers, which are anywhere: no free gel, whose density has slopes of its own.
-        let mixture = Mixture::new(1.0, 0.8, 1.0);
+        let mixture = Mixture::new(1.0, 0.8, (1.0, STRAY_MM));
         let all_mm = [-0.03, -0.02, 0.0, 0.01, 0.04];
         let cost =
             |shift_mm: f64| -> f64 { all_mm.iter().map(|d_mm| -ln(at(&mixture, d_mm + shift_mm).1)).sum() };

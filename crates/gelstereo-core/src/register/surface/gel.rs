@@ -40,6 +40,8 @@ pub(super) struct Gel {
     lattice: Lattice,
     /// (l / pitch)².
     stiffness: f64,
+    /// As [`RegisterParams::gel_scale`](crate::params::RegisterParams::gel_scale).
+    scale: f64,
 }
 
 impl Gel {
@@ -60,12 +62,14 @@ impl Gel {
     /// Of all markers about the patch's centroid, of which the first so many are salient.
     pub fn fill(
         &mut self,
-        markers: impl Iterator<Item = Sample>,
-        salient: usize,
+        (markers, salient): (impl Iterator<Item = Sample>, usize),
         press: DVec3,
         decay_mm: f64,
+        gel_scale: f64,
     ) {
         self.clear();
+        self.scale = gel_scale;
+        let margin_mm = MARGIN_MM * gel_scale;
         let (a, b) = press.any_orthonormal_pair();
         let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
         for (k, sample) in markers.enumerate() {
@@ -73,7 +77,7 @@ impl Gel {
             let across_mm = DVec2::new(p.dot(a), p.dot(b));
             if k < salient {
                 (low, high) = (low.min(across_mm), high.max(across_mm));
-            } else if !is_within(across_mm, low - MARGIN_MM, high + MARGIN_MM) {
+            } else if !is_within(across_mm, low - margin_mm, high + margin_mm) {
                 continue;
             }
             self.nodes.push(Node { sample, across_mm, along_mm: p.dot(press), index: k });
@@ -137,7 +141,7 @@ impl Gel {
         heights_mm: &mut [f64],
         sweeps: &mut Sweeps,
     ) -> u32 {
-        self.lattice.settle((stiffness, most, SETTLED_MM), obstacle_mm, heights_mm, sweeps)
+        self.lattice.settle((stiffness, most, SETTLED_MM * self.scale), obstacle_mm, heights_mm, sweeps)
     }
 
     /// The neighbours of a node, as many as there are of the four.
@@ -161,11 +165,13 @@ impl Gel {
         changes: &mut [[f64; N]],
         sweeps: (&mut Sweeps, &mut Vec<[f64; N]>),
     ) -> u32 {
-        self.lattice.follow((stiffness, most, FOLLOWED), (touches, heights_mm), changes, sweeps)
+        let mut least = [FOLLOWED; N];
+        least[N - 1] *= self.scale;
+        self.lattice.follow((stiffness, most, least), (touches, heights_mm), changes, sweeps)
     }
 }
 
-/// Changes are for steps, which need no more than some percent.
+/// Changes are for steps, which need no more than some percent; of a millimetre where they are heights.
 const FOLLOWED: f64 = 1e-2;
 
 fn is_within(p: DVec2, low: DVec2, high: DVec2) -> bool {

@@ -71,7 +71,7 @@ mod tests {
         };
         let markers = (0..heights_mm.len()).map(|k| Sample::new(place(k), [SIGMA_MM * SIGMA_MM; 6]));
         let mut gel = Gel::default();
-        gel.fill(markers, heights_mm.len(), DVec3::NEG_Z, 2.5);
+        gel.fill((markers, heights_mm.len()), DVec3::NEG_Z, 2.5, 1.0);
         gel
     }
 

@@ -58,7 +58,8 @@ impl Settled<'_> {
 
     /// How far the step is that a state would take next, over the patch.
     pub fn left_mm(&self, state: &Candidate, scratch: &mut SettledScratch) -> f64 {
-        self.next(state, scratch).map_or(LONGEST_MM, |step| sqrt(step[..6].iter().map(|x| x * x).sum()))
+        self.next(state, scratch)
+            .map_or(self.params.scaled(LONGEST_MM), |step| sqrt(step[..6].iter().map(|x| x * x).sum()))
     }
 
     /// What the height of every marker counts for, per mm², where so much is known of the pose.
@@ -111,7 +112,9 @@ impl Settled<'_> {
             let u = way / sqrt(way_squared);
             let turn = node.sample.p_mm.cross(u) / self.samples.radius_mm;
             let row = [turn.x, turn.y, turn.z, u.x, u.y, u.z];
-            let variance_mm2 = variance(known, &row) + node.sample.variance(u);
+            let variance_mm2 =
+                variance(known, &row, LEAST_KNOWN / (self.params.gel_scale * self.params.gel_scale))
+                    + node.sample.variance(u);
             square_beyond(crosses, sqrt(variance_mm2 / way_squared)).min(anywhere)
         });
         slopes[0].distance_squared(slopes[1]) * way_squared * share
@@ -119,10 +122,10 @@ impl Settled<'_> {
 }
 
 /// Variance along a row of what is known.
-fn variance(known: &Eigen<6>, row: &[f64; 6]) -> f64 {
+fn variance(known: &Eigen<6>, row: &[f64; 6], least: f64) -> f64 {
     let along = |u: &[f64; 6]| u.iter().zip(row).map(|(a, b)| a * b).sum::<f64>();
     let squares = known.vectors.iter().map(|u| along(u) * along(u));
-    known.values.iter().zip(squares).map(|(value, square)| square / value.max(LEAST_KNOWN)).sum()
+    known.values.iter().zip(squares).map(|(value, square)| square / value.max(least)).sum()
 }
 
 /// Mean square of what a normal variable is greater by than `s`, 0 where it is less.

@@ -260,7 +260,7 @@ impl Lattice {
     /// the logarithm of l², heights are the source: (I - l² Δ) ∂h = h. Returns the sweeps that took.
     pub fn follow<const N: usize>(
         &self,
-        (stiffness, most, least): (f64, u32, f64),
+        (stiffness, most, least): (f64, u32, [f64; N]),
         (touches, heights_mm): (impl Fn(usize) -> bool, &[f64]),
         changes: &mut [[f64; N]],
         (sweeps, cells): (&mut Sweeps, &mut Vec<[f64; N]>),
@@ -284,7 +284,7 @@ impl Lattice {
             for own in 0..2 {
                 self.follow_half(own, stiffness, sweeps, cells, &mut largest);
             }
-            if largest.into_iter().fold(0.0, larger) < least {
+            if largest.iter().zip(&least).all(|(step, least)| step < least) {
                 taken = sweep;
                 break;
             }

@@ -48,8 +48,9 @@ impl Settled<'_> {
                 (i..UNKNOWN).for_each(|k| h[i][k] += wj * row[k]);
             }
         }
+        let plane_mm = self.params.scaled(PLANE_SIGMA_MM);
         for i in PLANE..DECAY {
-            h[i][i] += 1.0 / (PLANE_SIGMA_MM * PLANE_SIGMA_MM);
+            h[i][i] += 1.0 / (plane_mm * plane_mm);
         }
         h[DECAY][DECAY] += 1.0 / (DECAY_SIGMA * DECAY_SIGMA);
         (h, g)
@@ -70,7 +71,7 @@ impl Settled<'_> {
                     obstacle_mm.push(f64::NEG_INFINITY);
                     continue;
                 }
-                None => UNDER_MM,
+                None => self.params.scaled(UNDER_MM),
             };
             let foot = self.field.foot(placement.object_point(node.sample.p_mm), press, start_mm);
             lookups += 2;
@@ -101,8 +102,9 @@ impl Settled<'_> {
                 core::array::from_fn(|k| spectrum.vectors[k].iter().zip(&*row).map(|(u, x)| u * x).sum());
             row[..6].copy_from_slice(&turned);
         }
+        let [smooth_mm, widest_mm] = [SMOOTH_MM, WIDEST_MM].map(|mm| self.params.scaled(mm));
         for (k, (value, u)) in spectrum.values.iter().zip(&spectrum.vectors).enumerate() {
-            if *value * SMOOTH_MM * SMOOTH_MM > 1.0 || scale_mm > WIDEST_MM {
+            if *value * smooth_mm * smooth_mm > 1.0 || scale_mm > widest_mm {
                 continue;
             }
             scratch.rows.iter_mut().for_each(|row| row[k] = 0.0);
@@ -122,7 +124,7 @@ impl Settled<'_> {
 
     /// The step that a state would take next, whose prediction is in the scratch.
     pub(super) fn next(&self, state: &Candidate, scratch: &mut SettledScratch) -> Option<Row> {
-        self.step(state, LAST_SCALE_MM, scratch).0
+        self.step(state, self.params.scaled(LAST_SCALE_MM), scratch).0
     }
 
     /// The step from `here`, no longer than [`LONGEST_MM`] over the patch.
@@ -146,7 +148,8 @@ impl Settled<'_> {
         g[DECAY] -= state.rest.log_decay / (DECAY_SIGMA * DECAY_SIGMA);
         let step = cholesky(&h, &g).filter(|z| z.iter().all(|x| x.is_finite())).map(|z| {
             let length = sqrt(z[..6].iter().map(|x| x * x).sum());
-            let share = if length > LONGEST_MM { LONGEST_MM / length } else { 1.0 };
+            let longest_mm = self.params.scaled(LONGEST_MM);
+            let share = if length > longest_mm { longest_mm / length } else { 1.0 };
             let mut out = z.map(|x| share * x);
             let along = [out[0], out[1], out[2], out[3], out[4], out[5]];
             (0..6).for_each(|i| out[i] = (0..6).map(|k| along[k] * basis[k][i]).sum());

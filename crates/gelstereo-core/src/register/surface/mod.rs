@@ -84,8 +84,8 @@ pub(super) fn run(
         _ => Extent::Around,
     };
     let unpressed_mm = if extent == Extent::Salient { &[] } else { contact.unpressed_mm };
-    let ordered = raster.ordered(&Contact { unpressed_mm, ..*contact });
-    samples.fill(&ordered, params.point_sigma_mm, extent);
+    let ordered = raster.ordered(&Contact { unpressed_mm, ..*contact }, params.gel_scale);
+    samples.fill(&ordered, params, extent);
     let mut search = searching(params, contact.press_direction, samples, template, guess)
         .ok_or(RegisterError::NoSurface)?;
     check_reach(&search, solid, params)?;
@@ -113,7 +113,7 @@ pub(super) fn misfit(
 ) -> Option<Misfit> {
     template.touchable().filter(|(solid, ..)| solid.is_closed())?;
     let SurfaceScratch { raster, samples, settled, .. } = scratch;
-    samples.fill(&raster.ordered(contact), params.point_sigma_mm, Extent::Gel);
+    samples.fill(&raster.ordered(contact, params.gel_scale), params, Extent::Gel);
     if !samples.gel.is_known() {
         return None;
     }
@@ -130,13 +130,14 @@ fn searching<'a>(
     guess: &Pose,
 ) -> Option<Search<'a>> {
     let (solid, field, relief) = template.touchable()?;
+    let field = Coarse { field, gel_scale: params.gel_scale };
     let centred = Pose { translation_mm: guess.translation_mm - samples.centre_mm, ..*guess };
     Some(Search {
         params,
         samples,
         press_direction,
-        field: Coarse(field),
-        faces: Exact { solid, relief, field: Coarse(field) },
+        field,
+        faces: Exact { solid, relief, field },
         prior: Prior {
             guess: Placement::new(centred),
             sigma_rad: params.start_sigma_deg.to_radians(),
@@ -159,11 +160,10 @@ fn check_reach(
     let reach_mm = params.search_radius_mm + REACH * params.start_sigma_mm;
     let placed = || search.samples.pressed.iter().map(|s| search.prior.guess.object_point(s.p_mm));
     // What the field knows is within its own reach, and a cell.
-    let is_known = search.field.0.reach_mm() + search.field.0.cell_mm() <= reach_mm;
-    let within = |x| {
-        (is_known && search.field.0.distance(x).is_some())
-            || solid.closest_within(x, reach_mm, None).is_some()
-    };
+    let field = search.field.field;
+    let is_known = field.reach_mm() + field.cell_mm() <= reach_mm;
+    let within =
+        |x| (is_known && field.distance(x).is_some()) || solid.closest_within(x, reach_mm, None).is_some();
     if placed().filter(|&x| within(x)).take(LEAST_PATCH).count() == LEAST_PATCH {
         return Ok(());
     }

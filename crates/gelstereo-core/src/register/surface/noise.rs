@@ -10,7 +10,7 @@ use crate::math::{exp, sqrt};
 /// No contact is this many standard deviations off: its density, e^-32 of the greatest, is far below that of outliers.
 const NEVER: f64 = 8.0;
 /// Outliers are spread over this much.
-const STRAY_MM: f64 = 3.0;
+pub(super) const STRAY_MM: f64 = 3.0;
 
 /// Weight and cost of a point of a coarse look, at r = d / s: outside Geman and McClure's (1985), inside Huber's (1964).
 #[inline]
@@ -76,14 +76,15 @@ pub(super) struct Mixture {
 }
 
 impl Mixture {
-    /// `contact` of the points that are no outliers touch; the others hang up to `reach_mm` over the part.
+    /// `contact` of the points that are no outliers touch; the others hang up to `reach_mm` over the part;
+    /// outliers are spread over `stray_mm`.
     #[inline]
-    pub fn new(contact: f64, outliers: f64, reach_mm: f64) -> Self {
+    pub fn new(contact: f64, outliers: f64, (reach_mm, stray_mm): (f64, f64)) -> Self {
         let good = 1.0 - outliers;
         Self {
             contact: contact * good,
             free: (1.0 - contact) * good / reach_mm,
-            stray: outliers.max(1e-4) / STRAY_MM,
+            stray: outliers.max(1e-4) / stray_mm,
             reach_mm,
         }
     }

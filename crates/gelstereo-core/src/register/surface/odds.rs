@@ -1,6 +1,7 @@
 //! Whether the part is where it is said to be: the odds of that over no part being there.
 
 use super::contact::Samples;
+use super::noise::STRAY_MM;
 use super::polish::{PolishScratch, Reading};
 use super::search::Candidate;
 use super::settled::{SettledScratch, Sight};
@@ -10,8 +11,6 @@ use crate::register::Observability;
 use crate::register::observe::halves;
 use core::f64::consts::TAU;
 
-/// Outliers are spread over this much, as for the pose.
-const STRAY_MM: f64 = 3.0;
 /// There may be some even where none are expected.
 const LEAST_OUTLIERS: f64 = 1e-4;
 /// The gel's shoulder is salient as far beside the part as this many decay lengths: there it has sunk to a seventh.
@@ -53,7 +52,7 @@ pub(super) fn searched(params: &RegisterParams, seen: &Observability, answers: &
 /// as noise lets it: half a squared deviation of 1.
 fn by_heights(samples: &Samples, settled: &SettledScratch, outliers: f64) -> f64 {
     let salient = samples.pressed.len();
-    let stray = outliers.max(LEAST_OUTLIERS) / STRAY_MM;
+    let stray = outliers.max(LEAST_OUTLIERS) / (STRAY_MM * samples.gel_scale);
     let gain = |with: f64, without: f64| {
         ln(((1.0 - outliers) * with + stray) / ((1.0 - outliers) * without + stray))
     };
@@ -74,7 +73,7 @@ fn by_heights(samples: &Samples, settled: &SettledScratch, outliers: f64) -> f64
 fn by_distances(samples: &Samples, scratch: &PolishScratch, outliers: f64) -> f64 {
     let (pressed, others) = scratch.here.all.split_at(samples.pressed.len());
     let good = 1.0 - outliers;
-    let stray = outliers.max(LEAST_OUTLIERS);
+    let (stray, stray_mm) = (outliers.max(LEAST_OUTLIERS), STRAY_MM * samples.gel_scale);
     let count = pressed.len() as f64;
     let mut share = (scratch.touches.iter().take(pressed.len()).sum::<f64>() + 1.0) / (count + 2.0);
     let beside_mm = BESIDE * samples.decay_mm;
@@ -83,7 +82,7 @@ fn by_distances(samples: &Samples, scratch: &PolishScratch, outliers: f64) -> f6
         let touch = share * good * normal(r);
         let hangs = hangs_mm.contains(&r.distance_mm);
         let free = if hangs { (1.0 - share) * good / samples.height_mm } else { 0.0 };
-        (touch, touch + free + stray / STRAY_MM)
+        (touch, touch + free + stray / stray_mm)
     };
     for _ in 0..STEPS {
         let believed = |r| {

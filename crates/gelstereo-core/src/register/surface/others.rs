@@ -189,8 +189,12 @@ impl<'a, 'b> Others<'a, 'b> {
         guess.cost
     }
 
+    fn near_mm(&self) -> f64 {
+        self.search.params.scaled(NEAR_MM)
+    }
+
     fn is_new(&self, placement: &Placement, seeds: &[Candidate], candidates: &[Candidate]) -> bool {
-        !seeds.iter().chain(candidates).any(|other| self.is_one(placement, &other.placement, NEAR_MM))
+        !seeds.iter().chain(candidates).any(|other| self.is_one(placement, &other.placement, self.near_mm()))
     }
 
     /// What brings one pose to another that is a turn of the part away from it or none, about the centroid.
@@ -210,7 +214,7 @@ impl<'a, 'b> Others<'a, 'b> {
 
     /// A pose moved along the free directions until the least turn, and then the least shift, brings the best one there.
     fn carried(&self, one: &Placement) -> Placement {
-        let (omega, v) = least_turn(&self.seen, self.since(one, &self.best.placement).log());
+        let (omega, v) = least_turn(&self.seen, self.since(one, &self.best.placement).log(), self.near_mm());
         moved(&Pose::exp(omega, v), &self.best.placement)
     }
 
@@ -282,7 +286,7 @@ impl<'a, 'b> Others<'a, 'b> {
 
 /// A motion (ω, v) about the centroid, less what makes most of its turn, and then of its shift, along free directions
 /// that go with it.
-fn least_turn(seen: &Observability, (omega, v): (DVec3, DVec3)) -> (DVec3, DVec3) {
+fn least_turn(seen: &Observability, (omega, v): (DVec3, DVec3), near_mm: f64) -> (DVec3, DVec3) {
     let weighed = |u: &[f64; 6]| -> [f64; 6] {
         core::array::from_fn(|i| if i < 3 { TURNS_FIRST * u[i] } else { u[i] })
     };
@@ -293,7 +297,7 @@ fn least_turn(seen: &Observability, (omega, v): (DVec3, DVec3)) -> (DVec3, DVec3
         let (a, b) = halves(u);
         let (a, t) = (a / seen.radius_mm, dot(u, &z));
         let (turn, shift) = (omega.cross(a) * seen.radius_mm, omega.cross(b) + v.cross(a));
-        0.25 * t * t * (turn.length_squared() + shift.length_squared()) <= NEAR_MM * NEAR_MM
+        0.25 * t * t * (turn.length_squared() + shift.length_squared()) <= near_mm * near_mm
     };
     let is_free =
         core::array::from_fn::<bool, 6, _>(|k| seen.values[k] == 0.0 && commutes(&seen.directions[k]));

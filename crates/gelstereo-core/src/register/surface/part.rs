@@ -78,14 +78,14 @@ impl Coarse<'_> {
 
     /// The same; without one, also where the line may meet the part that the field cuts off.
     fn march(&self, x_mm: DVec3, press: DVec3, start_mm: f64) -> Result<Foot, Missed> {
-        let near_mm = NEAR * self.0.cell_mm();
+        let (near_mm, over_mm) = (NEAR * self.field.cell_mm(), OVER_MM * self.gel_scale);
         let mut at_mm = start_mm;
         let mut missed = Missed { clear_mm: f64::INFINITY, near_over_mm: None };
-        let error_mm = FIELD_ERROR * self.0.cell_mm();
+        let error_mm = FIELD_ERROR * self.field.cell_mm();
         for _ in 0..MOST_STEPS {
-            let Some((distance_mm, gradient)) = self.0.distance(x_mm + press * at_mm) else {
-                at_mm -= self.0.reach_mm();
-                if at_mm < -OVER_MM {
+            let Some((distance_mm, gradient)) = self.field.distance(x_mm + press * at_mm) else {
+                at_mm -= self.field.reach_mm();
+                if at_mm < -over_mm {
                     break;
                 }
                 continue;
@@ -100,15 +100,15 @@ impl Coarse<'_> {
                 let cosine = normal.dot(press);
                 let is_on = distance_mm < 0.25 * near_mm;
                 if cosine >= STEEP_COSINE || (is_on && cosine >= WALL_COSINE) {
-                    let over_mm = distance_mm / cosine.max(STEEP_COSINE) - at_mm;
-                    return Ok(Foot { over_mm, normal, curvature_per_mm: 0.0 });
+                    let foot_mm = distance_mm / cosine.max(STEEP_COSINE) - at_mm;
+                    return Ok(Foot { over_mm: foot_mm, normal, curvature_per_mm: 0.0 });
                 }
                 if is_on {
                     break;
                 }
             }
             at_mm -= distance_mm.max(0.5 * near_mm);
-            if at_mm < -OVER_MM {
+            if at_mm < -over_mm {
                 break;
             }
         }
@@ -127,7 +127,8 @@ struct Missed {
 impl Exact<'_> {
     /// The same on the triangles.
     pub fn foot(&self, x_mm: DVec3, press: DVec3, hint: &mut u32) -> Result<Foot, f64> {
-        let mut foot = match self.field.march(x_mm, press, UNDER_MM) {
+        let scale = self.field.gel_scale;
+        let mut foot = match self.field.march(x_mm, press, UNDER_MM * scale) {
             Ok(foot) => foot,
             // An edge that the field cuts off: ask the faces.
             Err(Missed { clear_mm, near_over_mm: Some(near_mm) }) => {
@@ -139,9 +140,10 @@ impl Exact<'_> {
         let facing = Facing { direction: press, least_cosine: LEAST_COSINE };
         for _ in 0..MOST_REFINED {
             let at_mm = x_mm - press * foot.over_mm;
-            let found = self.solid.closest_facing(at_mm, &facing, REACH_MM, Some(*hint)).ok_or(0.0)?;
+            let found =
+                self.solid.closest_facing(at_mm, &facing, REACH_MM * scale, Some(*hint)).ok_or(0.0)?;
             *hint = found.triangle;
-            let slope = self.relief.slope(self.solid, &found, at_mm - found.point_mm);
+            let slope = self.relief.slope(self.solid, &found, (at_mm - found.point_mm, scale));
             let cosine = slope.normal.dot(press);
             if cosine < STEEP_COSINE {
                 break;
@@ -152,7 +154,8 @@ impl Exact<'_> {
                 normal: slope.normal,
                 curvature_per_mm: slope.curvature_per_mm,
             };
-            if abs(step_mm) < ON_MM || (abs(step_mm) < CLOSE_MM && found.feature == Feature::Face) {
+            let is_flat = abs(step_mm) < CLOSE_MM * scale && found.feature == Feature::Face;
+            if abs(step_mm) < ON_MM * scale || is_flat {
                 return Ok(foot);
             }
         }
@@ -163,9 +166,9 @@ impl Exact<'_> {
     #[cold]
     fn first_met(&self, x_mm: DVec3, coarse_mm: f64, press: DVec3, hint: &mut u32) -> Option<Foot> {
         let facing = Facing { direction: press, least_cosine: WALL_COSINE };
-        let found = self.solid.first_met(x_mm - press * coarse_mm, &facing, MET_MM)?;
+        let found = self.solid.first_met(x_mm - press * coarse_mm, &facing, MET_MM * self.field.gel_scale)?;
         *hint = found.triangle;
-        let slope = self.relief.slope(self.solid, &found, DVec3::ZERO);
+        let slope = self.relief.slope(self.solid, &found, (DVec3::ZERO, self.field.gel_scale));
         let is_seen = slope.normal.dot(press) >= WALL_COSINE;
         Some(Foot {
             over_mm: coarse_mm + found.distance_mm,
@@ -177,7 +180,11 @@ impl Exact<'_> {
 
 /// The distance field, trilinear between its nodes.
 #[derive(Clone, Copy)]
-pub(super) struct Coarse<'a>(pub &'a Field);
+pub(super) struct Coarse<'a> {
+    pub field: &'a Field,
+    /// As [`RegisterParams::gel_scale`](crate::params::RegisterParams::gel_scale).
+    pub gel_scale: f64,
+}
 
 impl Distances for Coarse<'_> {
     #[inline]
@@ -198,7 +205,7 @@ impl Coarse<'_> {
     /// As [`Self::near_at`], and `None` where that is sure to be outside of the part, which takes no direction.
     #[inline]
     pub fn within(&self, x_mm: DVec3, press: DVec3) -> Option<Near> {
-        let (distance_mm, gradient) = self.0.distance(x_mm)?;
+        let (distance_mm, gradient) = self.field.distance(x_mm)?;
         if distance_mm >= 0.0 && gradient.dot(press) >= 0.0 {
             return None;
         }
@@ -210,7 +217,7 @@ impl Coarse<'_> {
     /// Out of the field's reach there is no part.
     #[inline]
     fn lookup(&self, x_mm: DVec3, press: DVec3) -> Near {
-        let (distance_mm, gradient) = self.0.distance(x_mm).unwrap_or((self.0.reach_mm(), press));
+        let (distance_mm, gradient) = self.field.distance(x_mm).unwrap_or((self.field.reach_mm(), press));
         Self::near(distance_mm, gradient, press)
     }
 
@@ -225,7 +232,7 @@ impl Coarse<'_> {
     /// and takes the distance to its plane; a way that leads out of the part says that nothing is there.
     #[cold]
     fn through(&self, x_mm: DVec3, press: DVec3, first: Near) -> Near {
-        let least_mm = self.0.cell_mm();
+        let least_mm = self.field.cell_mm();
         let (mut way_mm, mut near) = (0.0, first);
         for _ in 0..MOST_LOOKUPS {
             way_mm += abs(near.distance_mm).max(least_mm);
@@ -264,10 +271,11 @@ impl Distances for Exact<'_> {
     #[inline]
     fn at(&self, x_mm: DVec3, press: DVec3, range: Range, last: &mut Last) -> Near {
         last.work += 1;
-        let mut reach_mm = REACH_MM;
-        if let Some((distance_mm, gradient)) = self.field.0.distance(x_mm) {
+        let farthest_mm = REACH_MM * self.field.gel_scale;
+        let mut reach_mm = farthest_mm;
+        if let Some((distance_mm, gradient)) = self.field.field.distance(x_mm) {
             let near = Coarse::near(distance_mm, gradient, press);
-            let error_mm = FIELD_ERROR * self.field.0.cell_mm();
+            let error_mm = FIELD_ERROR * self.field.field.cell_mm();
             let matters = (range.from_mm - error_mm..range.to_mm + error_mm).contains(&distance_mm);
             if !matters && near.normal.dot(press) >= LEAST_COSINE && self.solid.is_closed() {
                 return near;
@@ -276,8 +284,8 @@ impl Distances for Exact<'_> {
         }
         last.work += EXACT_WORK;
         self.nearest(x_mm, press, reach_mm, last)
-            .or_else(|| self.nearest(x_mm, press, REACH_MM, last))
-            .unwrap_or(Near { distance_mm: REACH_MM, normal: press, curvature_per_mm: 0.0 })
+            .or_else(|| self.nearest(x_mm, press, farthest_mm, last))
+            .unwrap_or(Near { distance_mm: farthest_mm, normal: press, curvature_per_mm: 0.0 })
     }
 }
 
@@ -287,7 +295,7 @@ impl Exact<'_> {
         let facing = Facing { direction: press, least_cosine: LEAST_COSINE };
         let found = self.solid.closest_facing(x_mm, &facing, reach_mm, Some(last.triangle))?;
         last.triangle = found.triangle;
-        let slope = self.relief.slope(self.solid, &found, x_mm - found.point_mm);
+        let slope = self.relief.slope(self.solid, &found, (x_mm - found.point_mm, self.field.gel_scale));
         Some(Near {
             distance_mm: found.distance_mm,
             normal: slope.normal,

@@ -6,7 +6,7 @@
 
 use super::contact::Samples;
 use super::fit::View;
-use super::noise::{Bell, Mixture};
+use super::noise::{Bell, Mixture, STRAY_MM};
 use super::part::{Coarse, Distances, Last, Near, Range, press_in_object};
 use super::search::Candidate;
 use super::step::{Normal, Placement, Prior};
@@ -131,7 +131,9 @@ impl<D: Distances> Polish<'_, D> {
                 self.believe(scratch, Asked::Within);
             }
             let now = self.sum::<true>(scratch, &scratch.here, &candidate.placement);
-            let Some((omega, v)) = now.solve(self.view.radius_mm, LONGEST_MM) else { break };
+            let Some((omega, v)) = now.solve(self.view.radius_mm, self.params.scaled(LONGEST_MM)) else {
+                break;
+            };
             let full_mm = self.length_mm(omega, v);
             let cost = self.cost(scratch, &scratch.here, &candidate.placement);
             let mut share = 1.0;
@@ -180,7 +182,9 @@ impl<D: Distances> Polish<'_, D> {
             end.iterations += 1;
             self.believe(scratch, Asked::Within);
             let now = self.sum::<true>(scratch, &scratch.here, &candidate.placement);
-            let Some((omega, v)) = now.solve(self.view.radius_mm, LONGEST_MM) else { break };
+            let Some((omega, v)) = now.solve(self.view.radius_mm, self.params.scaled(LONGEST_MM)) else {
+                break;
+            };
             candidate.placement = candidate.placement.moved(omega, v);
             let least_mm = LAST_STEP * self.params.step_tolerance * scratch.here.all[0].sigma_mm;
             end.converged = self.length_mm(omega, v) < least_mm;
@@ -295,11 +299,13 @@ impl<D: Distances> Polish<'_, D> {
     fn believe(&self, scratch: &mut PolishScratch, asked: Asked) {
         let PolishScratch { here, before, touches, .. } = scratch;
         let pressed = self.view.pressed.len();
+        let [shoulder_mm, free_mm, stray_mm] =
+            [SHOULDER_MM, FREE_MM, STRAY_MM].map(|mm| self.params.scaled(mm));
         let mut total = 0.0;
         let count = if asked == Asked::Touching { here.all.len() } else { pressed };
         for (k, r) in here.all[..count].iter().enumerate() {
-            let reach_mm = if k < pressed { SHOULDER_MM } else { FREE_MM };
-            let mixture = Mixture::new(before[k].max(0.01), self.params.outlier_share, reach_mm);
+            let reach_mm = if k < pressed { shoulder_mm } else { free_mm };
+            let mixture = Mixture::new(before[k].max(0.01), self.params.outlier_share, (reach_mm, stray_mm));
             touches[k] = if r.can_touch { mixture.at(r.distance_mm, r.sigma_mm, r.bell).0 } else { 0.0 };
             if k < pressed {
                 total += touches[k];
@@ -336,20 +342,22 @@ impl<D: Distances> Polish<'_, D> {
         let outliers = self.params.outlier_share;
         let pressed = self.view.pressed.len();
         let mut sum = Normal::ZERO;
+        let [shoulder_mm, free_mm, far_mm, stray_mm] =
+            [SHOULDER_MM, FREE_MM, FAR_MM, STRAY_MM].map(|mm| self.params.scaled(mm));
         let mut likelihood = Likelihood { product: 1.0, cost: 0.0 };
         let per_radius = 1.0 / self.view.radius_mm;
         let samples = self.view.pressed.iter().chain(self.view.unpressed);
         for (k, ((sample, r), &before)) in samples.zip(&readings.all).zip(&scratch.before).enumerate() {
             let pushed_mm = (r.distance_mm + SLACK * r.sigma_mm).min(0.0);
-            if k >= pressed && (r.distance_mm > FAR_MM || (before == 0.0 && pushed_mm == 0.0)) {
+            if k >= pressed && (r.distance_mm > far_mm || (before == 0.0 && pushed_mm == 0.0)) {
                 continue;
             }
-            let reach_mm = if k < pressed { SHOULDER_MM } else { FREE_MM };
-            let mixture = Mixture::new(before, outliers, reach_mm);
+            let reach_mm = if k < pressed { shoulder_mm } else { free_mm };
+            let mixture = Mixture::new(before, outliers, (reach_mm, stray_mm));
             let (d_mm, (weight, density)) = if before > 0.0 {
                 (r.distance_mm, mixture.at(r.distance_mm, r.sigma_mm, r.bell))
             } else if r.distance_mm > reach_mm {
-                (0.0, (0.0, Mixture::new(0.0, 1.0, reach_mm).free_density()))
+                (0.0, (0.0, Mixture::new(0.0, 1.0, (reach_mm, stray_mm)).free_density()))
             } else {
                 (pushed_mm, mixture.free(pushed_mm, r.sigma_mm))
             };

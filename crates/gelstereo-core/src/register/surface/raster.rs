@@ -8,7 +8,7 @@ use crate::math::linalg::Symmetric;
 use crate::math::{DVec3, floor};
 use alloc::vec::Vec;
 
-/// Width of a band: as far as rows of markers usually stand apart, so that each has its own.
+/// Width of a band of a usual gel: as far as rows of markers stand apart, so that each has its own.
 const BAND_MM: f64 = 0.9;
 
 /// What a contact gives, ordered.
@@ -25,7 +25,7 @@ type Key = (u32, u64, u32);
 
 impl Raster {
     /// The same contact in the order in which its markers lie.
-    pub fn ordered<'a>(&'a mut self, contact: &Contact<'a>) -> Contact<'a> {
+    pub fn ordered<'a>(&'a mut self, contact: &Contact<'a>, gel_scale: f64) -> Contact<'a> {
         let Self { keys, points_mm, covariance_mm2, unpressed_mm } = self;
         let press = contact.press_direction;
         let (along, _) = press.any_orthonormal_pair();
@@ -35,7 +35,7 @@ impl Raster {
             .iter()
             .chain(contact.unpressed_mm)
             .fold(f64::INFINITY, |low, p| low.min(p.dot(across)));
-        let frame = Frame { along, across, press, low_mm };
+        let frame = Frame { along, across, press, low_mm, band_mm: BAND_MM * gel_scale };
         unpressed_mm.clear();
         unpressed_mm.extend(order(keys, contact.unpressed_mm, frame).map(|k| contact.unpressed_mm[k]));
         points_mm.clear();
@@ -60,6 +60,7 @@ struct Frame {
     across: DVec3,
     press: DVec3,
     low_mm: f64,
+    band_mm: f64,
 }
 
 /// Indices in the order in which points lie.
@@ -70,7 +71,7 @@ fn order<'a>(
 ) -> impl Iterator<Item = usize> + use<'a> {
     keys.clear();
     keys.extend(points_mm.iter().zip(0..).map(|(p, k)| {
-        let band = floor((p.dot(frame.across) - frame.low_mm) / BAND_MM + 0.5) as u32;
+        let band = floor((p.dot(frame.across) - frame.low_mm) / frame.band_mm + 0.5) as u32;
         (band, ascending(p.dot(frame.along)), k)
     }));
     // Then across the band, and along the press; of markers at the same place the one given first.

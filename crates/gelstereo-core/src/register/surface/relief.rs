@@ -9,6 +9,8 @@ use alloc::vec::Vec;
 
 /// Faces that meet at less than 32 degrees are one smooth surface: a cylinder of 12 facets is one, a hexagon has edges.
 pub(super) const CREASE_COS: f64 = 0.85;
+/// A direction takes a place at least as far off.
+const LEAST_MM: f64 = 1e-3;
 
 /// Normals at the corners of every triangle, of the smooth surface on that triangle's side of its creases.
 #[derive(Clone, Debug)]
@@ -64,15 +66,20 @@ impl Relief {
         }
     }
 
-    /// At the nearest point of a place `offset_mm` away from it.
-    pub(super) fn slope(&self, solid: &Solid, found: &Closest, offset_mm: DVec3) -> Slope {
+    /// At the nearest point of a place `offset_mm` away from it, of a gel of that scale.
+    pub(super) fn slope(
+        &self,
+        solid: &Solid,
+        found: &Closest,
+        (offset_mm, gel_scale): (DVec3, f64),
+    ) -> Slope {
         let k = found.triangle as usize;
         let curvature_per_mm = self.curvatures_per_mm[k];
         let corners = solid.triangles()[k].map(|v| solid.vertices_mm()[v as usize]);
         let smooth =
             interpolate(&self.corners[k], &corners, found.point_mm, solid.face_normal(found.triangle));
-        // Beyond an edge the distance grows away from it; nearer than a micrometre that is no direction.
-        if found.normal.dot(smooth) < 0.99 && abs(found.distance_mm) > 1e-3 {
+        // Beyond an edge the distance grows away from it; nearer than [`LEAST_MM`] that is no direction.
+        if found.normal.dot(smooth) < 0.99 && abs(found.distance_mm) > LEAST_MM * gel_scale {
             return Slope { normal: offset_mm / found.distance_mm, curvature_per_mm };
         }
         Slope { normal: smooth, curvature_per_mm }

@@ -51,12 +51,14 @@ impl Search<'_> {
             self.press_direction,
         );
         for &(width_mm, keeps) in round.steps {
-            self.each(candidates, |search, candidate| search.step(candidate, &view, width_mm));
+            self.each(candidates, |search, candidate| {
+                search.step(candidate, &view, search.params.scaled(width_mm))
+            });
             keep(candidates, keeps, 0.0, 0.0);
         }
         self.each(candidates, |search, candidate| {
             search.work += view.len();
-            view.cost(&search.field, &candidate.placement, round.last_mm)
+            view.cost(&search.field, &candidate.placement, search.params.scaled(round.last_mm))
         });
         insertion_sort(candidates);
     }
@@ -77,7 +79,7 @@ impl Search<'_> {
         self.work += view.len();
         let cost = sum.cost;
         sum.add_prior(&self.prior, &candidate.placement, view.radius_mm, COARSE_PRIOR);
-        if let Some((omega, v)) = sum.solve(view.radius_mm, LONGEST_MM) {
+        if let Some((omega, v)) = sum.solve(view.radius_mm, self.params.scaled(LONGEST_MM)) {
             candidate.placement = candidate.placement.moved(omega, v);
         }
         cost

@@ -110,7 +110,7 @@ impl Search<'_> {
             field: self.field,
             part,
             prior: self.prior,
-            reach_mm: OUT_OF_REACH_MM,
+            reach_mm: self.params.scaled(OUT_OF_REACH_MM),
             halvings: HALVINGS,
         }
     }
@@ -133,7 +133,7 @@ impl Search<'_> {
         self.round(candidates, &SECOND, self.samples.medium_unpressed);
         runners_up.clear();
         runners_up.extend_from_slice(candidates);
-        keep(candidates, SECOND.keeps, self.samples.radius_mm, SECOND.same_mm);
+        keep(candidates, SECOND.keeps, self.samples.radius_mm, self.params.scaled(SECOND.same_mm));
         self.is_settled = false;
         if self.samples.gel.is_known() {
             let before: [Option<Candidate>; KEPT] = core::array::from_fn(|k| candidates.get(k).copied());
@@ -160,7 +160,7 @@ impl Search<'_> {
             candidates[k].cost = cost;
             self.work += end.work + work;
         }
-        keep(candidates, FINALISTS, self.samples.radius_mm, SECOND.same_mm);
+        keep(candidates, FINALISTS, self.samples.radius_mm, self.params.scaled(SECOND.same_mm));
         let end = self.finish(candidates, scratch);
         self.others(candidates, runners_up, end, (scratch, settled))
     }
@@ -256,12 +256,12 @@ impl Search<'_> {
     ) -> End {
         self.begin_all(false, candidates, settled);
         for &(width_mm, keeps) in blurred {
-            self.blurred_all((false, width_mm), candidates, settled);
-            keep(candidates, keeps, self.samples.radius_mm, SECOND.same_mm);
+            self.blurred_all((false, self.params.scaled(width_mm)), candidates, settled);
+            keep(candidates, keeps, self.samples.radius_mm, self.params.scaled(SECOND.same_mm));
         }
         self.begin_all(true, candidates, settled);
         // Not at rest, none is hopeless: one marker that an edge has yet to pass makes a difference of ten and more.
-        self.blurred_all((true, SHARP_MM), candidates, settled);
+        self.blurred_all((true, self.params.scaled(SHARP_MM)), candidates, settled);
         let end = self.settle_all(candidates, self.params.max_iterations.min(MOST_STEPS), settled);
         keep(candidates, FINALISTS, 0.0, 0.0);
         end
@@ -272,8 +272,8 @@ impl Search<'_> {
         let way = self.settled(stage != Stage::Field);
         let mut work = way.begin(one, settled);
         match stage {
-            Stage::Field => work += way.blurred(one, FIELD_MM, settled),
-            Stage::First => work += way.blurred(one, SHARP_MM, settled),
+            Stage::Field => work += way.blurred(one, self.params.scaled(FIELD_MM), settled),
+            Stage::First => work += way.blurred(one, self.params.scaled(SHARP_MM), settled),
             Stage::Last => {}
         }
         self.work += work;

@@ -7,6 +7,7 @@
 use super::contact::Samples;
 use super::gel::{Gel, Node};
 use super::lattice::Sweeps;
+use super::noise::STRAY_MM;
 use super::part::{Coarse, Exact, Foot, UNDER_MM};
 use super::polish::End;
 use super::rest::{DECAY_LOGS, Rest};
@@ -32,8 +33,7 @@ const GAP_SHARE: f64 = 0.5;
 pub(super) const LIFTED: f64 = 3.0;
 /// Standard deviation of what lies anywhere between two markers, in pitches: 1 / √12.
 pub(super) const BETWEEN: f64 = 0.288_675;
-/// Outliers are spread over this much, and there may be some even where none are expected.
-const STRAY_MM: f64 = 3.0;
+/// There may be outliers even where none are expected.
 const LEAST_OUTLIERS: f64 = 1e-3;
 /// Over which differences are taken at the end.
 pub(super) const LAST_SCALE_MM: f64 = 0.04;
@@ -232,7 +232,7 @@ impl Settled<'_> {
         let tolerance_mm = 10.0 * self.params.step_tolerance * sigma_mm;
         while end.iterations < most && !end.converged && end.work < budget {
             end.iterations += 1;
-            let (step, work) = self.step(state, LAST_SCALE_MM, scratch);
+            let (step, work) = self.step(state, self.params.scaled(LAST_SCALE_MM), scratch);
             end.work += work;
             let Some(step) = step else { break };
             let full_mm = sqrt(step[..6].iter().map(|x| x * x).sum());
@@ -287,7 +287,7 @@ impl Settled<'_> {
             let x = placement.object_point(node.sample.p_mm);
             let foot = match &self.faces {
                 Some(faces) => faces.foot(x, press, hint),
-                None => self.field.foot(x, press, UNDER_MM),
+                None => self.field.foot(x, press, self.params.scaled(UNDER_MM)),
             };
             work += if self.faces.is_some() && foot.is_ok() { 16 } else { 3 };
             let (foot, clear_mm) = foot.map_or_else(|clear_mm| (None, clear_mm), |foot| (Some(foot), 0.0));
@@ -329,6 +329,7 @@ impl Settled<'_> {
         there.cost = self.prior_cost(state);
         let model = self.params.surface_sigma_mm * self.params.surface_sigma_mm + width_mm * width_mm;
         let outliers = self.params.outlier_share.max(LEAST_OUTLIERS);
+        let stray_mm = self.params.scaled(STRAY_MM);
         // The gel leaves the part at an edge, which the nodes know to a pitch; over that it sinks by 1 - e^(-pitch / l).
         let share = BETWEEN * (1.0 - exp(-1.0 / sqrt(gel.stiffness(state.rest.log_decay))));
         for ((node, sight), &height_mm) in gel.nodes.iter().zip(&mut there.sights).zip(&there.heights_mm) {
@@ -347,7 +348,7 @@ impl Settled<'_> {
             let squared = sight.residual_mm * sight.residual_mm / sight.variance_mm2;
             let good = (1.0 - outliers) * exp(-0.5 * squared.min(1000.0))
                 / sqrt(core::f64::consts::TAU * sight.variance_mm2);
-            let all = good + outliers / STRAY_MM;
+            let all = good + outliers / stray_mm;
             sight.weight = good / all;
             there.cost -= ln(all);
         }

@@ -66,7 +66,7 @@ fn heights_are_those_of_the_true_neighbours_one_by_one() {
         let mut changes: Vec<[f64; 2]> =
             (0..at.len()).map(|k| [f64::from(u8::from(touches(k))), 0.0]).collect();
         lattice.follow(
-            (stiffness, 500, 1e-10),
+            (stiffness, 500, [1e-10; 2]),
             (touches, &heights_mm),
             &mut changes,
             (&mut sweeps, &mut cells),
