@@ -196,14 +196,14 @@ impl Distances for Coarse<'_> {
 
 impl Coarse<'_> {
     /// The distance of a point, and its normal.
-    #[inline]
+    #[inline(always)]
     pub fn near_at(&self, x_mm: DVec3, press: DVec3) -> Near {
         let near = self.lookup(x_mm, press);
         if near.normal.dot(press) >= LEAST_COSINE { near } else { self.through(x_mm, press, near) }
     }
 
     /// As [`Self::near_at`], and `None` where that is sure to be outside of the part, which takes no direction.
-    #[inline]
+    #[inline(always)]
     pub fn within(&self, x_mm: DVec3, press: DVec3) -> Option<Near> {
         let (distance_mm, gradient) = self.field.distance(x_mm)?;
         if distance_mm >= 0.0 && gradient.dot(press) >= 0.0 {
@@ -215,7 +215,7 @@ impl Coarse<'_> {
     }
 
     /// Out of the field's reach there is no part.
-    #[inline]
+    #[inline(always)]
     fn lookup(&self, x_mm: DVec3, press: DVec3) -> Near {
         let (distance_mm, gradient) = self.field.distance(x_mm).unwrap_or((self.field.reach_mm(), press));
         Self::near(distance_mm, gradient, press)

@@ -102,7 +102,7 @@ impl Field {
 
     /// Distance, positive outside, and its gradient; `None` where the surface is out of reach, or beside a hole.
     #[must_use]
-    #[inline]
+    #[inline(always)]
     pub fn distance(&self, p_mm: DVec3) -> Option<(f64, DVec3)> {
         let at = (p_mm - self.low_mm) * self.per_cell;
         // What is not a number is not within.
@@ -224,7 +224,7 @@ fn largest_mm(cell_mm: f64, reach_mm: f64) -> f64 {
 }
 
 /// Value and gradient in steps between the eight nodes of a cell.
-#[inline]
+#[inline(always)]
 fn interpolate(nodes: &[i16; SPAN], share: DVec3) -> Option<(f64, DVec3)> {
     const ROW: usize = NODES;
     const LAYER: usize = NODES * NODES;
