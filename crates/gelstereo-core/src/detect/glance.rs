@@ -127,6 +127,7 @@ impl<const L: usize> Eye<L> {
         Self { kind, flip, lanes: Lanes::of(0, &kind), corners: Corners::of(&kind) }
     }
 
+    #[inline(always)]
     fn window<'a>(
         &'a self,
         image: &GrayView<'_>,

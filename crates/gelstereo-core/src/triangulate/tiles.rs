@@ -63,7 +63,7 @@ impl Tiles {
     }
 
     /// The values and their derivatives by each input, or `None` beyond the cube.
-    #[inline]
+    #[inline(always)]
     pub fn at(&self, input: DVec3) -> Option<(Four, [Four; 3])> {
         if !(input.abs().max_element() <= 1.0) {
             return None;

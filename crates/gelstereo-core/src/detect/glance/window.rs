@@ -153,6 +153,7 @@ impl<const L: usize> Room<L> {
 
 impl<const L: usize> Window<'_, L> {
     /// The gel by the window's corners.
+    #[inline(always)]
     pub(super) fn gel(&self, corners: &Corners) -> Gel {
         let (corner, far) = (corners.side_px, self.place.side - corners.side_px);
         let darkest = darkest(self.rows, &self.lanes.inside);
