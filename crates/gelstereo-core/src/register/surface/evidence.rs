@@ -99,29 +99,30 @@ pub(super) struct Told {
 /// What was read at a pose: distances, heights of the gel, and what these tell if it was asked.
 pub(super) type AtBest<'a> = (&'a PolishScratch, &'a SettledScratch, Option<Told>);
 
-/// Of the best candidate, from the readings there.
+/// Of the best candidate, from the readings there, or where the part looks the same.
 pub(super) fn registration(
     params: &RegisterParams,
     samples: &Samples,
-    candidates: &[Candidate],
+    (candidates, read): (&[Candidate], &Candidate),
     readings: AtBest<'_>,
     end: End,
 ) -> Registration {
     let (best, scratch) = (&candidates[0], readings.0);
     let t_sensor_object = pose(samples, best);
+    let back = t_sensor_object.inverse();
     let (mut sum_squared, mut total, mut inliers) = (0.0, 0.0, 0);
     for (r, touches) in scratch.here.all[..samples.pressed.len()].iter().zip(&scratch.touches) {
         inliers += usize::from(r.distance_mm.abs() <= params.max_distance_mm);
         sum_squared += touches * r.distance_mm * r.distance_mm;
         total += touches;
     }
-    let in_object = observe(params, samples, best, readings, end.converged);
+    let in_object = observe(params, samples, read, readings, end.converged);
     let asked = readings.2.is_some().then_some(readings.1);
     let at_pose = log_odds(params, samples, (scratch, asked));
     // One start looks nowhere else.
     let has_searched = params.method == RegisterMethod::SurfaceSearch;
     let elsewhere = if has_searched { searched(params, &in_object, candidates) } else { 0.0 };
-    let observability = in_object.turned(&t_sensor_object, samples.centre_mm);
+    let observability = in_object.turned(&pose(samples, read), samples.centre_mm);
     let information = observability.information();
     Registration {
         t_sensor_object,
@@ -132,7 +133,11 @@ pub(super) fn registration(
         inliers,
         points: samples.pressed.len(),
         rmse_mm: sqrt(sum_squared / total.max(f64::MIN_POSITIVE)),
-        free: FreeDirections::new(&in_object, params.point_sigma_mm, &[]),
+        free: FreeDirections::new(
+            &observability.turned(&back, back.transform_point(samples.centre_mm)),
+            params.point_sigma_mm,
+            &[],
+        ),
         log_likelihood: Some(-best.cost),
         log_odds: Some(at_pose - elsewhere),
         gel_decay: None,

@@ -94,9 +94,11 @@ pub(super) fn run(
         RegisterMethod::SurfaceClose => search.close(candidates, polish),
         _ => search.many(candidates, runners_up, polish, settled),
     };
-    let told = search.is_settled.then(|| search.told(&candidates[0], end.converged, settled));
+    let placement = search.read_at.unwrap_or(candidates[0].placement);
+    let read = Candidate { placement, ..candidates[0] };
+    let told = search.is_settled.then(|| search.told(&read, end.converged, settled));
     let readings = (&*polish, &*settled, told);
-    let mut found = evidence::registration(params, samples, candidates, readings, end);
+    let mut found = evidence::registration(params, samples, (candidates, &read), readings, end);
     found.alternatives = evidence::alternatives(samples, candidates, search.is_cut);
     found.gel_decay = search.is_settled.then(|| candidates[0].rest.decay(contact.decay_mm));
     Ok(found)
@@ -146,6 +148,7 @@ fn searching<'a>(
         work: 0,
         is_settled: false,
         is_cut: false,
+        read_at: None,
         symmetries: template.symmetries(),
         alike: &template.alike,
     })

@@ -52,6 +52,8 @@ pub(super) struct Others<'a, 'b> {
     scratch: &'b mut PolishScratch,
     settled: &'b mut SettledScratch,
     best: Candidate,
+    /// Whose readings are the best answer's, and how it ended: that answer, or the one that it is a turn away from.
+    read: (Candidate, End),
     seen: Observability,
     /// Whether some that were worth it have not been polished.
     is_cut: bool,
@@ -61,14 +63,15 @@ impl<'a, 'b> Others<'a, 'b> {
     /// Beside `best`, whose readings are in the scratch, and whose steps have ended by themselves or not.
     pub fn new(
         search: &'b mut Search<'a>,
-        (best, converged): (&Candidate, bool),
+        (best, end): (&Candidate, End),
         (scratch, settled): (&'b mut PolishScratch, &'b mut SettledScratch),
     ) -> Self {
-        let told = search.is_settled.then(|| search.told(best, converged, settled));
+        // What is free is so wherever the steps would end.
+        let told = search.is_settled.then(|| search.told(best, true, settled));
         let readings = (&*scratch, &*settled, told);
-        let found = evidence::observe(search.params, search.samples, best, readings, converged);
+        let found = evidence::observe(search.params, search.samples, best, readings, true);
         let seen = found.turned(&best.placement.pose, DVec3::ZERO);
-        Self { search, scratch, settled, best: *best, seen, is_cut: false }
+        Self { search, scratch, settled, best: *best, read: (*best, end), seen, is_cut: false }
     }
 
     /// The best pose back at the guess along the free directions, if it is as likely there: a direction that noise nearly
@@ -81,27 +84,25 @@ impl<'a, 'b> Others<'a, 'b> {
         let mut one = Candidate { placement: Placement::new(pose), ..self.best };
         self.search.read(&mut one, self.scratch, self.settled);
         if one.cost <= self.best.cost + LESS_LIKELY {
-            (*best, self.best) = (one, one);
+            (*best, self.best, self.read.0) = (one, one, one);
         }
     }
 
     /// Leaves in `candidates`, whose first one is the best, those of them and of `seeds` that are other answers and as
-    /// likely, the likeliest first. Says how the first one ended, which `end` says of the best, and whether there may be
-    /// more. The seeds are those of the second round, in order.
+    /// likely, the likeliest first. Returns whose readings are those of the first one, how it ended, and whether there may
+    /// be more. The seeds are those of the second round, in order.
     pub fn find(
-        &mut self,
+        mut self,
         candidates: &mut Vec<Candidate>,
         seeds: &mut Vec<Candidate>,
-        mut end: End,
-    ) -> (End, bool) {
+    ) -> ((Candidate, End), bool) {
         // Once, and no more when there happen to be more of them.
         candidates.reserve(MOST_SEEDS);
         seeds.reserve(MOST_SEEDS);
         self.gather(candidates, seeds);
         insertion_sort(seeds);
         candidates.truncate(1);
-        let best = candidates[0];
-        self.turn(&best, candidates);
+        self.turn(self.read, candidates);
         let (mut next, mut in_vain) = (0, 0);
         while next < seeds.len() && in_vain < MOST_IN_VAIN {
             if next == MOST_POLISHED || self.search.has_spent() {
@@ -115,11 +116,9 @@ impl<'a, 'b> Others<'a, 'b> {
                 Polished::Known => in_vain = 0,
                 Polished::New(ended) => {
                     in_vain = 0;
-                    if seed.cost < candidates[0].cost {
-                        end = ended;
-                    }
-                    if self.accept(candidates, seed) {
-                        self.turn(&seed, candidates);
+                    let is_new = self.accept(candidates, seed, (seed, ended));
+                    self.turn((seed, ended), candidates);
+                    if is_new {
                         self.repeat(candidates, seeds);
                         insertion_sort(&mut seeds[next..]);
                     }
@@ -128,7 +127,7 @@ impl<'a, 'b> Others<'a, 'b> {
         }
         let least = candidates[0].cost + LEAST_LOG;
         candidates.retain(|one| one.cost <= least);
-        (end, self.is_cut)
+        (self.read, self.is_cut)
     }
 
     /// The seeds that are other answers and worth polishing, and the runners-up among the candidates; what they cost is
@@ -158,12 +157,13 @@ impl<'a, 'b> Others<'a, 'b> {
         }
     }
 
-    /// Accepts an answer after every turn that shows the part alike, as it stands: it is polished as well as the answer is,
-    /// and steps from there may lead elsewhere.
-    fn turn(&mut self, one: &Candidate, candidates: &mut Vec<Candidate>) {
+    /// Accepts an answer after every turn that shows the part alike: but for the guess it is as likely. It is not read there,
+    /// as whether a marker meets a sharp edge may turn on rounding.
+    fn turn(&mut self, of: (Candidate, End), candidates: &mut Vec<Candidate>) {
+        let one = of.0;
         let guess = self.guess_cost(&one.placement);
-        let axes = self.search.alike.iter().filter_map(|axis| Some((axis, axis.order?)));
-        for (axis, order) in axes {
+        let alike = self.search.alike;
+        for (axis, order) in alike.iter().filter_map(|axis| Some((axis, axis.order?))) {
             for k in 1..order {
                 let turn = axis.turned(TAU * f64::from(k) / f64::from(order));
                 let placement = moved(&one.placement.pose, &Placement::new(turn));
@@ -171,13 +171,11 @@ impl<'a, 'b> Others<'a, 'b> {
                 if cost > candidates[0].cost + LEAST_LOG || self.is_one(&placement, &one.placement, 0.0) {
                     continue;
                 }
-                if self.search.has_spent() || candidates.len() == MOST_SEEDS {
+                if candidates.len() == MOST_SEEDS {
                     self.is_cut = true;
                     return;
                 }
-                let mut copy = Candidate { placement, slot: self.best.slot, ..*one };
-                self.search.read(&mut copy, self.scratch, self.settled);
-                self.accept(candidates, copy);
+                self.accept(candidates, Candidate { placement, cost, ..one }, of);
             }
         }
     }
@@ -242,10 +240,13 @@ impl<'a, 'b> Others<'a, 'b> {
         }
     }
 
-    /// Whether it is an answer of its own; of two that are one the likelier stays.
-    fn accept(&self, candidates: &mut Vec<Candidate>, one: Candidate) -> bool {
+    /// Whether one, which `read` tells of, is an answer of its own; of two that are one the likelier stays.
+    fn accept(&mut self, candidates: &mut Vec<Candidate>, one: Candidate, read: (Candidate, End)) -> bool {
         if one.cost > candidates[0].cost + LEAST_LOG {
             return false;
+        }
+        if one.cost < candidates[0].cost {
+            self.read = read;
         }
         let is_same = |other: &Candidate| self.is_one(&one.placement, &other.placement, 0.0);
         let count = candidates.len();

@@ -82,6 +82,8 @@ pub(super) struct Search<'a> {
     pub is_settled: bool,
     /// Whether other answers may be missing among those that are left.
     pub is_cut: bool,
+    /// Where readings are those of the answer, if that is not itself: the part looks the same there.
+    pub read_at: Option<Placement>,
     /// Turns that are declared to make no other pose.
     pub symmetries: &'a [Symmetry],
     /// Turns after which the part looks the same, declared or not.
@@ -173,20 +175,21 @@ impl Search<'_> {
         end: End,
         (scratch, settled): (&mut PolishScratch, &mut SettledScratch),
     ) -> End {
-        let (best, before) = (candidates[0], self.work);
+        let before = self.work;
         // Where the part is not what touches the gel, nothing explains the contact as well.
         let asked = self.is_settled.then_some(&*settled);
         if log_odds(self.params, self.samples, (scratch, asked)) <= 0.0 {
             candidates.truncate(1);
             return end;
         }
-        let mut others = Others::new(self, (&best, end.converged), (scratch, settled));
+        let mut others = Others::new(self, (&candidates[0], end), (scratch, settled));
         others.hold(&mut candidates[0]);
-        let (end, is_cut) = others.find(candidates, runners_up, end);
+        let ((mut read, end), is_cut) = others.find(candidates, runners_up);
         self.is_cut = is_cut;
         if self.work > before {
-            self.read(&mut candidates[0], scratch, settled);
+            self.read(&mut read, scratch, settled);
         }
+        self.read_at = Some(read.placement);
         end
     }
 
