@@ -295,7 +295,7 @@ fn quadratic(matrix: &Symmetric<6>, u: &Vector6) -> f64 {
     matrix.iter().zip(u).map(|(row, ui)| ui * dot(row, u)).sum()
 }
 
-fn add_outer(matrix: &mut Symmetric<6>, u: &Vector6, weight: f64) {
+pub(super) fn add_outer(matrix: &mut Symmetric<6>, u: &Vector6, weight: f64) {
     for (row, ui) in matrix.iter_mut().zip(u) {
         row.iter_mut().zip(u).for_each(|(entry, uj)| *entry += weight * (ui * uj));
     }

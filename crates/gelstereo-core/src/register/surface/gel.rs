@@ -151,9 +151,12 @@ impl Gel {
 
     /// The height that the gel would have at a node if nothing touched it there.
     pub fn free_mm(&self, node: usize, stiffness: f64, heights_mm: &[f64]) -> f64 {
-        let add = |(sum, count): (f64, f64), k: usize| (sum + heights_mm[k], count + 1.0);
-        let (sum, count) = self.near(node).fold((0.0, 0.0), add);
-        stiffness * sum / (1.0 + stiffness * count)
+        self.share(node, stiffness) * self.near(node).map(|k| heights_mm[k]).sum::<f64>()
+    }
+
+    /// What share of each neighbour's height that is.
+    pub fn share(&self, node: usize, stiffness: f64) -> f64 {
+        stiffness / (1.0 + stiffness * self.near(node).count() as f64)
     }
 
     /// How heights change where the gel is free, from how they change where it touches; of the last of the `N` columns,

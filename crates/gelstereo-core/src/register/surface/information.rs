@@ -1,44 +1,55 @@
 //! What the heights of the gel tell of the pose that was found.
 //!
-//! Of the markers that touch, along their normals: Σ w J Jᵀ (Fisher). What touches tells of the pose, too, and so does the
-//! gel beside it, which serves to find the pose; but an edge is known no better than the markers stand apart, whatever
-//! a derivative says.
+//! Of the markers that touch, along their normals: Σ w J Jᵀ (Fisher), and where edges run ([`super::edges`]). The gel beside
+//! the part serves to find the pose, and tells more of it than is counted here: between the markers a real gel does what
+//! none of them shows.
 //!
 //! That sum is right as long as every marker touches the face that it is said to touch. Noise is not what it fails by:
 //! another pose puts a row of markers on the face beyond an edge, or lets it hang, and explains the heights about as
-//! well. Two rules keep what a marker is not known to say out of the sum.
+//! well. What a marker may be wrong by for that is added to the variance of its height.
 //!
 //! - A marker whose neighbour touches a face beyond a crease may be on that face. Where the crease runs between the two
 //!   follows from the planes that they touch; it runs elsewhere by as much as the pose and the marker's own place are
 //!   uncertain along the way from one to the other. The marker is wrong by as much of that as takes the crease beyond it,
 //!   times the difference of the slopes; but no more than if the crease ran anywhere between the two, 1 / √12 of the way.
-//!   This is added to the variance of its height. How uncertain the pose is, is told by all markers with creases
-//!   anywhere, and not again after that: a row of markers would vouch for itself.
-//! - A marker over which the gel would stand as high if nothing touched it there is under no pressure, and may as well hang.
-//!   It counts for nothing.
+//! - A marker may hang. It is lifted over where the gel would stand if nothing touched it there, and its neighbours did as
+//!   they do. It is wrong by as much as the face under it goes further back than that, of what the pose is uncertain by;
+//!   but no more than if the face were anywhere down to where the gel is at rest, 1 / √3 of its height.
+//!
+//! How uncertain the pose is, is told at first by the markers with creases anywhere, of which those count that are lifted
+//! for sure or lie amid a face. Then it is told once more: that brings in those whose face the first have fixed. After
+//! that a row of markers would vouch for itself.
 
+use super::edges::{Bounded, LEAST_KNOWN};
 use super::gel::Node;
 use super::part::Foot;
 use super::relief::CREASE_COS;
 use super::search::Candidate;
-use super::settled::{BETWEEN, LONGEST_MM, Settled, SettledScratch};
-use crate::math::linalg::{Eigen, Symmetric, eigen};
+use super::settled::{BETWEEN, LONGEST_MM, Row, Settled, SettledScratch};
+use crate::math::linalg::Symmetric;
 use crate::math::{erfc, exp, sqrt};
+use crate::register::observe::Vector6;
 use core::f64::consts::{FRAC_1_SQRT_2, TAU};
 
-/// Standard deviations by which a marker that touches lifts the gel at least.
-const LIFTS: f64 = 0.25;
-/// Information that is none, per mm²: what is known no better is off by a metre.
-const LEAST_KNOWN: f64 = 1e-6;
+/// Times that is told what the markers count for; the first knows nothing of the pose.
+const PASSES: usize = 3;
+/// Neighbours on the same face of a marker amid it.
+const ALL_SIDES: usize = 4;
+/// Standard deviations by which a marker is lifted for sure: 95 %.
+const SURE: f64 = 2.0;
 
 impl Settled<'_> {
     /// Information about (ρ ω, v) about the centroid, of the state whose prediction is in the scratch. Leaves there what
     /// every marker counts for.
     pub fn information(&self, state: &Candidate, scratch: &mut SettledScratch) -> Symmetric<6> {
-        self.count(state, None, scratch);
-        let known = eigen(&self.sum(state, scratch));
-        self.count(state, Some(&known), scratch);
-        self.sum(state, scratch)
+        self.find_walls(state, scratch);
+        let least = LEAST_KNOWN / (self.params.gel_scale * self.params.gel_scale);
+        let mut told = None;
+        for pass in 1..=PASSES {
+            self.count(state, (told.as_ref(), pass == PASSES), scratch);
+            told = Some(Bounded::new(&self.sum(state, scratch), least, &mut scratch.walls));
+        }
+        told.map_or([[0.0; 6]; 6], |told| told.information(&scratch.walls))
     }
 
     /// Σ w J Jᵀ with what every marker counts for.
@@ -63,7 +74,12 @@ impl Settled<'_> {
     }
 
     /// What the height of every marker counts for, per mm², where so much is known of the pose.
-    fn count(&self, state: &Candidate, known: Option<&Eigen<6>>, scratch: &mut SettledScratch) {
+    fn count(
+        &self,
+        state: &Candidate,
+        (known, is_last): (Option<&Bounded>, bool),
+        scratch: &mut SettledScratch,
+    ) {
         let SettledScratch { here, counts_per_mm2, .. } = scratch;
         let gel = self.gel();
         counts_per_mm2.clear();
@@ -72,24 +88,37 @@ impl Settled<'_> {
         let stiffness = gel.stiffness(state.rest.log_decay);
         for (k, sight) in here.sights.iter().enumerate() {
             let Some(foot) = touched(k) else { continue };
-            let free_mm = gel.free_mm(k, stiffness, &here.heights_mm);
-            if here.heights_mm[k] - free_mm < LIFTS * sqrt(sight.variance_mm2) {
-                continue;
+            // Of its height, over that of the free gel.
+            let mut row = pose_row(&self.touching_row(state, &gel.nodes[k], foot));
+            let (mut crosses_mm2, mut alike) = (0.0_f64, 0);
+            let share = gel.share(k, stiffness);
+            for (j, other) in gel.near(k).filter_map(|j| Some((j, touched(j)?))) {
+                if other.normal.dot(foot.normal) < CREASE_COS {
+                    let pair = [(&gel.nodes[k], foot), (&gel.nodes[j], other)];
+                    crosses_mm2 = crosses_mm2.max(self.crosses_mm2(state, known, pair));
+                } else {
+                    alike += 1;
+                }
+                let beside = self.touching_row(state, &gel.nodes[j], other);
+                row.iter_mut().zip(beside).for_each(|(row, beside)| *row -= share * beside);
             }
-            let beyond =
-                |j: usize| Some((j, touched(j)?)).filter(|(_, o)| o.normal.dot(foot.normal) < CREASE_COS);
-            let wrong_mm2 = gel.near(k).filter_map(beyond).fold(0.0, |most: f64, (j, other)| {
-                most.max(self.wrong_mm2(state, known, [(&gel.nodes[k], foot), (&gel.nodes[j], other)]))
-            });
-            counts_per_mm2[k] = sight.weight / (sight.variance_mm2 + wrong_mm2);
+            let height_mm = here.heights_mm[k];
+            let lift_mm = height_mm - gel.free_mm(k, stiffness, &here.heights_mm);
+            let most_mm2 = if is_last { height_mm * height_mm / 3.0 } else { f64::INFINITY };
+            let hangs_mm2 = match known {
+                Some(known) => square_beyond(lift_mm, sqrt(known.variance(&row))).min(most_mm2),
+                None if alike == ALL_SIDES || lift_mm > SURE * sqrt(sight.variance_mm2) => 0.0,
+                None => most_mm2,
+            };
+            counts_per_mm2[k] = sight.weight / (sight.variance_mm2 + crosses_mm2 + hangs_mm2);
         }
     }
 
     /// Mean square of what the height of the first of two nodes is wrong by, for the crease between them.
-    fn wrong_mm2(
+    fn crosses_mm2(
         &self,
         state: &Candidate,
-        known: Option<&Eigen<6>>,
+        known: Option<&Bounded>,
         [(node, foot), (next, other)]: [(&Node, &Foot); 2],
     ) -> f64 {
         let placement = &state.placement;
@@ -112,20 +141,16 @@ impl Settled<'_> {
             let u = way / sqrt(way_squared);
             let turn = node.sample.p_mm.cross(u) / self.samples.radius_mm;
             let row = [turn.x, turn.y, turn.z, u.x, u.y, u.z];
-            let variance_mm2 =
-                variance(known, &row, LEAST_KNOWN / (self.params.gel_scale * self.params.gel_scale))
-                    + node.sample.variance(u);
+            let variance_mm2 = known.variance(&row) + node.sample.variance(u);
             square_beyond(crosses, sqrt(variance_mm2 / way_squared)).min(anywhere)
         });
         slopes[0].distance_squared(slopes[1]) * way_squared * share
     }
 }
 
-/// Variance along a row of what is known.
-fn variance(known: &Eigen<6>, row: &[f64; 6], least: f64) -> f64 {
-    let along = |u: &[f64; 6]| u.iter().zip(row).map(|(a, b)| a * b).sum::<f64>();
-    let squares = known.vectors.iter().map(|u| along(u) * along(u));
-    known.values.iter().zip(squares).map(|(value, square)| square / value.max(least)).sum()
+/// Of the pose alone.
+fn pose_row(row: &Row) -> Vector6 {
+    core::array::from_fn(|i| row[i])
 }
 
 /// Mean square of what a normal variable is greater by than `s`, 0 where it is less.

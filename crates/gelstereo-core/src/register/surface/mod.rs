@@ -10,6 +10,7 @@
 mod buckets;
 mod close;
 mod contact;
+mod edges;
 mod evidence;
 mod fit;
 mod gel;

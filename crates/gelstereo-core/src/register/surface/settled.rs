@@ -5,6 +5,7 @@
 //! rest and the decay length.
 
 use super::contact::Samples;
+use super::edges::Wall;
 use super::gel::{Gel, Node};
 use super::lattice::Sweeps;
 use super::noise::STRAY_MM;
@@ -131,6 +132,8 @@ pub(super) struct SettledScratch {
     hints: Vec<u32>,
     /// What every node's height counts for in the information, per mm².
     pub counts_per_mm2: Vec<f64>,
+    /// What edges leave room for.
+    pub walls: Vec<Wall>,
 }
 
 impl SettledScratch {
@@ -145,6 +148,8 @@ impl SettledScratch {
         self.hints.clear();
         self.hints.resize(count, 0);
         self.changes.resize(count, [0.0; UNKNOWN]);
+        self.walls.clear();
+        self.walls.reserve(count);
         gel.lay_out(&mut self.sweeps);
     }
 
