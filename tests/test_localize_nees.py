@@ -64,3 +64,19 @@ def test_successes_lie_within_their_covariance(contacts: list[Grasp], share: flo
         assert ended >= 0.9 * count
         # And they claim no less than they know: half as large in every direction would be a fourth.
         assert mean > 0.25
+
+
+def test_edges_tell_where_a_flat_part_lies() -> None:
+    """Faces tell three directions of a key; its outline tells the others, as well as it says."""
+    key = next(press for press in GRASPED if press.name == "key")
+    params = Params().replace({"register": {"method": "surface_search", "search_radius_mm": 8.0}})
+    outside, count = 0, 0
+    for seed, grasp in enumerate(grasps(key, NOISES[0], range(301, 313))):
+        found = grasp.registered(grasp.guess(STARTS[0], seed), params)
+        assert not found.free
+        nees = Nees()
+        nees.add(found, grasp.t_sensor_object)
+        outside += nees.squared[0] > chi2.ppf(0.95, 6)
+        count += 1
+    assert count == 12
+    assert outside <= binom.isf(_RARE, count, 0.05)
