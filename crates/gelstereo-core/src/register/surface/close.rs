@@ -1,6 +1,6 @@
 //! From the guess alone: a part that is followed, and one whose pose is nearly known.
 
-use super::fit::View;
+use super::fit::{Clear, View};
 use super::polish::{End, Polish, PolishScratch};
 use super::search::{Candidate, Search};
 use crate::math::{exp, ln};
@@ -43,7 +43,7 @@ impl Search<'_> {
     /// From the guess alone: on the field, then on the exact surface.
     pub fn close(&mut self, candidates: &mut Vec<Candidate>, scratch: &mut PolishScratch) -> End {
         self.begin_at_guess(candidates);
-        self.look_closer(&mut candidates[0]);
+        self.look_closer(&mut candidates[0], &mut scratch.clear);
         let left = self.budget().saturating_sub(self.work);
         let polish = Polish { reach_mm: self.params.scaled(SLIDE_REACH_MM), ..self.polish(self.field) };
         self.work += polish.slide(&mut candidates[0], SLIDES, left, scratch).work;
@@ -51,6 +51,7 @@ impl Search<'_> {
         let polish = Polish {
             reach_mm: self.params.scaled(CLOSE_REACH_MM),
             halvings: HALVINGS,
+            pushes_bluntly: true,
             ..self.polish(self.faces)
         };
         let end = polish.run(&mut candidates[0], self.params.max_iterations.min(STEPS), left, scratch);
@@ -61,7 +62,7 @@ impl Search<'_> {
     }
 
     /// Coarse looks, narrower and narrower.
-    fn look_closer(&mut self, candidate: &mut Candidate) {
+    fn look_closer(&mut self, candidate: &mut Candidate, clear: &mut [Clear]) {
         let touching = self.samples.may_touch();
         let view = View::of(self.samples, touching, self.samples.medium_unpressed, self.press_direction);
         let widest_mm = WIDEST * self.params.start_sigma_mm;
@@ -69,12 +70,15 @@ impl Search<'_> {
             .max(BLUNT * self.field.field.cell_mm())
             .min(widest_mm);
         let ratio = exp(ln(narrowest_mm / widest_mm) / f64::from(NARROWING));
+        // Around holes it does not know what is near either.
+        let reach_mm = if self.faces.solid.is_closed() { self.field.field.reach_mm() } else { 0.0 };
         let mut width_mm = widest_mm;
         for look in 0..NARROWING + NARROW {
             if self.has_spent() {
                 return;
             }
-            self.step(candidate, &view, width_mm);
+            let sum = view.look_again(&self.field, &candidate.placement, width_mm, (clear, reach_mm));
+            self.step_by(candidate, &view, sum);
             if look < NARROWING {
                 width_mm *= ratio;
             }

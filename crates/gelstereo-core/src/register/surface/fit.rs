@@ -33,9 +33,40 @@ impl<'a> View<'a> {
 
     /// The linear system of a placement, all points with the same width.
     pub fn look(&self, part: &Coarse<'_>, placement: &Placement, width_mm: f64) -> Normal {
+        let within = |_, x_mm, press| part.within(x_mm, press).ok();
+        self.sum(part, placement, width_mm, within)
+    }
+
+    /// The same, one look after another: markers that were clear of the part are asked again when they may be in it. What
+    /// the field does not know is `reach_mm` off.
+    pub fn look_again(
+        &self,
+        part: &Coarse<'_>,
+        placement: &Placement,
+        width_mm: f64,
+        (clear, reach_mm): (&mut [Clear], f64),
+    ) -> Normal {
+        self.sum(part, placement, width_mm, |k: usize, x_mm, press| {
+            if clear[k].is_over(x_mm, 0.0) {
+                return None;
+            }
+            let within = part.within(x_mm, press);
+            clear[k] = within.err().map_or(Clear::NOT, |over_mm| Clear::new(x_mm, over_mm.min(reach_mm)));
+            within.ok()
+        })
+    }
+
+    #[inline]
+    fn sum(
+        &self,
+        part: &Coarse<'_>,
+        placement: &Placement,
+        width_mm: f64,
+        within: impl FnMut(usize, DVec3, DVec3) -> Option<Near>,
+    ) -> Normal {
         let (per_radius, per_width) = (1.0 / self.radius_mm, 1.0 / width_mm);
         let mut sum = Normal::ZERO;
-        self.each(part, placement, per_width, |sample, near, (weight, cost)| {
+        self.each(part, placement, per_width, within, |sample, near, (weight, cost)| {
             let n = placement.sensor_direction(near.normal);
             sum.add(sample.p_mm, n, near.distance_mm, weight * per_width * per_width, per_radius);
             sum.cost += cost;
@@ -46,7 +77,8 @@ impl<'a> View<'a> {
     /// Its cost alone.
     pub fn cost(&self, part: &Coarse<'_>, placement: &Placement, width_mm: f64) -> f64 {
         let mut sum = 0.0;
-        self.each(part, placement, 1.0 / width_mm, |_, _, (_, cost)| sum += cost);
+        let within = |_, x_mm, press| part.within(x_mm, press).ok();
+        self.each(part, placement, 1.0 / width_mm, within, |_, _, (_, cost)| sum += cost);
         sum
     }
 
@@ -57,6 +89,7 @@ impl<'a> View<'a> {
         part: &Coarse<'_>,
         placement: &Placement,
         per_width: f64,
+        mut within: impl FnMut(usize, DVec3, DVec3) -> Option<Near>,
         mut seen: impl FnMut(&Sample, &Near, (f64, f64)),
     ) {
         let press = press_in_object(placement, self.press_direction);
@@ -64,11 +97,34 @@ impl<'a> View<'a> {
             let near = part.near_at(placement.object_point(sample.p_mm), press);
             seen(sample, &near, coarse_pressed(near.distance_mm * per_width));
         }
-        for sample in self.unpressed {
-            let near = part.within(placement.object_point(sample.p_mm), press);
+        for (k, sample) in self.unpressed.iter().enumerate() {
+            let near = within(k, placement.object_point(sample.p_mm), press);
             if let Some(near) = near.filter(|near| near.distance_mm < 0.0) {
                 seen(sample, &near, coarse_unpressed(near.distance_mm * per_width));
             }
         }
+    }
+}
+
+/// Where a marker was looked up, and how far over the part it was there.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Clear {
+    at_mm: DVec3,
+    over_mm: f64,
+}
+
+impl Clear {
+    /// Nothing is known.
+    pub const NOT: Self = Self { at_mm: DVec3::ZERO, over_mm: f64::NEG_INFINITY };
+
+    pub fn new(at_mm: DVec3, over_mm: f64) -> Self {
+        Self { at_mm, over_mm }
+    }
+
+    /// Whether it is higher than that for sure. Between its nodes the field's slope along each axis is 1 at most, √3 in all.
+    #[inline]
+    pub fn is_over(&self, x_mm: DVec3, level_mm: f64) -> bool {
+        let above_mm = self.over_mm - level_mm;
+        above_mm > 0.0 && above_mm * above_mm > 3.0 * x_mm.distance_squared(self.at_mm)
     }
 }

@@ -90,6 +90,7 @@ pub(super) fn run(
     let mut search = searching(params, contact.press_direction, samples, template, guess)
         .ok_or(RegisterError::NoSurface)?;
     check_reach(&search, solid, params)?;
+    polish.begin(samples);
     let end = match params.method {
         RegisterMethod::SurfaceTrack => search.track(candidates, polish),
         RegisterMethod::SurfaceClose => search.close(candidates, polish),

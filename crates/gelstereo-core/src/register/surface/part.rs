@@ -202,16 +202,17 @@ impl Coarse<'_> {
         if near.normal.dot(press) >= LEAST_COSINE { near } else { self.through(x_mm, press, near) }
     }
 
-    /// As [`Self::near_at`], and `None` where that is sure to be outside of the part, which takes no direction.
+    /// As [`Self::near_at`]; where that is sure to be outside of the part, which takes no direction, how far: ∞ out of the
+    /// field's reach.
     #[inline(always)]
-    pub fn within(&self, x_mm: DVec3, press: DVec3) -> Option<Near> {
-        let (distance_mm, gradient) = self.field.distance(x_mm)?;
+    pub fn within(&self, x_mm: DVec3, press: DVec3) -> Result<Near, f64> {
+        let (distance_mm, gradient) = self.field.distance(x_mm).ok_or(f64::INFINITY)?;
         if distance_mm >= 0.0 && gradient.dot(press) >= 0.0 {
-            return None;
+            return Err(distance_mm);
         }
         let near = Self::near(distance_mm, gradient, press);
         let is_touched = near.normal.dot(press) >= LEAST_COSINE;
-        Some(if is_touched { near } else { self.through(x_mm, press, near) })
+        Ok(if is_touched { near } else { self.through(x_mm, press, near) })
     }
 
     /// Out of the field's reach there is no part.

@@ -5,7 +5,7 @@
 //! Gauss and Newton would go back and forth between two faces for ever.
 
 use super::contact::Samples;
-use super::fit::View;
+use super::fit::{Clear, View};
 use super::noise::{Bell, Mixture, STRAY_MM};
 use super::part::{Coarse, Distances, Last, Near, Range, press_in_object};
 use super::search::Candidate;
@@ -95,6 +95,16 @@ pub(super) struct PolishScratch {
     before: Vec<f64>,
     /// The same by its own distance too.
     pub touches: Vec<f64>,
+    /// Of the markers that are not salient, from look to look.
+    pub clear: Vec<Clear>,
+}
+
+impl PolishScratch {
+    /// Forgets what was of another contact.
+    pub fn begin(&mut self, samples: &Samples) {
+        self.clear.clear();
+        self.clear.resize(samples.unpressed.len(), Clear::NOT);
+    }
 }
 
 /// The way of one candidate to the greatest likelihood.
@@ -109,6 +119,8 @@ pub(super) struct Polish<'a, D> {
     pub reach_mm: f64,
     /// Halvings of a step before it is given up.
     pub halvings: u32,
+    /// Whether the field tells how far the other markers are in the part: at edges it is blunt, and takes a tenth as long.
+    pub pushes_bluntly: bool,
 }
 
 /// Where it ended.
@@ -224,11 +236,13 @@ impl<D: Distances> Polish<'_, D> {
             readings.hints.resize(count, 0);
         }
         let press = press_in_object(placement, self.view.press_direction);
-        for (k, sample) in self.view.unpressed.iter().enumerate() {
-            let near = self.field.near_at(placement.object_point(sample.p_mm), press);
-            if near.distance_mm > self.reach_mm {
+        for (k, (sample, clear)) in self.view.unpressed.iter().zip(&scratch.clear).enumerate() {
+            let x_mm = placement.object_point(sample.p_mm);
+            let is_far = clear.is_over(x_mm, self.reach_mm)
+                || self.field.near_at(x_mm, press).distance_mm > self.reach_mm;
+            if is_far {
                 for readings in [&mut scratch.here, &mut scratch.there] {
-                    readings.all[pressed + k].distance_mm = near.distance_mm;
+                    readings.all[pressed + k].distance_mm = self.reach_mm;
                     readings.hints[pressed + k] = SKIP;
                 }
             }
@@ -270,8 +284,12 @@ impl<D: Distances> Polish<'_, D> {
             let to_mm = if may_touch { ASKED * most_mm } else { 0.0 };
             let range = Range { from_mm: -(ASKED + SLACK) * most_mm, to_mm };
             let mut last = Last { triangle: *hint, work: 0 };
-            let Near { distance_mm, normal, curvature_per_mm } =
-                self.part.at(placement.object_point(sample.p_mm), press, range, &mut last);
+            let x_mm = placement.object_point(sample.p_mm);
+            let Near { distance_mm, normal, curvature_per_mm } = if !may_touch && self.pushes_bluntly {
+                self.field.at(x_mm, press, range, &mut last)
+            } else {
+                self.part.at(x_mm, press, range, &mut last)
+            };
             (*hint, work) = (last.triangle, work + last.work);
             if !may_touch && distance_mm > 0.0 {
                 *reading = Reading { distance_mm, ..Reading::NOTHING };

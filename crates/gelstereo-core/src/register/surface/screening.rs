@@ -4,6 +4,7 @@ use super::contact::{COARSE, MEDIUM};
 use super::fit::View;
 use super::search::{Candidate, Search};
 use super::settled::KEPT;
+use super::step::Normal;
 use crate::math::sqrt;
 use alloc::vec::Vec;
 
@@ -75,7 +76,12 @@ impl Search<'_> {
 
     /// A coarse step; what the candidate cost before it.
     pub fn step(&mut self, candidate: &mut Candidate, view: &View<'_>, width_mm: f64) -> f64 {
-        let mut sum = view.look(&self.field, &candidate.placement, width_mm);
+        let sum = view.look(&self.field, &candidate.placement, width_mm);
+        self.step_by(candidate, view, sum)
+    }
+
+    /// The step that a look asks for; what the candidate cost before it.
+    pub fn step_by(&mut self, candidate: &mut Candidate, view: &View<'_>, mut sum: Normal) -> f64 {
         self.work += view.len();
         let cost = sum.cost;
         sum.add_prior(&self.prior, &candidate.placement, view.radius_mm, COARSE_PRIOR);

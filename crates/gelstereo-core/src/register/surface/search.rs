@@ -114,6 +114,7 @@ impl Search<'_> {
             prior: self.prior,
             reach_mm: self.params.scaled(OUT_OF_REACH_MM),
             halvings: HALVINGS,
+            pushes_bluntly: false,
         }
     }
 
