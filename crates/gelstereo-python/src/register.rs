@@ -5,7 +5,7 @@ use crate::errors::{RegisterError, raise};
 use crate::params::Params;
 use crate::template::Template;
 use gelstereo_core::math::DVec3;
-use gelstereo_core::params::RegisterParams;
+use gelstereo_core::params::{RegisterMethod, RegisterParams};
 use gelstereo_core::register as core;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
@@ -256,7 +256,9 @@ pub fn localize(
         })
     };
     let decay_mm = params.contact.decay_mm;
-    let found = with_contact(py, points_mm, all_points_mm, covariance_mm2, decay_mm, register)?;
+    let method = params.register.method;
+    let markers = (points_mm, all_points_mm, covariance_mm2);
+    let found = with_contact(py, markers, method, decay_mm, register)?;
     Ok(Localization { found, standing: None, misfit: None })
 }
 
@@ -265,12 +267,14 @@ thread_local! {
     static REGISTRAR: RefCell<core::Registrar> = RefCell::new(core::Registrar::new(&RegisterParams::default()));
 }
 
-/// Runs what needs a contact, with the interpreter released.
+/// Salient points, all points and covariances, as they are handed over.
+type Markers<'a, 'py> = (&'a Bound<'py, PyAny>, Option<&'a Bound<'py, PyAny>>, Option<&'a Bound<'py, PyAny>>);
+
+/// Runs what needs a contact for a method, with the interpreter released.
 fn with_contact<T: Send>(
     py: Python<'_>,
-    points_mm: &Bound<'_, PyAny>,
-    all_points_mm: Option<&Bound<'_, PyAny>>,
-    covariance_mm2: Option<&Bound<'_, PyAny>>,
+    (points_mm, all_points_mm, covariance_mm2): Markers<'_, '_>,
+    method: RegisterMethod,
     decay_mm: f64,
     run: impl FnOnce(&core::Contact<'_>) -> Result<T, core::RegisterError> + Send,
 ) -> PyResult<T> {
@@ -291,7 +295,7 @@ fn with_contact<T: Send>(
         if let Some(all) = all {
             core::check_among(all, points)?;
         }
-        let unpressed_mm = core::unpressed(all.unwrap_or_default(), points);
+        let unpressed_mm = core::unpressed_for(method, all.unwrap_or_default(), points);
         run(&core::Contact {
             covariance_mm2: covariances,
             unpressed_mm: &unpressed_mm,
@@ -410,7 +414,10 @@ impl Localizer {
     ) -> PyResult<Localization> {
         let template = self.template.get().inner();
         let run = |contact: &core::Contact<'_>| self.lock().run(contact, template);
-        let located = with_contact(py, points_mm, all_points_mm, covariance_mm2, self.decay_mm, run)?;
+        // What is lost is searched for.
+        let method = RegisterMethod::SurfaceSearch;
+        let markers = (points_mm, all_points_mm, covariance_mm2);
+        let located = with_contact(py, markers, method, self.decay_mm, run)?;
         Ok(Localization {
             found: located.registration,
             standing: Some(located.standing),

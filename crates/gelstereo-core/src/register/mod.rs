@@ -33,7 +33,9 @@ pub use localizer::{Localizer, Located, Standing};
 pub use observe::Observability;
 pub use rigid::{RigidFit, RigidFitError, rigid_fit};
 pub use soft::{SoftMatch, soft_match};
-pub use surface::{Alternative, Alternatives, Contact, GelDecay, Misfit, check_among, unpressed};
+pub use surface::{
+    Alternative, Alternatives, Contact, GelDecay, Misfit, check_among, unpressed, unpressed_for,
+};
 pub use symmetry::Symmetry;
 pub use template::Template;
 pub use tree::Tree;

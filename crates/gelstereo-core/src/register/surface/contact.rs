@@ -36,8 +36,6 @@ impl<'a> Contact<'a> {
 
     /// Refuses covariances and markers without meaning; the salient points have been checked.
     pub(super) fn check(&self) -> Result<(), RegisterError> {
-        // What is not a number is not within.
-        let is_within = |p: &DVec3| p.x.abs() <= REACH_MM && p.y.abs() <= REACH_MM && p.z.abs() <= REACH_MM;
         if let Some(index) = self.unpressed_mm.iter().position(|p| !is_within(p)) {
             return Err(RegisterError::MarkerNotFinite { index });
         }
@@ -65,6 +63,11 @@ impl<'a> Contact<'a> {
             None => Ok(()),
         }
     }
+}
+
+/// Whether a marker can be where it is said to be; what is not a number is not within.
+pub(super) fn is_within(p_mm: &DVec3) -> bool {
+    p_mm.x.abs() <= REACH_MM && p_mm.y.abs() <= REACH_MM && p_mm.z.abs() <= REACH_MM
 }
 
 /// Whether a matrix is positive definite beyond doubt, by the pivots of its elimination: no asking for eigenvalues.

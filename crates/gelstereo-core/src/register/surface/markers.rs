@@ -1,6 +1,8 @@
 //! All markers of a frame: which of them nothing presses on.
 
+use super::contact::is_within;
 use crate::math::DVec3;
+use crate::params::RegisterMethod;
 use crate::register::RegisterError;
 use alloc::vec::Vec;
 use core::cmp::Ordering;
@@ -20,6 +22,17 @@ pub fn unpressed(all_mm: &[DVec3], salient_mm: &[DVec3]) -> Vec<DVec3> {
     let mut unpressed = Vec::with_capacity(all_mm.len());
     unpressed.extend(all_mm.iter().filter(|p| !is_salient(p)));
     unpressed
+}
+
+/// As [`unpressed`], for one method: none where it does not look at them, unless it would refuse some of them.
+#[must_use]
+pub fn unpressed_for(method: RegisterMethod, all_mm: &[DVec3], salient_mm: &[DVec3]) -> Vec<DVec3> {
+    let is_needed = match method {
+        RegisterMethod::SurfaceClose | RegisterMethod::SurfaceSearch => true,
+        RegisterMethod::SurfaceTrack => !all_mm.iter().all(is_within),
+        _ => false,
+    };
+    if is_needed { unpressed(all_mm, salient_mm) } else { Vec::new() }
 }
 
 /// Refuses salient points of which some are not among all markers, bit for bit: as [`unpressed`] would have it, their
@@ -64,6 +77,21 @@ mod tests {
         let found = unpressed(&all, &salient);
         assert!(found.iter().map(bits).eq(slow.map(bits)));
         assert!(found.len() > 50 && found.iter().all(|p| !p.is_nan()));
+    }
+
+    #[test]
+    fn a_method_is_given_the_markers_that_it_looks_at_or_refuses() {
+        use RegisterMethod::{IcpPlane, SurfaceClose, SurfaceSearch, SurfaceTrack};
+        let mut all: Vec<DVec3> = (0..20).map(|k| DVec3::new(f64::from(k), 1.0, 2.0)).collect();
+        let counts = |all: &[DVec3]| {
+            let methods = [IcpPlane, SurfaceTrack, SurfaceClose, SurfaceSearch];
+            methods.map(|method| unpressed_for(method, all, &all[3..9]).len())
+        };
+        assert_eq!(counts(&all), [0, 0, 14, 14]);
+        for lost in [f64::NAN, f64::INFINITY, -1e30] {
+            all[12].y = lost;
+            assert_eq!(counts(&all), [0, 14, 14, 14]);
+        }
     }
 
     #[test]
