@@ -12,12 +12,12 @@ use alloc::vec::Vec;
 const WIDEST: f64 = 0.25;
 const NARROWEST: f64 = 3.0;
 const NARROWING: u32 = 4;
-const NARROW: u32 = 8;
+const NARROW: u32 = 10;
 /// Between its nodes the field bends by about this, in cells: no look is narrower.
 const BLUNT: f64 = 0.25;
 /// Steps on the field that are not checked, and then on the exact surface.
 const SLIDES: u32 = 2;
-const STEPS: u32 = 6;
+const STEPS: u32 = 4;
 /// Halvings of a step on the exact surface: where the whole is no better an edge is near, and less of it gains less than it costs.
 const HALVINGS: u32 = 0;
 /// Other markers this far over the part are not looked at: they count up to half a millimetre, and by then the part hardly
