@@ -128,3 +128,38 @@ impl Clear {
         above_mm > 0.0 && above_mm * above_mm > 3.0 * x_mm.distance_squared(self.at_mm)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::random::Stream;
+    use crate::surface::{Field, Solid, TriangleMesh};
+
+    /// A wedge, whose sharp edge the field cuts off, and places some of whose ways out of it and back lie along its slopes.
+    #[test]
+    fn what_was_clear_and_has_not_gone_far_is_not_within() {
+        let corners = [[0.0, 0.0], [6.0, 0.0], [3.0, 1.0]];
+        let places = [-5.0, 5.0].iter().flat_map(|&z| corners.map(|[x, y]| DVec3::new(x, y, z))).collect();
+        let triangles =
+            [[0, 2, 1], [3, 4, 5], [0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4], [2, 0, 3], [2, 3, 5]];
+        let mesh = TriangleMesh::new(places, triangles.to_vec());
+        let solid = mesh.ok().and_then(|mesh| Solid::new(&mesh).ok());
+        let field = solid.and_then(|solid| Field::new(&solid, 0.4, 4.0));
+        let Some(field) = field else { return assert!(field.is_some()) };
+        let part = Coarse { field: &field, gel_scale: 1.0 };
+        let (mut random, mut clear) = (Stream::new(1, "clear"), 0);
+        for _ in 0..20_000 {
+            let mut place = |size_mm: f64| {
+                DVec3::new(random.uniform(), random.uniform(), random.uniform()) * size_mm - 0.5 * size_mm
+            };
+            let here = DVec3::new(3.0, 0.5, 0.0) + place(8.0);
+            let (there, press) = (here + place(1.5), DVec3::Y);
+            let Err(over_mm) = part.within(here, press) else { continue };
+            if Clear::new(here, over_mm.min(field.reach_mm())).is_over(there, 0.0) {
+                clear += 1;
+                assert!(part.within(there, press).map_or_else(|mm| mm, |near| near.distance_mm) > 0.0);
+            }
+        }
+        assert!(clear > 2000, "{clear}");
+    }
+}
