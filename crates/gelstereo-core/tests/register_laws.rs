@@ -247,7 +247,7 @@ fn scaled(scale: f64, method: RegisterMethod) -> (Template, RegisterParams) {
 /// depends on which. Where a rounding turns which step is the last one answers differ by what steps are told apart by; of these
 /// none does.
 #[test]
-fn the_answer_scales_with_all_that_is_sensed() {
+fn row_09_the_answer_scales_with_all_that_is_sensed() {
     let methods = [RegisterMethod::SurfaceTrack, RegisterMethod::SurfaceClose, RegisterMethod::SurfaceSearch];
     for scale in [0.5, 2.0, 1e-3, 1e3] {
         for method in methods {
