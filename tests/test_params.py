@@ -69,6 +69,8 @@ def test_replace_leaves_the_original_alone_and_none_restores_the_default() -> No
         ({"detect.smooth_kernel_px": "three"}, r"smooth_kernel_px = \"three\".*invalid type"),
         ({"contact.saliency_mm": float("nan")}, r"contact.saliency_mm is NaN"),
         ({"lattice.rows": -3}, r"rows = -3|-3"),
+        ({"register.gel_scale": 0.0009}, r"register.gel_scale is 0.0009; valid is from 0.001 to 1000"),
+        ({"register.gel_scale": 1001}, r"register.gel_scale is 1001"),
         ({"detect": 3}, r"detect = 3"),
         ({"detect.centre": object()}, r"centre: the setting is of type object; valid is a number"),
         ({"lattice.rows": 2**70}, r"rows: 1180591620717411303424 does not fit into 64 bits"),

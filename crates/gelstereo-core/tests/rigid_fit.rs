@@ -119,6 +119,9 @@ fn row_05_coplanar_collinear_single_and_identical_points_turn_no_more_than_they_
         assert_eq!((fit.free_rotations, fit.t_target_source.rotation), (3, DQuat::IDENTITY));
         assert!(sum_of_squares(&fit.t_target_source, &same, &moved(&same)) < 1e-28);
     }
+    // So far away for their distance that not even the bound of round-off is a number.
+    let far = [DVec3::new(1e150, 0.0, 0.0), DVec3::new(1e150, 1e-300, 0.0)];
+    assert_eq!(rigid_fit(&far, &[DVec3::ONE; 2], &[]).unwrap().free_rotations, 3);
 }
 
 proptest! {
@@ -207,24 +210,34 @@ fn row_06_weights_and_points_that_mean_nothing_are_refused() {
     assert!(rigid_fit(&p.map(|x| x * 1e150), &p, &[]).is_ok());
 }
 
-/// It is left out of sums, means and what is known of round-off, however far away it is.
+/// It is left out of sums, means and what is known of round-off, however far away it is; and one that hardly counts
+/// leaves the others what they know.
 #[test]
 fn row_06_a_pair_of_weight_zero_does_not_count() {
     let mut random = Stream::new(6, "zero");
     let mut vector = |size: f64| DVec3::new(random.normal(), random.normal(), random.normal()) * size;
-    let truth = Pose::exp(vector(0.5), vector(3.0));
-    let source: Vec<DVec3> = (0..10).map(|_| vector(1.0)).collect();
-    let target: Vec<DVec3> = source.iter().map(|&p| truth.transform_point(p)).collect();
-    let alone = rigid_fit(&source, &target, &[]).unwrap();
-    for far in [0.0, 1e12] {
-        let with = |v: &[DVec3]| [&[DVec3::splat(far)], v].concat();
-        let weights: Vec<f64> = (0..11).map(|k| f64::from(u8::from(k > 0))).collect();
-        let fit = rigid_fit(&with(&source), &with(&target), &weights).unwrap();
+    let omega = vector(0.5);
+    for (size, far, light) in [
+        (1.0, 0.0, 0.0),
+        (1.0, 1e12, 0.0),
+        (1.0, 1e150, 0.0),
+        (1e-200, 1e150, 0.0),
+        (1.0, 1e12, 1e-45),
+        (1.0, 1e140, 1e-300),
+    ] {
+        let truth = Pose::exp(omega, vector(3.0 * size));
+        let source: Vec<DVec3> = (0..10).map(|_| vector(size)).collect();
+        let target: Vec<DVec3> = source.iter().map(|&p| truth.transform_point(p)).collect();
+        let weights: Vec<f64> = (0..10).map(|k| 1.0 - f64::from(k) / 13.0).collect();
+        let alone = rigid_fit(&source, &target, &weights).unwrap();
+        let with = |v: &[DVec3]| [&[DVec3::new(1.0, 1.0 / 3.0, -0.7) * far], v].concat();
+        let fit =
+            rigid_fit(&with(&source), &with(&target), &[&[light], weights.as_slice()].concat()).unwrap();
         assert_eq!(fit.free_rotations, 0);
         let (a, b) = (alone.t_target_source, fit.t_target_source);
-        // Coordinates of 10 mm, to rounding and the condition of ten points.
+        // Coordinates of 10 sizes, to rounding and the condition of ten points.
         assert!(angle_between(a.rotation, b.rotation) < 64.0 * EPS, "{far:e}");
-        assert!(a.translation_mm.distance(b.translation_mm) < 640.0 * EPS, "{far:e}");
+        assert!(a.translation_mm.distance(b.translation_mm) < 640.0 * EPS * size, "{far:e}");
     }
 }
 

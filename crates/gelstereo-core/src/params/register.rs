@@ -86,7 +86,7 @@ pub struct RegisterParams {
     /// What the mesh may be wrong by, added to every point's noise. Default: `0.003` mm.
     pub surface_sigma_mm: f64,
     /// How large gel, markers and presses are, over those that the surface rungs' own lengths are for: markers every 0.9
-    /// mm, presses of 0.4 to 1.5 mm. Default: `1`.
+    /// mm, presses of 0.4 to 1.5 mm. From 0.001 to 1000; default: `1`.
     pub gel_scale: f64,
     /// Work after which the surface rungs stop with the best pose so far, in lookups of the field of distances, 21
     /// ns each by itself (example `nearest`) and several times that with what is done with it; one on the exact surface
@@ -154,7 +154,8 @@ impl RegisterParams {
             "at least 1",
         )?;
         positive("register.search_radius_mm", r.search_radius_mm)?;
-        positive("register.gel_scale", r.gel_scale)?;
+        let scale_ok = (1e-3..=1e3).contains(&r.gel_scale);
+        check(scale_ok, "register.gel_scale", r.gel_scale, "from 0.001 to 1000")?;
         let starts_ok = (1..=MOST_STARTS).contains(&r.starts);
         check(starts_ok, "register.starts", f64::from(r.starts), "from 1 to 4096")?;
         let turn_ok = r.start_sigma_deg > 0.0 && r.start_sigma_deg <= 180.0;

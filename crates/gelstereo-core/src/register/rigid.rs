@@ -71,7 +71,7 @@ struct Moments {
     target_mean: DVec3,
     /// Rows of Σ w a bᵀ, with a and b measured from the means.
     correlation: [DVec3; 3],
-    /// Error of the correlation from round-off, the input's included.
+    /// Most by which round-off, the input's included, parts two eigenvalues of Horn's matrix.
     round_off: f64,
 }
 
@@ -119,22 +119,27 @@ fn moments(source: &[DVec3], target: &[DVec3], weights: &[f64]) -> Result<Moment
     let total: f64 = (0..source.len()).map(weight).sum();
     let (source_mean, source_radius) = mean_and_radius(source, &weight, total);
     let (target_mean, target_radius) = mean_and_radius(target, &weight, total);
-    let mut correlation = [DVec3::ZERO; 3];
-    for (i, (&a, &b)) in source.iter().zip(target).enumerate() {
-        let (a, b) = ((a - source_mean) / source_radius, (b - target_mean) / target_radius);
+    let (mut correlation, mut lost) = ([DVec3::ZERO; 3], 0.0);
+    for (i, (&from, &to)) in source.iter().zip(target).enumerate().filter(|&(i, _)| weight(i) > 0.0) {
+        let (a, b) = ((from - source_mean) / source_radius, (to - target_mean) / target_radius);
+        let wa = a * weight(i);
         for (axis, row) in correlation.iter_mut().enumerate() {
-            *row += b * (weight(i) * a[axis]);
+            *row += b * wa[axis];
         }
+        // A point x was rounded by eps/2 |x|, the offset of its cloud included; each product and sum adds another. Two
+        // eigenvalues part by at most twice the sum of singular values of the correlation's error.
+        let offset = from.length() / source_radius * weight(i) * b.length()
+            + to.length() / target_radius * wa.length();
+        lost += offset + 8.0 * wa.length() * b.length();
     }
-    // A coordinate x was rounded by eps |x|, the offset of its cloud included; each product and sum adds another eps.
-    let offset = |mean: DVec3, radius: f64| mean.abs().max_element() / radius;
-    let digits_lost = 8.0 + offset(source_mean, source_radius) + offset(target_mean, target_radius);
-    Ok(Moments { source_mean, target_mean, correlation, round_off: f64::EPSILON * total * digits_lost })
+    Ok(Moments { source_mean, target_mean, correlation, round_off: f64::EPSILON * lost })
 }
 
 /// Weighted mean, and the largest distance along an axis from it (1 where all points are one).
 fn mean_and_radius(points: &[DVec3], weight: &impl Fn(usize) -> f64, total: f64) -> (DVec3, f64) {
-    let origin = points[0];
+    // From a heaviest point: one that does not count may be so far away that no digit of the mean is left beside it.
+    let heaviest = (0..points.len()).find(|&i| weight(i) == 1.0).unwrap_or(0);
+    let origin = points[heaviest];
     // Twice, because the first mean of far-off points is itself rounded.
     let mean = (0..2).fold(origin, |about, _| {
         let sum = points.iter().enumerate().fold(DVec3::ZERO, |sum, (i, &p)| sum + (p - about) * weight(i));
@@ -159,7 +164,8 @@ fn best_rotation(moments: &Moments) -> (DQuat, usize) {
         [y.z - z.y, z.x - x.z, x.y - y.x, x.x + y.y + z.z],
     ];
     let eigen = linalg::eigen(&n);
-    let tied = |k: &usize| eigen.values[3] - eigen.values[*k] <= moments.round_off;
+    // A bound that is no number is more than every number.
+    let tied = |k: &usize| !(eigen.values[3] - eigen.values[*k] > moments.round_off);
     let free = (0..3).filter(tied).count();
     // The identity's share in the space of best quaternions is the best rotation that turns least.
     let nearest = (0..4).filter(tied).fold([0.0; 4], |sum: [f64; 4], k| {
