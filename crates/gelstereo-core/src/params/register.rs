@@ -31,11 +31,11 @@ pub enum RegisterMethod {
     /// They know lengths of a usual gel: how far its shoulder reaches, how far steps may go. Of a sensor that is larger or
     /// smaller as a whole [`RegisterParams::gel_scale`] says by how much; then answers scale with all that is sensed.
     SurfaceTrack,
-    /// The exact surface of the part, from a close guess: 95 / 87 / 89 / 57 %, 1.3 times the bound, 0.8 ms. It looks for no
+    /// The exact surface of the part, from a close guess: 95 / 88 / 88 / 57 %, 1.3 times the bound, 0.5 ms. It looks for no
     /// alternatives either.
     SurfaceClose,
     /// The exact surface from many starts around the guess, with the markers that nothing presses: 97 / 97 / 97 / 98 %, 1.2
-    /// times the bound, 13 ms; of the bolt alone 85 %, on whose threads a gel finer than the markers hangs as they do not
+    /// times the bound, 9 ms; of the bolt alone 85 %, on whose threads a gel finer than the markers hangs as they do not
     /// show. A row of shoulder beside an edge may pass for the face beyond it; then the error is
     /// some 0.1 mm, and the covariance does not know. Where several poses explain the contact about as well all are
     /// returned, with their likelihoods.
@@ -88,7 +88,7 @@ pub struct RegisterParams {
     /// How large gel, markers and presses are, over those that the surface rungs' own lengths are for: markers every 0.9
     /// mm, presses of 0.4 to 1.5 mm. From 0.001 to 1000; default: `1`.
     pub gel_scale: f64,
-    /// Work after which the surface rungs stop with the best pose so far, in lookups of the field of distances, 21
+    /// Work after which the surface rungs stop with the best pose so far, in lookups of the field of distances, 37
     /// ns each by itself (example `nearest`) and several times that with what is done with it; one on the exact surface
     /// counts as 16. Default: `1000000`.
     pub budget: u32,
