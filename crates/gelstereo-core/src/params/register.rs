@@ -88,7 +88,7 @@ pub struct RegisterParams {
     /// How large gel, markers and presses are, over those that the surface rungs' own lengths are for: markers every 0.9
     /// mm, presses of 0.4 to 1.5 mm. From 0.001 to 1000; default: `1`.
     pub gel_scale: f64,
-    /// Work after which the surface rungs stop with the best pose so far, in lookups of the field of distances, 37
+    /// Work after which the surface rungs stop with the best pose so far, in lookups of the field of distances, 24
     /// ns each by itself (example `nearest`) and several times that with what is done with it; one on the exact surface
     /// counts as 16. Default: `1000000`.
     pub budget: u32,
