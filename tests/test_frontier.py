@@ -305,6 +305,9 @@ def test_methods_take_turns() -> None:
     times = time_side_by_side({name: lambda turn, name=name: seen.append(name) for name in "ab"}, 3)
     assert seen == ["a", "b"] * 5  # two rounds warm up
     assert times["a"].p99_ms >= times["a"].median_ms > 0.0
+    turns: list[tuple[str, int]] = []
+    time_side_by_side({name: lambda turn, name=name: turns.append((name, turn)) for name in "ab"}, 2, 3)
+    assert turns[-12:] == [(name, 3 * turn + k) for turn in range(2) for name in "ab" for k in range(3)]
 
 
 @pytest.mark.skipif(
@@ -422,8 +425,13 @@ def test_libraries_that_cannot_be_loaded_are_named_and_the_others_measured(
     monkeypatch.setitem(measure_localization.__globals__, "GRASPED", GRASPED[:1])
     monkeypatch.setitem(measure_localization.__globals__, "rivals", lambda: ({}, missing))
     tables, targets = measure_localization(range(1, 2), 1, lambda what: None)
-    head, rows = tables[0].head, tables[0].rows
-    assert all(len(row) == len(head) for row in rows)
+    rows = tables[0].rows
+    assert all(len(row) == len(table.head) for table in tables for row in table.rows)
+    near = {row[0]: row for row in tables[1].rows}
+    assert [near[name][1] for name in ("surface_track", "surface_close")] == [
+        "0.5 deg, 0.1 mm",
+        "5 deg, 1 mm",
+    ]
     names = [row[0] for row in rows]
     assert names[: len(rungs_of("register"))] == [rung.name for rung in rungs_of("register")]
     why = "cannot be loaded: libusb-1.0.so.0: cannot open / shared object file"

@@ -25,6 +25,12 @@ Array = npt.NDArray[np.float64]
 BEST = "surface_search"
 #: The guess that leaves nothing to the search.
 _TRUTH = Start("the truth", 0.0, 0.0)
+#: What other libraries are given beside the rungs that start from one guess, which is near.
+_CLOSE = STARTS[0]
+#: The rungs that start from one guess: where they are meant to start, and the median that is asked of them, ms.
+_NEAR = {"surface_track": (Start("0.5 deg, 0.1 mm", 0.5, 0.1), 0.1), "surface_close": (_CLOSE, 0.5)}
+#: Frames of a contact that are registered one after another, and of how many contacts one is.
+_FRAMES, _ONE_OF = 8, 4
 #: Answers drawn of an efficient estimate of each contact: its share is then known to 2 %.
 _DRAWS = 500
 
@@ -108,8 +114,10 @@ def measure_localization(seeds: range, rounds: int, report: Report) -> tuple[lis
         "median ms",
         "p99 ms",
     ]
-    parts = _parts_table(methods, tallies)
-    return [Table("localization", head, rows), parts, nees_table(contacts)], _targets(tallies, times)
+    report("localization: times of parts that are followed")
+    near, near_targets = _near_table(methods, list(others), every, rounds)
+    tables = [Table("localization", head, rows), near, _parts_table(methods, tallies), nees_table(contacts)]
+    return tables, _targets(tallies, times) + near_targets
 
 
 def _from_truth(method: Method, contacts: Mapping[str, Sequence[Grasp]]) -> list[str]:
@@ -141,6 +149,26 @@ def _missing_rows(missing: Mapping[str, str]) -> list[list[str]]:
         [f"{name} ({' '.join(reason.replace('|', '/').split())})", *dashes]
         for name, reason in missing.items()
     ]
+
+
+def _near_table(
+    methods: Mapping[str, Method], others: Sequence[str], contacts: Sequence[Grasp], rounds: int
+) -> tuple[Table, list[Target]]:
+    """Success and times from near guesses, of a part of which a frame has just been registered."""
+    near = {name: (methods[name], start) for name, (start, _) in _NEAR.items()}
+    near |= {name: (methods[name], _CLOSE) for name in others}
+    calls = {name: _frames_of(method, contacts, start) for name, (method, start) in near.items()}
+    times = time_side_by_side(calls, max(rounds // _ONE_OF, 1), _FRAMES)
+    rows = []
+    for name, (method, start) in near.items():
+        rate = f"{_tally(method, contacts, start).rate:.0f}"
+        rows.append([name, start.name, rate, f"{times[name].median_ms:.3f}", f"{times[name].p99_ms:.3f}"])
+    head = ["method", "guesses within", "success, %", "median ms", "p99 ms"]
+    targets = [
+        Target(f"localization, {name}, within {start.name}, median", limit, times[name].median_ms, "ms")
+        for name, (start, limit) in _NEAR.items()
+    ]
+    return Table("near", head, rows), targets
 
 
 def _parts_table(methods: Mapping[str, Method], tallies: Mapping[tuple[str, str, str], Tally]) -> Table:
@@ -179,8 +207,13 @@ def _tally(method: Method, contacts: Sequence[Grasp], start: Start) -> Tally:
 
 
 def _pose(method: Method, grasp: Grasp, start: Start, seed: int) -> Array | None:
+    return _tried(method, grasp, grasp.guess(start, seed))
+
+
+def _tried(method: Method, grasp: Grasp, guess: Array) -> Array | None:
+    """No pose where the method refuses."""
     try:
-        return method(grasp, grasp.guess(start, seed))
+        return method(grasp, guess)
     except (Error, np.linalg.LinAlgError, RuntimeError, ValueError):
         return None
 
@@ -191,10 +224,19 @@ def _one_of(method: Method, contacts: Sequence[Grasp]) -> Callable[[int], object
 
     def call(turn: int) -> object:
         at = turn % len(contacts)
-        try:
-            return method(contacts[at], guesses[at])
-        except (Error, RuntimeError):
-            return None
+        return _tried(method, contacts[at], guesses[at])
+
+    return call
+
+
+def _frames_of(method: Method, contacts: Sequence[Grasp], start: Start) -> Callable[[int], object]:
+    """Register each of some contacts of all parts and noises a few times running, each time from another guess."""
+    some = contacts[::_ONE_OF]
+    guesses = [[grasp.guess(start, turn) for turn in range(_FRAMES)] for grasp in some]
+
+    def call(turn: int) -> object:
+        at, frame = turn // _FRAMES % len(some), turn % _FRAMES
+        return _tried(method, some[at], guesses[at][frame])
 
     return call
 

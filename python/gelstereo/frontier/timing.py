@@ -33,18 +33,21 @@ class Times:
         return cls(float(np.median(nanoseconds)) * 1e-6, float(np.percentile(nanoseconds, 99)) * 1e-6)
 
 
-def time_side_by_side(calls: Mapping[str, Callable[[int], object]], rounds: int) -> dict[str, Times]:
+def time_side_by_side(
+    calls: Mapping[str, Callable[[int], object]], rounds: int, running: int = 1
+) -> dict[str, Times]:
     """Call everything once per round, so that whatever disturbs the machine disturbs all alike.
 
-    Each call gets the round's number. Two rounds before the measurement warm up.
+    Each call gets its number; a round may be several calls running. Two rounds before the measurement warm up.
     """
     taken: dict[str, list[int]] = {name: [] for name in calls}
     for turn in range(-2, rounds):
         for name, call in calls.items():
-            begin = time.perf_counter_ns()
-            call(max(turn, 0))
-            if turn >= 0:
-                taken[name].append(time.perf_counter_ns() - begin)
+            for again in range(running):
+                begin = time.perf_counter_ns()
+                call(max(turn, 0) * running + again)
+                if turn >= 0:
+                    taken[name].append(time.perf_counter_ns() - begin)
     return {name: Times.of(ns) for name, ns in taken.items()}
 
 
