@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from gelstereo import Error
+from gelstereo import Error, Params
 from gelstereo.frontier.grasps import GRASPED, NOISES, STARTS, Grasp, Start, grasps
 from gelstereo.frontier.likelier import success_or_likelier
 from gelstereo.frontier.nees import nees_table
@@ -25,6 +25,8 @@ Array = npt.NDArray[np.float64]
 BEST = "surface_search"
 #: The guess that leaves nothing to the search.
 _TRUTH = Start("the truth", 0.0, 0.0)
+#: Work after which the best rung stops, in lookups, beside the usual one.
+_BUDGETS = (250_000, 120_000, 80_000, 50_000)
 #: What other libraries are given beside the rungs that start from one guess, which is near.
 _CLOSE = STARTS[0]
 #: The rungs that start from one guess: where they are meant to start, and the median that is asked of them, ms.
@@ -116,7 +118,10 @@ def measure_localization(seeds: range, rounds: int, report: Report) -> tuple[lis
     ]
     report("localization: times of parts that are followed")
     near, near_targets = _near_table(methods, list(others), every, rounds)
-    tables = [Table("localization", head, rows), near, _parts_table(methods, tallies), nees_table(contacts)]
+    report(f"localization: budgets of {BEST}")
+    budgets = _budget_table(every, rounds)
+    parts = _parts_table(methods, tallies)
+    tables = [Table("localization", head, rows), near, budgets, parts, nees_table(contacts)]
     return tables, _targets(tallies, times) + near_targets
 
 
@@ -169,6 +174,26 @@ def _near_table(
         for name, (start, limit) in _NEAR.items()
     ]
     return Table("near", head, rows), targets
+
+
+def _budget_table(contacts: Sequence[Grasp], rounds: int) -> Table:
+    """Success of the best rung from every start, all noises, and times from the middle one, by its budget of work."""
+    usual = next(_params(rung) for rung in rungs_of("register") if rung.name == BEST)
+    budgets = [usual.to_dict()["register"]["budget"], *_BUDGETS]
+    params = {f"{budget}": usual.replace({"register.budget": budget}) for budget in budgets}
+    methods = {name: _with(each) for name, each in params.items()}
+    times = time_side_by_side({name: _one_of(method, contacts) for name, method in methods.items()}, rounds)
+    rows = []
+    for name, method in methods.items():
+        found = [f"{_tally(method, contacts, start).rate:.1f}" for start in STARTS]
+        cut = [
+            grasp.registered(grasp.guess(STARTS[1], seed), params[name]).alternatives_cut
+            for seed, grasp in enumerate(contacts)
+        ]
+        took = (f"{times[name].median_ms:.1f}", f"{times[name].p99_ms:.1f}")
+        rows.append([name, " / ".join(found), f"{100.0 * float(np.mean(cut)):.0f}", *took])
+    head = ["budget", "success, %", "may have more answers, %", "median ms", "p99 ms"]
+    return Table("budgets", head, rows)
 
 
 def _parts_table(methods: Mapping[str, Method], tallies: Mapping[tuple[str, str, str], Tally]) -> Table:
@@ -242,6 +267,14 @@ def _frames_of(method: Method, contacts: Sequence[Grasp], start: Start) -> Calla
 
 
 def _native(rung: Rung) -> Method:
-    """Register with all that the sensor knows of the contact; guesses are farther off than usual."""
-    params = rung.params().replace({"register": {"search_radius_mm": 8.0}})
+    return _with(_params(rung))
+
+
+def _params(rung: Rung) -> Params:
+    """Guesses are farther off than usual."""
+    return rung.params().replace({"register": {"search_radius_mm": 8.0}})
+
+
+def _with(params: Params) -> Method:
+    """Register with all that the sensor knows of the contact."""
     return lambda grasp, guess: grasp.localized(guess, params)

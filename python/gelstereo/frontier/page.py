@@ -17,7 +17,7 @@ from gelstereo.reports.provenance import processor
 __all__ = ["LOCALIZATION_SECTIONS", "SECTIONS", "check_page", "row_tables", "write_page"]
 
 #: Names of the markers of docs/localization.md.
-LOCALIZATION_SECTIONS = ("conditions", "targets", "localization", "near", "parts", "nees")
+LOCALIZATION_SECTIONS = ("conditions", "targets", "localization", "near", "budgets", "parts", "nees")
 
 #: Names of the markers of docs/accuracy-vs-time.md.
 SECTIONS = (

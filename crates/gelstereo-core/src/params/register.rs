@@ -90,7 +90,7 @@ pub struct RegisterParams {
     pub gel_scale: f64,
     /// Work after which the surface rungs stop with the best pose so far, in lookups of the field of distances, 24
     /// ns each by itself (example `nearest`) and several times that with what is done with it; one on the exact surface
-    /// counts as 16. Default: `1000000`.
+    /// counts as 16. A search has its pose after some 120000; the rest goes into other answers. Default: `1000000`.
     pub budget: u32,
 }
 

@@ -177,6 +177,7 @@ impl Search<'_> {
         (scratch, settled): (&mut PolishScratch, &mut SettledScratch),
     ) -> End {
         let before = self.work;
+        self.is_cut = self.has_spent();
         // Where the part is not what touches the gel, nothing explains the contact as well.
         let asked = self.is_settled.then_some(&*settled);
         if log_odds(self.params, self.samples, (scratch, asked)) <= 0.0 {
@@ -186,7 +187,7 @@ impl Search<'_> {
         let mut others = Others::new(self, (&candidates[0], end), (scratch, settled));
         others.hold(&mut candidates[0]);
         let ((mut read, end), is_cut) = others.find(candidates, runners_up);
-        self.is_cut = is_cut;
+        self.is_cut |= is_cut;
         if self.work > before {
             self.read(&mut read, scratch, settled);
         }
