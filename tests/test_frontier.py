@@ -432,7 +432,9 @@ def test_libraries_that_cannot_be_loaded_are_named_and_the_others_measured(
         "0.5 deg, 0.1 mm",
         "5 deg, 1 mm",
     ]
-    assert [int(row[0]) for row in tables[2].rows] == [1_000_000, 250_000, 120_000, 80_000, 50_000]
+    budgets = [int(row[0]) for row in tables[2].rows]
+    assert budgets[0] == gelstereo.Params().to_dict()["register"]["budget"]
+    assert len(budgets) > 2 and budgets == sorted(set(budgets), reverse=True)
     names = [row[0] for row in rows]
     assert names[: len(rungs_of("register"))] == [rung.name for rung in rungs_of("register")]
     why = "cannot be loaded: libusb-1.0.so.0: cannot open / shared object file"
