@@ -1,10 +1,11 @@
 //! The linear system of a step of [`Settled`]: how the heights that are predicted change with what is sought.
 
-use super::part::UNDER_MM;
+use super::gel::Node;
+use super::part::{Line, UNDER_MM};
 use super::search::Candidate;
 use super::settled::{
     DECAY, DECAY_SIGMA, LAST_SCALE_MM, LONGEST_MM, PLANE, Prediction, Row, SWEEPS_A_LOOKUP, Settled,
-    SettledScratch, UNKNOWN,
+    SettledScratch, Sight, UNKNOWN,
 };
 use super::step::{Normal, cholesky};
 use crate::math::linalg::{Symmetric, eigen};
@@ -18,8 +19,28 @@ const SMOOTH_MM: f64 = 0.02;
 const WIDEST_MM: f64 = 0.25;
 /// No node moves by more than this many times the difference between two poses.
 const BESIDE: f64 = 2.5;
+/// A step that fails is not tried again by less than this share.
+const LEAST_SHARE: f64 = 0.02;
 /// Sweeps over the gel of what only directs a step.
 const FEW_SWEEPS: u32 = 8;
+
+/// A step of all that is sought.
+pub(super) struct Step {
+    pub row: Row,
+    /// By how much the first of its way lowers the cost, over its length.
+    slope: f64,
+}
+
+impl Step {
+    /// Where a share of it has raised the cost by so much: the share at which the parabola through both is lowest, no less
+    /// than a fiftieth and no more than half of it, and how much lower that is.
+    pub fn lowest(&self, share: f64, rise: f64) -> (f64, f64) {
+        let lowest = 0.5 * self.slope * share * share / (rise + self.slope * share);
+        // Of nothing over nothing the larger one is the number.
+        let lowest = lowest.max(LEAST_SHARE * share).min(0.5 * share);
+        (lowest, 0.5 * self.slope * lowest)
+    }
+}
 
 impl Settled<'_> {
     /// How predictions change with what is sought; returns the work.
@@ -58,26 +79,29 @@ impl Settled<'_> {
 
     /// Heights of a state beside that of `here`, on the field, into `there`.
     fn beside(&self, state: &Candidate, scale_mm: f64, scratch: &mut SettledScratch) -> u64 {
-        let SettledScratch { here, there, obstacle_mm, sweeps, .. } = scratch;
+        let SettledScratch { here, there, obstacle_mm, lines, sweeps, .. } = scratch;
         let (placement, gel) = (&state.placement, self.gel());
         let press = placement.object_direction(self.press_direction);
         let per_radius = 1.0 / self.samples.radius_mm;
-        let (near_mm, mut lookups) = (BESIDE * scale_mm, 0);
-        obstacle_mm.clear();
-        for (node, sight) in gel.nodes.iter().zip(&here.sights) {
+        let (near_mm, under_mm) = (BESIDE * scale_mm, self.params.scaled(UNDER_MM));
+        let mut lookups = 0;
+        let line = |(node, sight): (&Node, &Sight)| {
             let start_mm = match sight.foot {
                 Some(foot) => near_mm - foot.over_mm,
-                None if sight.clear_mm > near_mm => {
-                    obstacle_mm.push(f64::NEG_INFINITY);
-                    continue;
-                }
-                None => self.params.scaled(UNDER_MM),
+                None if sight.clear_mm > near_mm => return Line::past(),
+                None => under_mm,
             };
-            let foot = self.field.foot(placement.object_point(node.sample.p_mm), press, start_mm);
             lookups += 2;
+            Line::new(placement.object_point(node.sample.p_mm), start_mm)
+        };
+        lines.clear();
+        lines.extend(gel.nodes.iter().zip(&here.sights).map(line));
+        self.field.march(lines, press);
+        obstacle_mm.clear();
+        obstacle_mm.extend(gel.nodes.iter().zip(&*lines).map(|(node, line)| {
             let over_plane_mm = node.along_mm - state.rest.at(node.across_mm * per_radius);
-            obstacle_mm.push(foot.map_or(f64::NEG_INFINITY, |foot| over_plane_mm - foot.over_mm));
-        }
+            line.foot.map_or(f64::NEG_INFINITY, |foot| over_plane_mm - foot.over_mm)
+        }));
         there.heights_mm.clear();
         there.heights_mm.extend_from_slice(&here.heights_mm);
         let stiffness = gel.stiffness(state.rest.log_decay);
@@ -124,7 +148,7 @@ impl Settled<'_> {
 
     /// The step that a state would take next, whose prediction is in the scratch.
     pub(super) fn next(&self, state: &Candidate, scratch: &mut SettledScratch) -> Option<Row> {
-        self.step(state, self.params.scaled(LAST_SCALE_MM), scratch).0
+        self.step(state, self.params.scaled(LAST_SCALE_MM), scratch).0.map(|step| step.row)
     }
 
     /// The step from `here`, no longer than [`LONGEST_MM`] over the patch.
@@ -133,7 +157,7 @@ impl Settled<'_> {
         state: &Candidate,
         scale_mm: f64,
         scratch: &mut SettledScratch,
-    ) -> (Option<Row>, u64) {
+    ) -> (Option<Step>, u64) {
         let (mut h, mut g, basis, work) = self.linear(state, scale_mm, scratch);
         let mut prior = Normal::ZERO;
         prior.add_prior(&self.prior, &state.placement, self.samples.radius_mm, 1.0);
@@ -150,10 +174,11 @@ impl Settled<'_> {
             let length = sqrt(z[..6].iter().map(|x| x * x).sum());
             let longest_mm = self.params.scaled(LONGEST_MM);
             let share = if length > longest_mm { longest_mm / length } else { 1.0 };
-            let mut out = z.map(|x| share * x);
-            let along = [out[0], out[1], out[2], out[3], out[4], out[5]];
-            (0..6).for_each(|i| out[i] = (0..6).map(|k| along[k] * basis[k][i]).sum());
-            out
+            let mut row = z.map(|x| share * x);
+            let slope = row.iter().zip(&g).map(|(x, g)| x * g).sum();
+            let along = [row[0], row[1], row[2], row[3], row[4], row[5]];
+            (0..6).for_each(|i| row[i] = (0..6).map(|k| along[k] * basis[k][i]).sum());
+            Step { row, slope }
         });
         (step, work)
     }

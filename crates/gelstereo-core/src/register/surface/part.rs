@@ -69,72 +69,103 @@ const ON_MM: f64 = 2e-3;
 /// Within this a face is as flat as it is here, to a micrometre.
 const CLOSE_MM: f64 = 0.03;
 
-impl Coarse<'_> {
-    /// The first of the part that gel coming against the press meets on the line through a marker, from `start_mm` over
-    /// the marker on; without one, how near the line came to the part.
-    pub fn foot(&self, x_mm: DVec3, press: DVec3, start_mm: f64) -> Result<Foot, f64> {
-        self.march(x_mm, press, start_mm).map_err(|missed| missed.clear_mm)
-    }
+/// Lines that take their steps in turn: each step waits for the one before it on its line, and for none on another.
+const TOGETHER: usize = 4;
 
-    /// The same; without one, also where the line may meet the part that the field cuts off.
-    fn march(&self, x_mm: DVec3, press: DVec3, start_mm: f64) -> Result<Foot, Missed> {
-        let (near_mm, over_mm) = (NEAR * self.field.cell_mm(), OVER_MM * self.gel_scale);
-        let mut at_mm = start_mm;
-        let mut missed = Missed { clear_mm: f64::INFINITY, near_over_mm: None };
-        let error_mm = FIELD_ERROR * self.field.cell_mm();
-        for _ in 0..MOST_STEPS {
-            let Some((distance_mm, gradient)) = self.field.distance(x_mm + press * at_mm) else {
-                at_mm -= self.field.reach_mm();
-                if at_mm < -over_mm {
-                    break;
-                }
-                continue;
-            };
-            missed.clear_mm = missed.clear_mm.min(distance_mm);
-            if distance_mm < error_mm && missed.near_over_mm.is_none() {
-                missed.near_over_mm = Some(-at_mm);
-            }
-            if distance_mm < near_mm {
-                let length = sqrt(gradient.length_squared());
-                let normal = if length > 1e-3 { gradient / length } else { press };
-                let cosine = normal.dot(press);
-                let is_on = distance_mm < 0.25 * near_mm;
-                if cosine >= STEEP_COSINE || (is_on && cosine >= WALL_COSINE) {
-                    let foot_mm = distance_mm / cosine.max(STEEP_COSINE) - at_mm;
-                    return Ok(Foot { over_mm: foot_mm, normal, curvature_per_mm: 0.0 });
-                }
-                if is_on {
-                    break;
-                }
-            }
-            at_mm -= distance_mm.max(0.5 * near_mm);
-            if at_mm < -over_mm {
-                break;
-            }
-        }
-        Err(missed)
-    }
-}
-
-/// A line that does not meet the part on the field.
-struct Missed {
-    /// How near it came.
-    clear_mm: f64,
-    /// How far its node is over the first place where the part is as near as the field may be wrong by.
+/// The line through a marker along the press, and what of it is known.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Line {
+    x_mm: DVec3,
+    /// How far over the marker gel coming against the press is.
+    at_mm: f64,
+    is_done: bool,
+    /// The first of the part that it meets.
+    pub foot: Option<Foot>,
+    /// How near it came to the part.
+    pub clear_mm: f64,
+    /// How far the marker is over the first place where the part is as near as the field may be wrong by.
     near_over_mm: Option<f64>,
 }
 
-impl Exact<'_> {
-    /// The same on the triangles.
-    pub fn foot(&self, x_mm: DVec3, press: DVec3, hint: &mut u32) -> Result<Foot, f64> {
-        let scale = self.field.gel_scale;
-        let mut foot = match self.field.march(x_mm, press, UNDER_MM * scale) {
-            Ok(foot) => foot,
-            // An edge that the field cuts off: ask the faces.
-            Err(Missed { clear_mm, near_over_mm: Some(near_mm) }) => {
-                return self.first_met(x_mm, near_mm, press, hint).ok_or(clear_mm);
+impl Line {
+    /// Through a marker, object frame, from `start_mm` over it on.
+    pub const fn new(x_mm: DVec3, start_mm: f64) -> Self {
+        Self {
+            x_mm,
+            at_mm: start_mm,
+            is_done: false,
+            foot: None,
+            clear_mm: f64::INFINITY,
+            near_over_mm: None,
+        }
+    }
+
+    /// One that is known not to meet it.
+    pub const fn past() -> Self {
+        Self { is_done: true, ..Self::new(DVec3::ZERO, 0.0) }
+    }
+}
+
+impl Coarse<'_> {
+    /// All lines to the part, or past it.
+    pub fn march(&self, lines: &mut [Line], press: DVec3) {
+        for few in lines.chunks_mut(TOGETHER) {
+            for _ in 0..MOST_STEPS {
+                few.iter_mut().filter(|line| !line.is_done).for_each(|line| self.go_on(line, press));
+                if few.iter().all(|line| line.is_done) {
+                    break;
+                }
             }
-            Err(missed) => return Err(missed.clear_mm),
+        }
+    }
+
+    /// One step.
+    #[inline(always)]
+    fn go_on(&self, line: &mut Line, press: DVec3) {
+        let step_mm = match self.field.distance(line.x_mm + press * line.at_mm) {
+            Some((distance_mm, gradient)) => self.look(line, (distance_mm, gradient), press),
+            None => self.field.reach_mm(),
+        };
+        line.at_mm -= step_mm;
+        line.is_done |= line.at_mm < -OVER_MM * self.gel_scale;
+    }
+
+    /// What the field says where the line is; how far it can go on.
+    #[inline(always)]
+    fn look(&self, line: &mut Line, (distance_mm, gradient): (f64, DVec3), press: DVec3) -> f64 {
+        let near_mm = NEAR * self.field.cell_mm();
+        line.clear_mm = line.clear_mm.min(distance_mm);
+        if distance_mm < FIELD_ERROR * self.field.cell_mm() && line.near_over_mm.is_none() {
+            line.near_over_mm = Some(-line.at_mm);
+        }
+        if distance_mm < near_mm {
+            let length = sqrt(gradient.length_squared());
+            let normal = if length > 1e-3 { gradient / length } else { press };
+            let cosine = normal.dot(press);
+            let is_on = distance_mm < 0.25 * near_mm;
+            if cosine >= STEEP_COSINE || (is_on && cosine >= WALL_COSINE) {
+                let over_mm = distance_mm / cosine.max(STEEP_COSINE) - line.at_mm;
+                line.foot = Some(Foot { over_mm, normal, curvature_per_mm: 0.0 });
+                line.is_done = true;
+            }
+            line.is_done |= is_on;
+        }
+        distance_mm.max(0.5 * near_mm)
+    }
+}
+
+impl Exact<'_> {
+    /// Of a line that has marched on the field, the first of the part that it meets on the triangles; without one, how near
+    /// it came to the part.
+    pub fn foot(&self, line: &Line, press: DVec3, hint: &mut u32) -> Result<Foot, f64> {
+        let (scale, x_mm) = (self.field.gel_scale, line.x_mm);
+        let mut foot = match (line.foot, line.near_over_mm) {
+            (Some(foot), _) => foot,
+            // An edge that the field cuts off: ask the faces.
+            (None, Some(near_mm)) => {
+                return self.first_met(x_mm, near_mm, press, hint).ok_or(line.clear_mm);
+            }
+            (None, None) => return Err(line.clear_mm),
         };
         let coarse_mm = foot.over_mm;
         let facing = Facing { direction: press, least_cosine: LEAST_COSINE };

@@ -9,7 +9,7 @@ use super::edges::Wall;
 use super::gel::{Gel, Node};
 use super::lattice::Sweeps;
 use super::noise::STRAY_MM;
-use super::part::{Coarse, Exact, Foot, UNDER_MM};
+use super::part::{Coarse, Exact, Foot, Line, UNDER_MM};
 use super::polish::End;
 use super::rest::{DECAY_LOGS, Rest};
 use super::search::Candidate;
@@ -18,7 +18,8 @@ use super::step::{Normal, Prior};
 use crate::math::{DVec3, abs, exp, ln, sqrt};
 use crate::params::RegisterParams;
 use alloc::vec::Vec;
-use core::mem::swap;
+use core::mem::{replace, swap};
+use core::ops::RangeInclusive;
 
 /// Turn and shift of the part, the plane of rest, and the logarithm of l².
 pub(super) const UNKNOWN: usize = 10;
@@ -36,6 +37,8 @@ pub(super) const LIFTED: f64 = 3.0;
 pub(super) const BETWEEN: f64 = 0.288_675;
 /// There may be outliers even where none are expected.
 const LEAST_OUTLIERS: f64 = 1e-3;
+/// Likelihoods of nodes are multiplied as far as this before the logarithm, which takes longer, is taken of all.
+const ONE_LOGARITHM: RangeInclusive<f64> = 1e-100..=1e100;
 /// Over which differences are taken at the end.
 pub(super) const LAST_SCALE_MM: f64 = 0.04;
 /// A pose that gains no more, in logarithms of the likelihood, is at rest, however far it still moves along what is free:
@@ -44,9 +47,10 @@ const LEAST_GAIN: f64 = 0.01;
 /// Poses of blurred steps are judged by what is half as blurred: not at rest yet, they are told apart by sharp heights
 /// for how far they have come.
 const JUDGED: f64 = 0.5;
-/// Longest step, over the patch, and the halvings after which there is none.
+/// Longest step, over the patch, and how often one is tried: as a whole, and where that fails as far as is then likely to
+/// do. A third try is worth less than the next start.
 pub(super) const LONGEST_MM: f64 = 0.5;
-const HALVINGS: u32 = 3;
+const TRIES: u32 = 2;
 /// Sweeps over the gel of a prediction.
 const MOST_SWEEPS: u32 = 80;
 /// Work of a sweep over a node, in lookups of the field.
@@ -130,6 +134,8 @@ pub(super) struct SettledScratch {
     pub cells: Vec<Row>,
     pub rows: Vec<Row>,
     hints: Vec<u32>,
+    /// Through the nodes.
+    pub lines: Vec<Line>,
     /// What every node's height counts for in the information, per mm².
     pub counts_per_mm2: Vec<f64>,
     /// What edges leave room for.
@@ -148,6 +154,8 @@ impl SettledScratch {
         self.hints.clear();
         self.hints.resize(count, 0);
         self.changes.resize(count, [0.0; UNKNOWN]);
+        self.lines.clear();
+        self.lines.reserve(count);
         self.walls.clear();
         self.walls.reserve(count);
         gel.lay_out(&mut self.sweeps);
@@ -208,7 +216,7 @@ impl Settled<'_> {
         self.weigh(state, width_mm, &mut scratch.here);
         let (step, work) = self.step(state, width_mm, scratch);
         if let Some(step) = step {
-            *state = self.moved(state, &step, 1.0);
+            *state = self.moved(state, &step.row, 1.0);
         }
         scratch.there.begin_as(&scratch.here);
         work + self.keep(state, if self.faces.is_none() { JUDGED * width_mm } else { 0.0 }, scratch)
@@ -240,19 +248,21 @@ impl Settled<'_> {
             let (step, work) = self.step(state, self.params.scaled(LAST_SCALE_MM), scratch);
             end.work += work;
             let Some(step) = step else { break };
-            let full_mm = sqrt(step[..6].iter().map(|x| x * x).sum());
+            let full_mm = sqrt(step.row[..6].iter().map(|x| x * x).sum());
             let (mut share, mut accepted, before) = (1.0, false, scratch.here.cost);
-            for _ in 0..=HALVINGS {
-                let next = self.moved(state, &step, share);
+            for _ in 0..TRIES {
+                let next = self.moved(state, &step.row, share);
                 end.work += self.predict(&next, scratch);
-                if scratch.there.cost < scratch.here.cost {
+                let rise = scratch.there.cost - before;
+                if rise < 0.0 {
                     *state = next;
                     swap(&mut scratch.here, &mut scratch.there);
                     accepted = true;
                     break;
                 }
-                share *= 0.5;
-                if share * full_mm < tolerance_mm {
+                let gain;
+                (share, gain) = step.lowest(share, rise);
+                if gain < LEAST_GAIN || share * full_mm < tolerance_mm {
                     break;
                 }
             }
@@ -280,7 +290,7 @@ impl Settled<'_> {
 
     /// What a state predicts, into `there`: where the part is, and the heights of the gel.
     fn predict_heights(&self, state: &Candidate, scratch: &mut SettledScratch) -> u64 {
-        let SettledScratch { there, obstacle_mm, hints, sweeps, .. } = scratch;
+        let SettledScratch { there, obstacle_mm, hints, lines, sweeps, .. } = scratch;
         let (placement, gel) = (&state.placement, self.gel());
         let press = placement.object_direction(self.press_direction);
         let per_radius = 1.0 / self.samples.radius_mm;
@@ -288,11 +298,15 @@ impl Settled<'_> {
         obstacle_mm.clear();
         there.is_known = true;
         there.sights.clear();
-        for (node, hint) in gel.nodes.iter().zip(hints) {
-            let x = placement.object_point(node.sample.p_mm);
+        let start_mm = self.params.scaled(UNDER_MM);
+        let line = |node: &Node| Line::new(placement.object_point(node.sample.p_mm), start_mm);
+        lines.clear();
+        lines.extend(gel.nodes.iter().map(line));
+        self.field.march(lines, press);
+        for ((node, line), hint) in gel.nodes.iter().zip(&*lines).zip(hints) {
             let foot = match &self.faces {
-                Some(faces) => faces.foot(x, press, hint),
-                None => self.field.foot(x, press, self.params.scaled(UNDER_MM)),
+                Some(faces) => faces.foot(line, press, hint),
+                None => line.foot.ok_or(line.clear_mm),
             };
             work += if self.faces.is_some() && foot.is_ok() { 16 } else { 3 };
             let (foot, clear_mm) = foot.map_or_else(|clear_mm| (None, clear_mm), |foot| (Some(foot), 0.0));
@@ -335,6 +349,7 @@ impl Settled<'_> {
         let model = self.params.surface_sigma_mm * self.params.surface_sigma_mm + width_mm * width_mm;
         let outliers = self.params.outlier_share.max(LEAST_OUTLIERS);
         let stray_mm = self.params.scaled(STRAY_MM);
+        let mut likelihood = 1.0;
         // The gel leaves the part at an edge, which the nodes know to a pitch; over that it sinks by 1 - e^(-pitch / l).
         let share = BETWEEN * (1.0 - exp(-1.0 / sqrt(gel.stiffness(state.rest.log_decay))));
         for ((node, sight), &height_mm) in gel.nodes.iter().zip(&mut there.sights).zip(&there.heights_mm) {
@@ -355,8 +370,12 @@ impl Settled<'_> {
                 / sqrt(core::f64::consts::TAU * sight.variance_mm2);
             let all = good + outliers / stray_mm;
             sight.weight = good / all;
-            there.cost -= ln(all);
+            likelihood *= all;
+            if !ONE_LOGARITHM.contains(&likelihood) {
+                there.cost -= ln(replace(&mut likelihood, 1.0));
+            }
         }
+        there.cost -= ln(likelihood);
     }
 
     fn prior_cost(&self, state: &Candidate) -> f64 {
