@@ -433,7 +433,7 @@ def test_libraries_that_cannot_be_loaded_are_named_and_the_others_measured(
         "5 deg, 1 mm",
     ]
     budgets = [int(row[0]) for row in tables[2].rows]
-    assert budgets[0] == gelstereo.Params().to_dict()["register"]["budget"]
+    assert gelstereo.Params().to_dict()["register"]["budget"] in budgets[1:]
     assert len(budgets) > 2 and budgets == sorted(set(budgets), reverse=True)
     names = [row[0] for row in rows]
     assert names[: len(rungs_of("register"))] == [rung.name for rung in rungs_of("register")]

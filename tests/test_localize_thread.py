@@ -45,7 +45,10 @@ class Pressed:
             all_points_mm=self.points_mm if every else None,
             covariance_mm2=np.tile(np.diag([0.25, 0.25, 1.0]) * SIGMA_MM**2, (count, 1, 1)),
             # This gel comes back to rest at once beside the part.
-            params=Params().replace({"register.method": method, "contact.decay_mm": 0.1}),
+            # Five pitches of 90 points take more than the usual budget.
+            params=Params().replace(
+                {"register.method": method, "register.budget": 1_000_000, "contact.decay_mm": 0.1}
+            ),
         )
 
 

@@ -26,7 +26,7 @@ BEST = "surface_search"
 #: The guess that leaves nothing to the search.
 _TRUTH = Start("the truth", 0.0, 0.0)
 #: Work after which the best rung stops, in lookups, beside the usual one.
-_BUDGETS = (250_000, 120_000, 80_000, 50_000)
+_BUDGETS = (1_000_000, 200_000, 120_000, 80_000, 50_000)
 #: What other libraries are given beside the rungs that start from one guess, which is near.
 _CLOSE = STARTS[0]
 #: The rungs that start from one guess: where they are meant to start, and the median that is asked of them, ms.
@@ -179,20 +179,24 @@ def _near_table(
 def _budget_table(contacts: Sequence[Grasp], rounds: int) -> Table:
     """Success of the best rung from every start, all noises, and times from the middle one, by its budget of work."""
     usual = next(_params(rung) for rung in rungs_of("register") if rung.name == BEST)
-    budgets = [usual.to_dict()["register"]["budget"], *_BUDGETS]
+    budgets = sorted({usual.to_dict()["register"]["budget"], *_BUDGETS}, reverse=True)
     params = {f"{budget}": usual.replace({"register.budget": budget}) for budget in budgets}
     methods = {name: _with(each) for name, each in params.items()}
     times = time_side_by_side({name: _one_of(method, contacts) for name, method in methods.items()}, rounds)
     rows = []
     for name, method in methods.items():
         found = [f"{_tally(method, contacts, start).rate:.1f}" for start in STARTS]
-        cut = [
-            grasp.registered(grasp.guess(STARTS[1], seed), params[name]).alternatives_cut
+        ends = [
+            grasp.registered(grasp.guess(STARTS[1], seed), params[name])
             for seed, grasp in enumerate(contacts)
         ]
+        shares = [
+            f"{100.0 * float(np.mean(share)):.0f}"
+            for share in ([end.converged for end in ends], [end.alternatives_cut for end in ends])
+        ]
         took = (f"{times[name].median_ms:.1f}", f"{times[name].p99_ms:.1f}")
-        rows.append([name, " / ".join(found), f"{100.0 * float(np.mean(cut)):.0f}", *took])
-    head = ["budget", "success, %", "may have more answers, %", "median ms", "p99 ms"]
+        rows.append([name, " / ".join(found), *shares, *took])
+    head = ["budget", "success, %", "converged, %", "may have more answers, %", "median ms", "p99 ms"]
     return Table("budgets", head, rows)
 
 

@@ -88,9 +88,10 @@ pub struct RegisterParams {
     /// How large gel, markers and presses are, over those that the surface rungs' own lengths are for: markers every 0.9
     /// mm, presses of 0.4 to 1.5 mm. From 0.001 to 1000; default: `1`.
     pub gel_scale: f64,
-    /// Work after which the surface rungs stop with the best pose so far, in lookups of the field of distances, 24
-    /// ns each by itself (example `nearest`) and several times that with what is done with it; one on the exact surface
-    /// counts as 16. A search has its pose after some 120000; the rest goes into other answers. Default: `1000000`.
+    /// Work after which the surface rungs stop with the best pose so far, in lookups of the field of distances, 24 ns each
+    /// by itself (example `nearest`) and several times that with what is done with it; one on the exact surface counts
+    /// as 16. A search has its first pose after some 120000; the rest goes into better and into equal ones. Work grows
+    /// with markers: the default is for contacts of up to some 300. Default: `400000`.
     pub budget: u32,
 }
 
@@ -116,7 +117,7 @@ impl Default for RegisterParams {
             start_sigma_mm: 2.0,
             surface_sigma_mm: 0.003,
             gel_scale: 1.0,
-            budget: 1_000_000,
+            budget: 400_000,
         }
     }
 }

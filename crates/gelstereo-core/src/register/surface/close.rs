@@ -32,7 +32,7 @@ impl Search<'_> {
     pub fn track(&mut self, candidates: &mut Vec<Candidate>, scratch: &mut PolishScratch) -> End {
         self.begin_at_guess(candidates);
         let polish = self.polish(self.field);
-        let end = polish.slide(&mut candidates[0], TRACK_STEPS, self.budget(), scratch);
+        let end = polish.slide(&mut candidates[0], TRACK_STEPS, self.limit, scratch);
         // The field knows no curvature, and without it facets would seem to hold a cylinder's spin.
         let (cost, work) = self.polish(self.faces).compare(&candidates[0].placement, scratch);
         candidates[0].cost = cost;
@@ -44,10 +44,10 @@ impl Search<'_> {
     pub fn close(&mut self, candidates: &mut Vec<Candidate>, scratch: &mut PolishScratch) -> End {
         self.begin_at_guess(candidates);
         self.look_closer(&mut candidates[0], &mut scratch.clear);
-        let left = self.budget().saturating_sub(self.work);
+        let left = self.left();
         let polish = Polish { reach_mm: self.params.scaled(SLIDE_REACH_MM), ..self.polish(self.field) };
         self.work += polish.slide(&mut candidates[0], SLIDES, left, scratch).work;
-        let left = self.budget().saturating_sub(self.work);
+        let left = self.left();
         let polish = Polish {
             reach_mm: self.params.scaled(CLOSE_REACH_MM),
             halvings: HALVINGS,

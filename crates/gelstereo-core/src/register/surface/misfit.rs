@@ -115,7 +115,7 @@ impl Search<'_> {
             if usual.is_some_and(|usual| !usual.is_exceeded(&so_far)) {
                 return so_far;
             }
-            if way.run(&mut one, (1, self.budget()), settled).converged {
+            if way.run(&mut one, (1, self.limit), settled).converged {
                 break;
             }
         }

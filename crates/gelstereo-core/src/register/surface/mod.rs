@@ -148,6 +148,7 @@ fn searching<'a>(
             sigma_mm: params.start_sigma_mm,
         },
         work: 0,
+        limit: u64::from(params.budget),
         is_settled: false,
         is_cut: false,
         read_at: None,

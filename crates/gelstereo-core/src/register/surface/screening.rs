@@ -66,11 +66,11 @@ impl Search<'_> {
 
     /// Does what tells a candidate's cost, to all of them or until the budget is spent.
     fn each(&mut self, candidates: &mut [Candidate], mut cost: impl FnMut(&mut Self, &mut Candidate) -> f64) {
-        if self.work >= self.budget() {
+        if self.has_spent() {
             return;
         }
         for candidate in candidates {
-            candidate.cost = if self.work < self.budget() { cost(self, candidate) } else { f64::INFINITY };
+            candidate.cost = if !self.has_spent() { cost(self, candidate) } else { f64::INFINITY };
         }
     }
 

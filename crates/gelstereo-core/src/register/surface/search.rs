@@ -51,6 +51,11 @@ const EXPLAINED: f64 = 0.75;
 /// all others where what those came to does not fit.
 const BLURRED: [(f64, usize); 3] = [(0.3, 3), (0.2, 2), (0.1, 1)];
 const BLURRED_ON: [(f64, usize); 3] = [(0.3, 5), (0.2, 3), (0.1, 2)];
+/// Where the first few have taken more than this share of the budget, fewer of the others go on. They are left at so much of
+/// it, and the rest is for the one that is found, so that it comes to its end.
+const SHORT: f64 = 0.45;
+const SEARCHED: f64 = 0.8;
+const BLURRED_SHORT: [(f64, usize); 3] = [(0.3, 4), (0.2, 2), (0.1, 1)];
 const FIRST_FEW: usize = 4;
 /// A pose fits when the markers at the part miss it by no more than this share of the mean square that their noise makes
 /// likely. That is a safe figure, for what lies between two markers counts in it: two of three right poses fit, and of
@@ -78,6 +83,8 @@ pub(super) struct Search<'a> {
     pub faces: Exact<'a>,
     pub prior: Prior,
     pub work: u64,
+    /// Work after which it stops: the budget, or a part's share of it.
+    pub limit: u64,
     /// Whether the answer is that of the gel.
     pub is_settled: bool,
     /// Whether other answers may be missing among those that are left.
@@ -96,12 +103,12 @@ impl Search<'_> {
         View::of(self.samples, usize::MAX, usize::MAX, self.press_direction)
     }
 
-    pub fn budget(&self) -> u64 {
-        u64::from(self.params.budget)
+    pub fn has_spent(&self) -> bool {
+        self.work >= self.limit
     }
 
-    pub fn has_spent(&self) -> bool {
-        self.work >= self.budget()
+    pub fn left(&self) -> u64 {
+        self.limit.saturating_sub(self.work)
     }
 
     pub fn polish<D: Distances>(&self, part: D) -> Polish<'_, D> {
@@ -144,7 +151,7 @@ impl Search<'_> {
             settled.show(candidates[0].slot);
             self.work += self.polish(self.faces).compare(&candidates[0].placement, scratch).1;
             // A pose that was not reached explains little, and there is nothing left to do without the gel.
-            self.is_settled = self.work >= self.budget() || settled.here.explained() >= EXPLAINED;
+            self.is_settled = self.has_spent() || settled.here.explained() >= EXPLAINED;
             if self.is_settled {
                 return self.others(candidates, runners_up, end, (scratch, settled));
             }
@@ -152,12 +159,12 @@ impl Search<'_> {
             candidates.extend(before.into_iter().flatten());
         }
         for k in 0..candidates.len() {
-            if self.work >= self.budget() {
+            if self.has_spent() {
                 candidates.truncate(k.max(1));
                 break;
             }
             let polish = self.polish(self.field);
-            let left = self.budget() - self.work;
+            let left = self.left();
             let end = polish.run(&mut candidates[k], FIELD_STEPS, left, scratch);
             let (cost, work) = polish.compare(&candidates[k].placement, scratch);
             candidates[k].cost = cost;
@@ -245,11 +252,20 @@ impl Search<'_> {
         }
         candidates.clear();
         candidates.extend(left);
-        let end_on = self.settle(candidates, &BLURRED_ON, settled);
+        let budget = self.limit as f64;
+        let blurred = if self.work as f64 > SHORT * budget { &BLURRED_SHORT } else { &BLURRED_ON };
+        self.limit = (SEARCHED * budget) as u64;
+        let end_on = self.settle(candidates, blurred, settled);
+        self.limit = u64::from(self.params.budget);
         // The one that was first stays so among equals.
         candidates.insert(0, best);
         keep(candidates, FINALISTS, 0.0, 0.0);
-        if candidates[0].slot == best.slot { end } else { end_on }
+        if candidates[0].slot == best.slot || end_on.converged {
+            return if candidates[0].slot == best.slot { end } else { end_on };
+        }
+        let most = self.params.max_iterations.min(MOST_STEPS).saturating_sub(end_on.iterations);
+        let last = self.settle_all(&mut candidates[..1], most, settled);
+        End { iterations: end_on.iterations + last.iterations, ..last }
     }
 
     /// The candidates by what the gel would do, best first.
@@ -289,7 +305,7 @@ impl Search<'_> {
     /// What the gel would do at the candidates as they stand. Those for which no budget is left are dropped.
     fn begin_all(&mut self, is_exact: bool, candidates: &mut Vec<Candidate>, settled: &mut SettledScratch) {
         for k in 0..candidates.len() {
-            if k > 0 && self.work >= self.budget() {
+            if k > 0 && self.has_spent() {
                 return candidates.truncate(k);
             }
             self.work += self.settled(is_exact).begin(&mut candidates[k], settled);
@@ -303,7 +319,7 @@ impl Search<'_> {
         settled: &mut SettledScratch,
     ) {
         for candidate in candidates {
-            if self.work < self.budget() {
+            if !self.has_spent() {
                 self.work += self.settled(is_exact).blurred(candidate, width_mm, settled);
             }
         }
@@ -313,10 +329,10 @@ impl Search<'_> {
     fn settle_all(&mut self, candidates: &mut [Candidate], most: u32, settled: &mut SettledScratch) -> End {
         let mut best = (f64::INFINITY, End { converged: false, iterations: 0, work: 0 });
         for k in 0..candidates.len() {
-            if k > 0 && self.work >= self.budget() {
+            if k > 0 && self.has_spent() {
                 break;
             }
-            let left = self.budget().saturating_sub(self.work);
+            let left = self.left();
             let end = self.settled(true).run(&mut candidates[k], (most, left), settled);
             self.work += end.work;
             if candidates[k].cost < best.0 {
@@ -346,7 +362,7 @@ impl Search<'_> {
     pub fn finish_on(&mut self, one: &mut Candidate, stage: Stage, scratch: &mut PolishScratch) -> End {
         match stage {
             Stage::Field => {
-                let left = self.budget().saturating_sub(self.work);
+                let left = self.left();
                 let end = self.polish(self.field).run(one, FIELD_STEPS, left, scratch);
                 self.work += end.work;
                 end
@@ -358,7 +374,7 @@ impl Search<'_> {
 
     /// How it ended.
     fn polish_one(&mut self, candidate: &mut Candidate, most: u32, scratch: &mut PolishScratch) -> End {
-        let left = self.budget().saturating_sub(self.work);
+        let left = self.left();
         let polish = self.polish(self.faces);
         let end = polish.run(candidate, most, left, scratch);
         let (cost, work) = polish.compare(&candidate.placement, scratch);
