@@ -91,7 +91,7 @@ pub struct RegisterParams {
     /// Work after which the surface rungs stop with the best pose so far, in lookups of the field of distances, 24 ns each
     /// by itself (example `nearest`) and several times that with what is done with it; one on the exact surface counts
     /// as 16. A search has its first pose after some 120000; the rest goes into better and into equal ones. Work grows
-    /// with markers: the default is for contacts of up to some 300. Default: `400000`.
+    /// with markers: the default is for contacts of up to some 300. Default: `370000`.
     pub budget: u32,
 }
 
@@ -117,7 +117,7 @@ impl Default for RegisterParams {
             start_sigma_mm: 2.0,
             surface_sigma_mm: 0.003,
             gel_scale: 1.0,
-            budget: 400_000,
+            budget: 370_000,
         }
     }
 }

@@ -42,8 +42,8 @@ const ONE_LOGARITHM: RangeInclusive<f64> = 1e-100..=1e100;
 /// Over which differences are taken at the end.
 pub(super) const LAST_SCALE_MM: f64 = 0.04;
 /// A pose that gains no more, in logarithms of the likelihood, is at rest, however far it still moves along what is free:
-/// from the peak of a normal law that is a seventh of a standard deviation.
-const LEAST_GAIN: f64 = 0.01;
+/// from the peak of a normal law that is a quarter of a standard deviation.
+const LEAST_GAIN: f64 = 0.03;
 /// Poses of blurred steps are judged by what is half as blurred: not at rest yet, they are told apart by sharp heights
 /// for how far they have come.
 const JUDGED: f64 = 0.5;
