@@ -114,8 +114,8 @@ fn row_35_a_localizer_gives_the_same_bits_twice_and_takes_no_byte_more_over_thou
         "{rounds} rounds: {believed} believed, {wrong} of them wrong; another part taken for it {taken} times"
     );
     // What is usual does not creep up from frame to frame until another part is: where it was learned from the frames that
-    // were doubted, the other one was taken 82 times in 100 rounds. This one stands near the bound and is taken in 0 to 9 of
-    // 100, as rounding has it; half of 20 lies four and more deviations from either.
-    assert!(2 * taken < rounds, "{taken} of {rounds}");
+    // were doubted, the other one was taken 82 times in 100 rounds. It stands near the limit: with other steps of the search 0
+    // to 9 of 100 have been seen.
+    assert!(4 * taken <= rounds, "{taken} of {rounds}");
     assert!(10 * wrong <= believed && believed >= 95 * rounds, "{wrong} of {believed}");
 }

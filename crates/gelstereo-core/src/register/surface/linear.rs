@@ -213,3 +213,39 @@ fn without_rest(mut h: Symmetric<UNKNOWN>) -> Symmetric<6> {
     }
     core::array::from_fn(|i| core::array::from_fn(|k| if i <= k { h[i][k] } else { h[k][i] }))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn step(slope: f64) -> Step {
+        Step { row: [0.0; UNKNOWN], slope }
+    }
+
+    proptest! {
+        /// Of a parabola c(s) = -slope s + curve s² that is higher at `share` than at 0.
+        #[test]
+        fn a_parabola_is_lowest_where_it_is_said_to_be(
+            slope in 1e-3_f64..1e3,
+            share in 0.01_f64..1.0,
+            lowest in 0.03_f64..0.49,
+        ) {
+            let curve = 0.5 * slope / (lowest * share);
+            let rise = -slope * share + curve * share * share;
+            let (at, gain) = step(slope).lowest(share, rise);
+            prop_assert!((at / (lowest * share) - 1.0).abs() < 1e-9, "{at}");
+            let there = -slope * at + curve * at * at;
+            prop_assert!((gain / -there - 1.0).abs() < 1e-9, "{gain} of {there}");
+        }
+    }
+
+    #[test]
+    fn a_step_without_a_way_down_is_tried_at_its_least_share() {
+        for rise in [0.0, 1.0, f64::INFINITY] {
+            assert_eq!(step(0.0).lowest(1.0, rise), (LEAST_SHARE, 0.0));
+        }
+        // Hardly higher: no more than half of it.
+        assert_eq!(step(1.0).lowest(1.0, 0.0).0, 0.5);
+    }
+}

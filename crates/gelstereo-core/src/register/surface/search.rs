@@ -252,16 +252,19 @@ impl Search<'_> {
         }
         candidates.clear();
         candidates.extend(left);
-        let budget = self.limit as f64;
-        let blurred = if self.work as f64 > SHORT * budget { &BLURRED_SHORT } else { &BLURRED_ON };
-        self.limit = (SEARCHED * budget) as u64;
-        let end_on = self.settle(candidates, blurred, settled);
-        self.limit = u64::from(self.params.budget);
+        let budget = self.limit;
+        let is_short = self.work as f64 > SHORT * budget as f64;
+        self.limit = (SEARCHED * budget as f64) as u64;
+        let end_on = self.settle(candidates, if is_short { &BLURRED_SHORT } else { &BLURRED_ON }, settled);
+        self.limit = budget;
         // The one that was first stays so among equals.
         candidates.insert(0, best);
         keep(candidates, FINALISTS, 0.0, 0.0);
-        if candidates[0].slot == best.slot || end_on.converged {
-            return if candidates[0].slot == best.slot { end } else { end_on };
+        if candidates[0].slot == best.slot {
+            return end;
+        }
+        if end_on.converged {
+            return end_on;
         }
         let most = self.params.max_iterations.min(MOST_STEPS).saturating_sub(end_on.iterations);
         let last = self.settle_all(&mut candidates[..1], most, settled);
