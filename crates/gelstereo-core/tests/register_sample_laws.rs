@@ -9,7 +9,7 @@ use gelstereo_core::math::linalg::Symmetric;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::params::{RegisterMethod, RegisterParams};
-use gelstereo_core::register::{Registrar, Registration, Template};
+use gelstereo_core::register::{RegisterError, Registrar, Registration, Template};
 use proptest::prelude::*;
 
 const SPACING_MM: f64 = 0.4;
@@ -45,18 +45,18 @@ impl Given {
         Self { points_mm: contact.points_mm, guess, samples_mm, normals }
     }
 
-    fn register(&self, method: RegisterMethod) -> Registration {
+    fn register(&self, method: RegisterMethod) -> Result<Registration, RegisterError> {
         self.run(&RegisterParams { method, ..Default::default() })
     }
 
     fn sampled(&self, seed: u64) -> Registration {
-        self.run(&RegisterParams { method: RegisterMethod::RansacIcp, seed, ..Default::default() })
+        self.run(&RegisterParams { method: RegisterMethod::RansacIcp, seed, ..Default::default() }).unwrap()
     }
 
-    fn run(&self, params: &RegisterParams) -> Registration {
+    fn run(&self, params: &RegisterParams) -> Result<Registration, RegisterError> {
         let params = RegisterParams { ransac_hypotheses: 200, ..params.clone() };
         let template = Template::new(&self.samples_mm, &self.normals, SPACING_MM).unwrap();
-        Registrar::new(&params).run(&self.points_mm, &template, &self.guess).unwrap()
+        Registrar::new(&params).run(&self.points_mm, &template, &self.guess)
     }
 
     /// Seen from another sensor frame, and the part in another frame of its own.
@@ -100,6 +100,14 @@ fn pose() -> impl Strategy<Value = Pose> {
     (vector(1.8), vector(100.0)).prop_map(|(omega, v)| Pose::exp(omega, v))
 }
 
+/// How many points lie within reach, of how many that are needed, where that is why there is no answer.
+fn refused(answer: Result<Registration, RegisterError>) -> Option<(usize, usize)> {
+    match answer {
+        Err(RegisterError::OutOfReach { within, least, .. }) => Some((within, least)),
+        _ => None,
+    }
+}
+
 /// zᵀ I z, and the sum of its terms' sizes.
 fn squared(information: &Symmetric<6>, z: &[f64; 6]) -> [f64; 2] {
     let terms = || (0..36).map(|k| z[k / 6] * information[k / 6][k % 6] * z[k % 6]);
@@ -114,8 +122,15 @@ proptest! {
     fn the_answer_moves_with_either_frame(seed in 0..1000_u64, sensor in pose(), object in pose()) {
         let given = Given::new(seed);
         for method in METHODS {
-            let here = given.register(method);
-            let there = given.moved(&sensor, &object).register(method);
+            let (here, there) = match (given.register(method), given.moved(&sensor, &object).register(method)) {
+                (Ok(here), Ok(there)) => (here, there),
+                (here, there) => {
+                    // Of contacts of some ten points a hypothesis may leave too few within reach, in either frame.
+                    prop_assert_eq!(refused(here), refused(there), "{:?}", method);
+                    prop_assert_eq!(method, RegisterMethod::RansacIcp);
+                    continue;
+                }
+            };
             let back = sensor.inverse() * there.t_sensor_object * object;
             let apart_mm = given.apart_mm(&here.t_sensor_object, &back);
             prop_assert!(apart_mm <= ROUNDING_MM, "{method:?} {apart_mm:e}");
@@ -144,7 +159,7 @@ proptest! {
     fn the_order_of_points_and_of_samples_changes_no_more_than_rounding(seed in 0..1000_u64) {
         let given = Given::new(seed);
         for method in FROM_THE_GUESS {
-            let [here, there] = [&given, &given.shuffled(seed)].map(|g| g.register(method).t_sensor_object);
+            let [here, there] = [&given, &given.shuffled(seed)].map(|g| g.register(method).unwrap().t_sensor_object);
             let apart_mm = given.apart_mm(&here, &there);
             prop_assert!(apart_mm <= ROUNDING_MM, "{method:?} {apart_mm:e}");
         }
