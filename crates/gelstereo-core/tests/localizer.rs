@@ -8,7 +8,7 @@ mod problems;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::params::{RegisterMethod, RegisterParams};
-use gelstereo_core::register::{Contact, Localizer, RegisterError, Standing, Template};
+use gelstereo_core::register::{Contact, Localizer, RegisterError, Standing};
 use problems::follow::{METHODS, is_right, moved, part, sense};
 use problems::gel::Gel;
 use problems::parts::Part;
@@ -22,36 +22,45 @@ fn sensed(part: &Part, t_sensor_object: Pose, random: &mut Stream) -> Problem {
     sense(&Gel::press(part, &t_sensor_object), t_sensor_object, random)
 }
 
-#[test]
-fn a_moving_part_is_followed() {
-    let mut followed = 0;
-    for (name, method) in ["square peg", "irregular peg", "key"].iter().flat_map(|n| METHODS.map(|m| (n, m)))
-    {
+/// Frames, and of them wrong ones and such that were not followed, of three parts that slide and turn by 0.07 mm and 0.3
+/// degrees a frame.
+fn follow_moving(method: RegisterMethod, seed: u64) -> [usize; 3] {
+    let [mut frames, mut wrong, mut searched] = [0; 3];
+    for name in ["square peg", "irregular peg", "key"] {
         let (part, template) = part(name);
-        let mut random = Stream::new(41, part.name);
+        let mut random = Stream::new(seed, part.name);
         let mut pose = Problem::press(&part, Sensing::GOOD, &mut random).t_sensor_object;
         let mut localizer = localizer(method, &moved(pose, DVec3::Z * 0.05, DVec3::X * 0.4));
         for frame in 0..20 {
             let problem = sensed(&part, pose, &mut random);
-            followed += 1;
             // What slides off the gel tells ever less.
             if problem.points_mm.len() < 30 {
                 break;
             }
             let located = localizer.run(&problem.contact(), &template).unwrap();
-            let expected = if frame == 0 { Standing::Found } else { Standing::Followed };
-            let score = problem.score(&located.registration.t_sensor_object);
-            // The field is wrong by up to 0.87 of its cells along edges, and so is what moves the patch by as much.
-            let is_near =
-                score.angle_rad * problem.radius_mm + score.shift_mm < 0.87 * Template::DEFAULT_CELL_MM;
-            let is_good = is_right(&problem, &located) || (method == RegisterMethod::SurfaceTrack && is_near);
-            assert!(is_good, "{name} {method:?}, frame {frame}: {score:?}");
-            assert_eq!(located.standing, expected, "{name} {method:?}, frame {frame}");
-            assert_eq!(localizer.last(), Some(&located.registration.t_sensor_object));
+            assert!(frame > 0 || located.standing == Standing::Found, "{name} {method:?}");
+            frames += 1;
+            wrong += usize::from(!is_right(&problem, &located));
+            searched += usize::from(frame > 0 && located.standing != Standing::Followed);
+            let is_last = localizer.last() == Some(&located.registration.t_sensor_object);
+            assert_eq!(is_last, located.standing != Standing::Lost, "{name} {method:?}, frame {frame}");
             pose = moved(pose, DVec3::Z * 0.005, DVec3::new(0.06, -0.04, 0.0));
         }
     }
-    assert!(followed > 80, "{followed}");
+    [frames, wrong, searched]
+}
+
+/// Of twenty seeds 14, 10 and 6 % of the frames are wrong, by 13, 6 and 6 % a seed, and 22 of 3468 are searched.
+#[test]
+fn a_moving_part_is_followed() {
+    for (method, most) in METHODS.into_iter().zip([0.33, 0.19, 0.15]) {
+        let all = (41..45).map(|seed| follow_moving(method, seed));
+        let [frames, wrong, searched] = all.fold([0; 3], |a, b| core::array::from_fn(|i| a[i] + b[i]));
+        assert!(frames > 200, "{frames}");
+        // Three standard deviations of four seeds.
+        assert!(wrong as f64 <= most * frames as f64, "{method:?}: {wrong} of {frames} wrong");
+        assert!(searched * 50 <= frames, "{method:?}: {searched} of {frames} searched");
+    }
 }
 
 #[test]
@@ -76,9 +85,10 @@ fn a_part_that_jumps_is_lost_and_found_again() {
             noticed += usize::from(located.standing != Standing::Followed);
         }
     }
-    // Of 120 such jumps 17 were believed where they were not; of 48 more than 14 are with a probability of 2e-3.
-    assert!(count >= 44 && wrong <= 14, "{wrong} of {count} believed wrongly");
-    assert!(2 * recovered >= count, "{recovered} found again of {noticed} noticed, of {count}");
+    // Of 120 such jumps 11 were believed where they were not, and 105 found again; of 48 more than 10 are with a probability
+    // of 4e-3, and fewer than 35 with one of 2e-3.
+    assert!(count >= 44 && wrong <= 10, "{wrong} of {count} believed wrongly");
+    assert!(48 * recovered >= 35 * count, "{recovered} found again of {noticed} noticed, of {count}");
 }
 
 #[test]

@@ -71,7 +71,7 @@ fn a_part_that_was_turned_end_for_end_untouched_is_not_believed_where_it_was() {
         let mut random = Stream::new(52, part.name);
         for k in 0..10 {
             let first = Problem::press_into(SOFT_MM, &part, Sensing::GOOD, &mut random);
-            let mut localizer = localizer(METHODS[k % 2], &first.t_sensor_object);
+            let mut localizer = localizer(METHODS[k % METHODS.len()], &first.t_sensor_object);
             let gel = Gel::press_into(SOFT_MM, &part, &first.t_sensor_object);
             localizer.run(&soft(&first), &template).unwrap();
             for _ in 0..3 {

@@ -14,6 +14,7 @@ use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::params::{RegisterMethod, RegisterParams};
 use gelstereo_core::register::{Contact as Patch, Localizer, Registrar, Standing, Symmetry, Template};
 use gelstereo_core::surface::Facing;
+use problems::follow::METHODS;
 
 #[test]
 fn a_second_run_allocates_nothing() {
@@ -81,7 +82,7 @@ fn a_followed_part_allocates_nothing_whether_held_or_lost() {
     let guess = press.guess(0.02, 0.2, &mut random);
     // No part looks like this.
     let noise: Vec<DVec3> = press.points_mm.iter().map(|&p| p + DVec3::Z * 1.5 * random.uniform()).collect();
-    for method in [RegisterMethod::SurfaceTrack, RegisterMethod::SurfaceClose] {
+    for method in METHODS {
         let settings = RegisterParams { method, ..Default::default() };
         let mut localizer = Localizer::new(&settings, &guess);
         let round = |localizer: &mut Localizer| {
@@ -105,7 +106,7 @@ fn a_part_that_the_gel_is_asked_about_allocates_nothing_followed() {
     let (decay_mm, good) = (problems::gel::SOFT_MM, problems::Sensing::GOOD);
     let problem = problems::Problem::press_into(decay_mm, &parts[0], good, &mut random);
     let contact = Patch { decay_mm, ..problem.contact() };
-    for method in [RegisterMethod::SurfaceTrack, RegisterMethod::SurfaceClose] {
+    for method in METHODS {
         let settings = RegisterParams { method, ..Default::default() };
         let mut localizer = Localizer::new(&settings, &problem.t_sensor_object);
         assert_eq!(localizer.run(&contact, &template).unwrap().standing, Standing::Found);
