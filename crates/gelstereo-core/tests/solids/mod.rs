@@ -52,20 +52,21 @@ pub fn star(n: usize, mut radius: impl FnMut(DVec3, usize) -> f64) -> (Vec<DVec3
     (vertices, triangles)
 }
 
-/// Squared distance of a point to a triangle, by barycentric coordinates and three segments; fit for triangles that
-/// are no slivers.
+/// Squared distance of a point to a triangle, by barycentric coordinates and three segments. One edge is made perpendicular
+/// to the other: the determinant of their products would lose the height of a sliver squared.
 pub fn squared_distance(p: DVec3, [a, b, c]: [DVec3; 3]) -> f64 {
-    let (ab, ac, ap) = (b - a, c - a, p - a);
-    let (d00, d01, d11) = (ab.dot(ab), ab.dot(ac), ac.dot(ac));
-    let (d20, d21) = (ap.dot(ab), ap.dot(ac));
-    let determinant = d00 * d11 - d01 * d01;
-    let (v, w) = ((d11 * d20 - d01 * d21) / determinant, (d00 * d21 - d01 * d20) / determinant);
+    let (along, ap) = (b - a, p - a);
+    let share = |v: DVec3| v.dot(along) / along.length_squared();
+    let across = |v: DVec3| v - along * share(v);
+    let (height, off) = (across(c - a), across(ap));
+    let w = off.dot(height) / height.length_squared();
+    let v = share(ap - (c - a) * w);
     let segment = |a: DVec3, b: DVec3| {
         let share = ((p - a).dot(b - a) / (b - a).length_squared()).clamp(0.0, 1.0);
         (a + (b - a) * share).distance_squared(p)
     };
     let rim = segment(a, b).min(segment(b, c)).min(segment(c, a));
-    if v >= 0.0 && w >= 0.0 && v + w <= 1.0 { rim.min((ap - ab * v - ac * w).length_squared()) } else { rim }
+    if v >= 0.0 && w >= 0.0 && v + w <= 1.0 { rim.min((off - height * w).length_squared()) } else { rim }
 }
 
 /// Distance to all triangles of a mesh, each looked at.
