@@ -7,9 +7,9 @@ use super::{Contact, Misfit, RegisterError, Registrar, Registration};
 use crate::math::Pose;
 use crate::params::{RegisterMethod, RegisterParams};
 
-/// How far a part moves between two frames, over how far the guess may be off. Of followed frames of twenty ways on a soft
-/// gel, in which it moves by 0.04 mm a frame and slips by 0.15 mm at times, 0.3 leaves 1.5 times as many wrong, 0.03 1.3
-/// times, and 1 twice as many (simulated, noise 0.03 mm).
+/// How far a part moves between two frames, over how far the guess may be off. On twenty ways in a soft gel, where it moves
+/// by 0.04 mm a frame and slips by 0.15 mm at times, `surface_search` leaves 1.5 times as many frames wrong with 0.3, 1.3
+/// times with 0.03, and twice as many with 1 (simulated, noise 0.03 mm).
 const MOVED: f64 = 0.1;
 
 /// How a localizer came to a pose.
@@ -42,13 +42,13 @@ pub struct Located {
 /// (`register.start_sigma_deg`, `register.start_sigma_mm`): what a contact determines weakly does not wander.
 ///
 /// Where the gel explained the contact in which the part was found, a pose is believed while its [`Misfit`] is as usual:
-/// as at poses that were believed before and, at first, as noise and `register.outlier_share` would have it. Were markers independent, a right pose at its peak
-/// would be doubted once in a million frames. That finds a part that was turned while nothing touched it, if the gel
-/// shows it; a turn after which the gel looks the same cannot be told. Elsewhere (not all markers given, a gel that
-/// comes back to rest within a pitch) a pose is believed while [`Registration::log_odds`] is above 0, even odds.
-/// Otherwise the part is searched by `surface_search`, around the last pose that was believed and, if that finds
-/// nothing either, around where it is expected. What the contact leaves free stays as it was, so that noise does not
-/// make it wander.
+/// as at poses that were believed before and, at first, as noise and `register.outlier_share` would have it. Were markers
+/// independent, a right pose at its peak would be doubted once in a million frames. That finds a part that was turned
+/// while nothing touched it, if the gel shows it; a turn after which the gel looks the same cannot be told. Elsewhere (not
+/// all markers given, a gel that comes back to rest within a pitch) a pose is believed while [`Registration::log_odds`] is
+/// above 0, even odds. Otherwise the part is searched by `surface_search`, around the last pose that was believed and, if
+/// that finds nothing either, around where it is expected. What the contact leaves free stays as it was, so that noise
+/// does not make it wander.
 ///
 /// Allocates nothing once patches as large have been followed and searched.
 #[derive(Clone, Debug)]
