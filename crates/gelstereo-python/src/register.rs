@@ -310,10 +310,11 @@ fn with_contact<T: Send>(
 ///
 /// A pose is followed from the frame before by the part's exact surface; with the ``register.method`` "surface_search"
 /// by what the gel does, too, and with "surface_track" by its grid of distances first. From frame to frame the part is
-/// said to move by a tenth of ``register.start_sigma_deg`` and ``register.start_sigma_mm``. Where the gel explained the contact in which the part was found, it is believed while its
-/// `misfit` is as usual; elsewhere (not all markers given, a gel that comes back to rest within a pitch) while its
-/// ``log_odds`` are above 0. Otherwise the part is searched for, around the last pose that was believed and around
-/// where it is expected. What the contact leaves free stays as it was.
+/// said to move by a tenth of ``register.start_sigma_deg`` and ``register.start_sigma_mm``. Where the gel explained the
+/// contact in which the part was found, a pose is believed while its `misfit` is as usual; elsewhere (not all markers
+/// given, a gel that comes back to rest within a pitch) while its ``log_odds`` are above 0. Otherwise the part is searched
+/// for, around the last pose that was believed and around where it is expected. What the contact leaves free stays as it
+/// was.
 ///
 /// Calls from several threads take turns; the interpreter is released meanwhile.
 ///

@@ -33,7 +33,7 @@ pub(super) struct Step {
 
 impl Step {
     /// Where a share of it has raised the cost by so much: the share at which the parabola through both is lowest, no less
-    /// than a fiftieth and no more than half of it, and how much lower that is.
+    /// than a fiftieth and no more than half of it, and how much lower that is; held at half, it is as much at least.
     pub fn lowest(&self, share: f64, rise: f64) -> (f64, f64) {
         let lowest = 0.5 * self.slope * share * share / (rise + self.slope * share);
         // Of nothing over nothing the larger one is the number.
