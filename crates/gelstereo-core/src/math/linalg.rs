@@ -25,14 +25,10 @@ pub fn eigen<const N: usize>(matrix: &Symmetric<N>) -> Eigen<N> {
         let mut rotated = false;
         for p in 0..N {
             for q in p + 1..N {
-                // Relative to both diagonal entries, so that small eigenvalues of a graded matrix keep their digits
-                // (Demmel and Veselić 1992). Two roots, as the product may underflow.
-                let scale = libm::sqrt(a[p][p].abs()) * libm::sqrt(a[q][q].abs());
-                if a[p][q] == 0.0 || a[p][q].abs() <= f64::EPSILON * 0.25 * scale {
-                    continue;
+                if !is_zero(a[p][q], [a[p][p], a[q][q]]) {
+                    rotated = true;
+                    rotate(&mut a, &mut v, p, q);
                 }
-                rotated = true;
-                rotate(&mut a, &mut v, p, q);
             }
         }
         if !rotated {
@@ -47,13 +43,24 @@ pub fn eigen<const N: usize>(matrix: &Symmetric<N>) -> Eigen<N> {
     }
 }
 
+/// Whether rounding may have left that much of zero beside these diagonal entries. Relative to both, so that small
+/// eigenvalues of a graded matrix keep their digits (Demmel and Veselić 1992).
+fn is_zero(off: f64, diagonal: [f64; 2]) -> bool {
+    let rounding = 0.25 * f64::EPSILON;
+    let [a, d] = diagonal.map(f64::abs);
+    // Mostly the larger one tells. Two roots, as the product may underflow.
+    off == 0.0
+        || (off.abs() <= rounding * a.max(d) && off.abs() <= rounding * (libm::sqrt(a) * libm::sqrt(d)))
+}
+
 /// One Jacobi rotation that zeroes a[p][q]; `v` collects the rotations in its columns.
 fn rotate<const N: usize>(a: &mut Symmetric<N>, v: &mut [[f64; N]; N], p: usize, q: usize) {
     let off = a[p][q];
     let tau = (a[q][q] - a[p][p]) / (2.0 * off);
-    let root = libm::hypot(1.0, tau);
+    // Where the square is infinite the turn is too small to tell.
+    let root = libm::sqrt(1.0 + tau * tau);
     let t = if tau >= 0.0 { 1.0 / (tau + root) } else { 1.0 / (tau - root) };
-    let c = 1.0 / libm::hypot(1.0, t);
+    let c = 1.0 / libm::sqrt(1.0 + t * t);
     let s = t * c;
     // As corrections: c² a - 2 c s b + s² d would cancel for a small eigenvalue beside a large one.
     let (low, high) = (a[p][p] - t * off, a[q][q] + t * off);

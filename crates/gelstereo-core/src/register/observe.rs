@@ -89,11 +89,15 @@ pub(super) struct Sighting {
 pub(super) struct System {
     radius_mm: f64,
     sigma_mm: f64,
-    hessian: Symmetric<6>,
+    hessian: Triangle,
     gradient: Vector6,
-    noise: Symmetric<6>,
+    noise: Triangle,
     points: f64,
 }
+
+/// The upper triangle of a symmetric matrix; below it there is nothing.
+#[derive(Clone, Copy, Debug)]
+struct Triangle(Symmetric<6>);
 
 /// The eigenvectors of a patch's information and which of them it determines.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -111,25 +115,29 @@ pub struct Observability {
 impl System {
     /// Empty, for a patch of that rms radius whose points are known to `sigma_mm` along the normal.
     pub fn new(radius_mm: f64, sigma_mm: f64) -> Self {
-        let zero = [[0.0; 6]; 6];
-        Self { radius_mm, sigma_mm, hessian: zero, gradient: [0.0; 6], noise: zero, points: 0.0 }
+        let (hessian, noise) = (Triangle::ZERO, Triangle::ZERO);
+        Self { radius_mm, sigma_mm, hessian, gradient: [0.0; 6], noise, points: 0.0 }
     }
 
     pub fn add(&mut self, sighting: &Sighting) {
         let Sighting { lever, normal, residual, weight, normal_variance } = *sighting;
-        let j = stack(lever.cross(normal) / self.radius_mm, normal);
-        let sigma_squared = self.sigma_mm * self.sigma_mm;
-        add_outer(&mut self.hessian, &j, weight);
+        let per_radius = 1.0 / self.radius_mm;
+        let j = stack(lever.cross(normal) * per_radius, normal);
+        self.hessian.add_outer(&j, weight);
         for (sum, j) in self.gradient.iter_mut().zip(j) {
             *sum += weight * residual * j;
         }
         // (I - n nᵀ) = a aᵀ + b bᵀ for any a, b that complete the normal.
         let (a, b) = normal.any_orthonormal_pair();
         for across in [a, b] {
-            let turned = stack(lever.cross(across) / self.radius_mm, across);
-            add_outer(&mut self.noise, &turned, weight * normal_variance);
-            let shifted = stack(across / self.radius_mm, DVec3::ZERO);
-            add_outer(&mut self.noise, &shifted, weight * sigma_squared);
+            let turned = stack(lever.cross(across) * per_radius, across);
+            self.noise.add_outer(&turned, weight * normal_variance);
+        }
+        let shifted = self.sigma_mm * per_radius;
+        let shifted = weight * shifted * shifted;
+        for (i, row) in self.noise.0[..3].iter_mut().enumerate() {
+            row[i] += shifted;
+            (i..3).for_each(|k| row[k] -= shifted * normal[i] * normal[k]);
         }
         self.points += weight;
     }
@@ -142,7 +150,7 @@ impl System {
     /// Another source knows the information, per mm²; the noise of the normals stays that of the points.
     pub fn replace_information(&mut self, information: &Symmetric<6>) {
         let sigma_squared = self.sigma_mm * self.sigma_mm;
-        self.hessian = information.map(|row| row.map(|x| x * sigma_squared));
+        self.hessian = Triangle(information.map(|row| row.map(|x| x * sigma_squared)));
     }
 
     /// An answer that steps did not end at is short of the best one by about the step that was not taken: `left_mm` over the
@@ -150,30 +158,31 @@ impl System {
     /// steps would end is not known before they are taken, and that one tells how far rather than whereto: an error as large
     /// in every direction, on its own, is added to the covariance, σ² / λ + left².
     pub fn blur(&mut self, left_mm: Option<f64>) {
-        let spectrum = linalg::eigen(&self.hessian);
+        let spectrum = linalg::eigen(&self.hessian.whole());
         let left_mm = left_mm.unwrap_or_else(|| {
             let (omega, v_mm) = self.solve_along(&spectrum, self.radius_mm);
             sqrt((omega * self.radius_mm).length_squared() + v_mm.length_squared())
         });
         let blur = left_mm * left_mm / (self.sigma_mm * self.sigma_mm);
-        self.hessian = [[0.0; 6]; 6];
+        self.hessian = Triangle::ZERO;
         for (value, u) in spectrum.values.iter().zip(&spectrum.vectors) {
             let value = value.max(0.0);
-            add_outer(&mut self.hessian, u, value / (1.0 + value * blur));
+            self.hessian.add_outer(u, value / (1.0 + value * blur));
         }
     }
 
     /// The rule of this module, about a centroid.
     pub fn observe(&self, centre_mm: DVec3) -> Observability {
-        self.observe_along(&linalg::eigen(&self.hessian), centre_mm)
+        self.observe_along(&linalg::eigen(&self.hessian.whole()), centre_mm)
     }
 
     /// The same, by the eigenvectors of Σ J Jᵀ.
     fn observe_along(&self, eigen: &Eigen<6>, centre_mm: DVec3) -> Observability {
         let sigma_squared = self.sigma_mm * self.sigma_mm;
+        let noise = self.noise.whole();
         let scatter = 1.0 + 3.0 * sqrt(2.0 / self.points.max(1.0));
         let values = core::array::from_fn(|k| {
-            let noise = quadratic(&self.noise, &eigen.vectors[k]);
+            let noise = quadratic(&noise, &eigen.vectors[k]);
             let limit = scatter * noise + sigma_squared / (self.radius_mm * self.radius_mm);
             if eigen.values[k] > limit { (eigen.values[k] - noise) / sigma_squared } else { 0.0 }
         });
@@ -184,17 +193,18 @@ impl System {
     /// directions. It moves no more than `limit_mm` rms over the patch: the planes say nothing of places farther off
     /// than the correspondences, and a weak direction must not carry the patch there.
     pub fn solve(&self, limit_mm: f64) -> (DVec3, DVec3) {
-        self.solve_along(&linalg::eigen(&self.hessian), limit_mm)
+        self.solve_along(&linalg::eigen(&self.hessian.whole()), limit_mm)
     }
 
     /// The same, by the eigenvectors of Σ J Jᵀ.
     fn solve_along(&self, eigen: &Eigen<6>, limit_mm: f64) -> (DVec3, DVec3) {
         let seen = self.observe_along(eigen, DVec3::ZERO);
+        let hessian = self.hessian.whole();
         let mut z = [0.0; 6];
         for (u, value) in seen.directions.iter().zip(seen.values) {
             if value > 0.0 {
                 // λ rather than the smaller unbiased value: the noise in J shortens the step, and never lengthens it.
-                let step = dot(u, &self.gradient) / quadratic(&self.hessian, u);
+                let step = dot(u, &self.gradient) / quadratic(&hessian, u);
                 z.iter_mut().zip(u).for_each(|(z, u)| *z += step * u);
             }
         }
@@ -202,6 +212,21 @@ impl System {
         let share = if length > limit_mm { limit_mm / length } else { 1.0 };
         let (omega, v) = halves(&z.map(|z| z * share));
         (omega / self.radius_mm, v)
+    }
+}
+
+impl Triangle {
+    const ZERO: Self = Self([[0.0; 6]; 6]);
+
+    fn add_outer(&mut self, u: &Vector6, weight: f64) {
+        for (i, row) in self.0.iter_mut().enumerate() {
+            let wu = weight * u[i];
+            (i..6).for_each(|k| row[k] += wu * u[k]);
+        }
+    }
+
+    fn whole(&self) -> Symmetric<6> {
+        core::array::from_fn(|i| core::array::from_fn(|k| self.0[i.min(k)][i.max(k)]))
     }
 }
 
@@ -328,7 +353,7 @@ mod tests {
                 normal_variance: (sigma_mm / 4.0) * (sigma_mm / 4.0),
             });
         }
-        (system.observe(frame.centre_mm), system.hessian)
+        (system.observe(frame.centre_mm), system.hessian.whole())
     }
 
     #[test]
@@ -406,6 +431,7 @@ mod tests {
         ] {
             let mut exact = System::new(radius_mm, sigma_mm);
             exact.add(&sighting(lever, normal));
+            let noise = exact.noise.whole();
             let (mut sum, mut squares) = ([[0.0; 6]; 6], [[0.0; 6]; 6]);
             for _ in 0..runs {
                 // δn and δx each on their own, as N has them: what both do together is of fourth order.
@@ -424,8 +450,8 @@ mod tests {
             for i in 0..6 {
                 for j in 0..6 {
                     let deviation = sqrt(squares[i][j] / f64::from(runs));
-                    let apart = (sum[i][j] - exact.noise[i][j]).abs();
-                    assert!(apart <= 5.0 * deviation + 1e-15, "{i} {j}: {} {}", sum[i][j], exact.noise[i][j]);
+                    let apart = (sum[i][j] - noise[i][j]).abs();
+                    assert!(apart <= 5.0 * deviation + 1e-15, "{i} {j}: {} {}", sum[i][j], noise[i][j]);
                 }
             }
         }

@@ -154,7 +154,7 @@ pub(super) fn observe(
     (scratch, settled, told): AtBest<'_>,
     converged: bool,
 ) -> Observability {
-    let back = best.placement.pose.rotation.conjugate();
+    let placement = &best.placement;
     let sigma_mm = params.point_sigma_mm;
     // The steps took no others for touching: those pushed at most, and a push tells of one side alone.
     let touching = || {
@@ -167,8 +167,8 @@ pub(super) fn observe(
     } else {
         for ((sample, r), touches) in touching() {
             system.add(&Sighting {
-                lever: back * sample.p_mm,
-                normal: back * r.normal,
+                lever: placement.object_direction(sample.p_mm),
+                normal: placement.object_direction(r.normal),
                 residual: r.distance_mm,
                 weight: touches * sigma_mm * sigma_mm / r.variance_mm2,
                 normal_variance: r.curvature_per_mm * r.curvature_per_mm * r.variance_mm2,
@@ -179,38 +179,56 @@ pub(super) fn observe(
         system.blur(told.map(|told| told.left_mm));
     }
     // About the salient points' centroid, in the object's axes.
-    let mut seen = system.observe(best.placement.object_point(DVec3::ZERO));
+    let mut seen = system.observe(placement.object_point(DVec3::ZERO));
     if told.is_none() {
-        for (u, value) in seen.directions.iter().zip(&mut seen.values).filter(|(_, value)| **value > 0.0) {
-            let more = doubt(touching().map(|((sample, r), touches)| {
-                let (lever, normal) = (back * sample.p_mm, back * r.normal);
-                let along = dot(u, &stack(lever.cross(normal) / samples.radius_mm, normal));
-                (*touches, along * along / r.variance_mm2, r.distance_mm * r.distance_mm / r.variance_mm2)
-            }));
-            *value /= 1.0 + *value * more;
+        let per_radius = 1.0 / samples.radius_mm;
+        let mut doubts = [Doubt::default(); 6];
+        for ((sample, r), touches) in touching() {
+            let precision = 1.0 / r.variance_mm2;
+            let r_squared = r.distance_mm * r.distance_mm * precision;
+            let normal = placement.object_direction(r.normal);
+            let j = stack(placement.object_direction(sample.p_mm).cross(normal) * per_radius, normal);
+            for (doubt, u) in doubts.iter_mut().zip(&seen.directions) {
+                let along = dot(u, &j);
+                doubt.add(*touches, along * along * precision, r_squared);
+            }
+        }
+        for (value, doubt) in seen.values.iter_mut().zip(&doubts).filter(|(value, _)| **value > 0.0) {
+            *value /= 1.0 + *value * doubt.variance();
         }
     }
     seen
 }
 
-/// What is to be added to the variance along a direction for not knowing which points touch: from the probability w that
-/// each does, what it would tell, t = J² / σ², and how far off it is, r² / σ².
+/// What is to be added to the variance along a direction for not knowing which points touch.
 ///
 /// The weights tell Σ w t as if they were known. They change with the pose, and the likelihood is curved by
 /// Σ w t (1 - (1 - w) r²) alone (Louis 1982). Where the points pull against one another, by w r each, more than goes with
 /// such a curvature, the pose is as uncertain as that says: Σ w² t r² over the curvature squared (White 1982).
-fn doubt(points: impl Iterator<Item = (f64, f64, f64)>) -> f64 {
-    let (mut told, mut missing, mut pulls) = (0.0, 0.0, 0.0);
-    for (w, t, r_squared) in points {
-        told += w * t;
-        missing += w * (1.0 - w) * r_squared * t;
-        pulls += w * w * r_squared * t;
+#[derive(Clone, Copy, Debug, Default)]
+struct Doubt {
+    told: f64,
+    missing: f64,
+    pulls: f64,
+}
+
+impl Doubt {
+    /// Of a point: the probability w that it touches, what it would tell, t = J² / σ², and how far off it is, r² / σ².
+    fn add(&mut self, w: f64, t: f64, r_squared: f64) {
+        let pulls = w * t * r_squared;
+        self.told += w * t;
+        self.missing += (1.0 - w) * pulls;
+        self.pulls += w * pulls;
     }
-    if !(told > 0.0) {
-        return 0.0;
+
+    fn variance(&self) -> f64 {
+        let Self { told, missing, pulls } = *self;
+        if !(told > 0.0) {
+            return 0.0;
+        }
+        let curved = (told - missing).max(LEAST_CURVED * told);
+        (1.0 / curved).max(pulls / (curved * curved)) - 1.0 / told
     }
-    let curved = (told - missing).max(LEAST_CURVED * told);
-    (1.0 / curved).max(pulls / (curved * curved)) - 1.0 / told
 }
 
 /// What the heights of the gel tell, with the noise of the normals that they are told by.
@@ -267,12 +285,18 @@ pub(super) fn alternatives(samples: &Samples, candidates: &[Candidate], is_cut: 
 mod tests {
     use super::*;
     use crate::math::ln;
-    use crate::register::surface::noise::{Bell, Mixture, STRAY_MM};
+    use crate::register::surface::noise::{Bell, Loose, Mixture, STRAY_MM};
 
     const SIGMA_MM: f64 = 0.03;
 
     fn at(mixture: &Mixture, d_mm: f64) -> (f64, f64) {
-        mixture.at(d_mm, SIGMA_MM, Bell::at(d_mm, SIGMA_MM))
+        mixture.at(d_mm, Bell::at(d_mm, SIGMA_MM))
+    }
+
+    fn doubt(points: impl Iterator<Item = (f64, f64, f64)>) -> f64 {
+        let mut doubt = Doubt::default();
+        points.for_each(|(w, t, r_squared)| doubt.add(w, t, r_squared));
+        doubt.variance()
     }
 
     fn doubt_of(mixture: &Mixture, all_mm: &[f64]) -> f64 {
@@ -285,7 +309,7 @@ mod tests {
     #[test]
     fn what_is_missing_is_what_the_likelihood_is_not_curved_by() {
         // Contact and outliers, which are anywhere: no free gel, whose density has slopes of its own.
-        let mixture = Mixture::new(1.0, 0.8, (1.0, STRAY_MM));
+        let mixture = Loose::new(0.8, (1.0, STRAY_MM)).with(1.0);
         let all_mm = [-0.03, -0.02, 0.0, 0.01, 0.04];
         let cost =
             |shift_mm: f64| -> f64 { all_mm.iter().map(|d_mm| -ln(at(&mixture, d_mm + shift_mm).1)).sum() };

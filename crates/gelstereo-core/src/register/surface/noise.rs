@@ -5,10 +5,13 @@
 //! mixture of contact, free gel and outlier. Markers that are not salient have their own shares; at the rim of a contact
 //! some of them touch, and without them the salient ones would be those that noise has raised.
 
-use crate::math::{exp, sqrt};
+use crate::math::exp_nonpositive;
+use core::f64::consts::FRAC_1_SQRT_2;
 
 /// No contact is this many standard deviations off: its density, e^-32 of the greatest, is far below that of outliers.
 const NEVER: f64 = 8.0;
+/// 1 / √(2 π).
+const FRAC_1_SQRT_TAU: f64 = 0.398_942_280_401_432_7;
 /// Outliers are spread over this much.
 pub(super) const STRAY_MM: f64 = 3.0;
 
@@ -43,31 +46,60 @@ const DEEP: f64 = 3.0;
 /// What a normal distribution says of a distance, whatever the shares: of one distance shares are asked for again and again.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Bell {
-    /// exp(-r² / 2), 0 where there is never contact.
-    near: f64,
+    /// Density of contact, per mm, 0 where there is never any.
+    pub density: f64,
     /// erfc(|r| / √2).
     tail: f64,
 }
 
 impl Bell {
     /// Where there is never contact.
-    pub const NONE: Self = Self { near: 0.0, tail: 0.0 };
+    pub const NONE: Self = Self { density: 0.0, tail: 0.0 };
 
     #[inline]
     pub fn at(d_mm: f64, sigma_mm: f64) -> Self {
-        let r = (d_mm / sigma_mm).abs();
+        let per_mm = 1.0 / sigma_mm;
+        let r = d_mm.abs() * per_mm;
         if r > NEVER {
             return Self::NONE;
         }
-        let near = exp(-0.5 * r * r);
-        Self { near, tail: tail(r, near) }
+        let near = exp_nonpositive(-0.5 * r * r);
+        Self { density: near * (per_mm * FRAC_1_SQRT_TAU), tail: near * scaled_tail(r) }
+    }
+}
+
+/// Where markers are that do not touch.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Loose {
+    /// Share of those that are no outliers.
+    good: f64,
+    /// Density of free gel, per mm, of nothing else.
+    free: f64,
+    /// Density of outliers, per mm.
+    stray: f64,
+    /// Free gel ends there.
+    reach_mm: f64,
+}
+
+impl Loose {
+    /// What is no outlier hangs up to `reach_mm` over the part; outliers are spread over `stray_mm`.
+    pub fn new(outliers: f64, (reach_mm, stray_mm): (f64, f64)) -> Self {
+        let good = 1.0 - outliers;
+        Self { good, free: good / reach_mm, stray: outliers.max(1e-4) / stray_mm, reach_mm }
+    }
+
+    /// `contact` of the points that are no outliers touch.
+    #[inline]
+    pub fn with(&self, contact: f64) -> Mixture {
+        let Self { good, free, stray, reach_mm } = *self;
+        Mixture { contact: contact * good, free: (1.0 - contact) * free, stray, reach_mm }
     }
 }
 
 /// Shares of the mixture that a marker is drawn from.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Mixture {
-    pub contact: f64,
+    contact: f64,
     /// Density of free gel outside of the part and of outliers, per mm.
     free: f64,
     stray: f64,
@@ -76,23 +108,10 @@ pub(super) struct Mixture {
 }
 
 impl Mixture {
-    /// `contact` of the points that are no outliers touch; the others hang up to `reach_mm` over the part;
-    /// outliers are spread over `stray_mm`.
+    /// Probability that the marker touches, and the mixture's density, per mm, at a distance of which the bell is.
     #[inline]
-    pub fn new(contact: f64, outliers: f64, (reach_mm, stray_mm): (f64, f64)) -> Self {
-        let good = 1.0 - outliers;
-        Self {
-            contact: contact * good,
-            free: (1.0 - contact) * good / reach_mm,
-            stray: outliers.max(1e-4) / stray_mm,
-            reach_mm,
-        }
-    }
-
-    /// Probability that the marker touches, and the mixture's density, per mm.
-    #[inline]
-    pub fn at(&self, d_mm: f64, sigma_mm: f64, bell: Bell) -> (f64, f64) {
-        let touch = self.contact / (sigma_mm * sqrt(core::f64::consts::TAU)) * bell.near;
+    pub fn at(&self, d_mm: f64, bell: Bell) -> (f64, f64) {
+        let touch = self.contact * bell.density;
         let free = if d_mm >= self.reach_mm {
             0.0
         } else if d_mm >= 0.0 {
@@ -112,7 +131,7 @@ impl Mixture {
             return (0.0, self.free_density());
         }
         let r = d_mm / sigma_mm;
-        let good = self.free * exp(-0.5 * r * r);
+        let good = self.free * exp_nonpositive(-0.5 * r * r);
         (good / (good + self.stray), good + self.stray)
     }
 
@@ -123,11 +142,28 @@ impl Mixture {
     }
 }
 
-/// erfc(r / √2) from r ≥ 0 and exp(-r²/2), to 1 % (Karagiannidis and Lioumpas 2007).
-fn tail(r: f64, near: f64) -> f64 {
-    if r < 1e-3 {
-        return 1.0;
+/// erfc(r / √2) / exp(-r²/2) for r ≥ 0, so that erfc is right to 2.5e-5 (Abramowitz and Stegun 7.1.25).
+#[inline]
+fn scaled_tail(r: f64) -> f64 {
+    let t = 1.0 / (1.0 + 0.47047 * FRAC_1_SQRT_2 * r);
+    t * (0.348_024_2 + t * (-0.095_879_8 + t * 0.747_855_6))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::{erfc, exp};
+
+    #[test]
+    fn a_bell_is_the_normal_law_and_its_tail() {
+        let sigma_mm = 0.03;
+        for k in 0..=800 {
+            let r = 0.01 * f64::from(k);
+            let bell = Bell::at(-r * sigma_mm, sigma_mm);
+            let density = exp(-0.5 * r * r) * FRAC_1_SQRT_TAU / sigma_mm;
+            assert!((bell.density / density - 1.0).abs() < 1e-13, "{r}");
+            assert!((bell.tail - erfc(r * FRAC_1_SQRT_2)).abs() < 2.5e-5, "{r}");
+        }
+        assert_eq!(Bell::at(8.01 * sigma_mm, sigma_mm).density, 0.0);
     }
-    let x = r * core::f64::consts::FRAC_1_SQRT_2;
-    (1.0 - exp(-1.98 * x)) * near / (1.135 * 1.772_453_850_905_516 * x)
 }

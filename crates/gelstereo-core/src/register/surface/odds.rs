@@ -2,7 +2,7 @@
 
 use super::contact::Samples;
 use super::noise::STRAY_MM;
-use super::polish::{PolishScratch, Reading};
+use super::polish::{Likelihood, PolishScratch, Reading};
 use super::search::Candidate;
 use super::settled::{SettledScratch, Sight};
 use crate::math::{exp, ln, sqrt};
@@ -79,7 +79,7 @@ fn by_distances(samples: &Samples, scratch: &PolishScratch, outliers: f64) -> f6
     let beside_mm = BESIDE * samples.decay_mm;
     let hangs_mm = 0.0..sqrt(samples.height_mm * samples.height_mm + beside_mm * beside_mm);
     let densities = |r: &Reading, share: f64| {
-        let touch = share * good * normal(r);
+        let touch = share * good * r.bell.density;
         let hangs = hangs_mm.contains(&r.distance_mm);
         let free = if hangs { (1.0 - share) * good / samples.height_mm } else { 0.0 };
         (touch, touch + free + stray / stray_mm)
@@ -91,13 +91,10 @@ fn by_distances(samples: &Samples, scratch: &PolishScratch, outliers: f64) -> f6
         };
         share = (pressed.iter().map(believed).sum::<f64>() + 1.0) / (count + 2.0);
     }
-    let salient: f64 = pressed.iter().map(|r| ln(densities(r, share).1 * samples.height_mm)).sum();
+    let mut salient = Likelihood::ONE;
+    pressed.iter().for_each(|r| salient.times(densities(r, share).1 * samples.height_mm));
     let within = others.iter().filter(|r| r.distance_mm < 0.0);
     let deviations = |r: &Reading| r.distance_mm / r.sigma_mm;
-    salient + within.map(|r| ln(good * exp(-0.5 * deviations(r) * deviations(r)) + stray)).sum::<f64>()
+    -salient.cost() + within.map(|r| ln(good * exp(-0.5 * deviations(r) * deviations(r)) + stray)).sum::<f64>()
 }
 
-/// Density of a point that touches, per mm.
-fn normal(r: &Reading) -> f64 {
-    exp(-0.5 * r.distance_mm * r.distance_mm / r.variance_mm2) / sqrt(TAU * r.variance_mm2)
-}

@@ -6,7 +6,7 @@
 
 use super::contact::Samples;
 use super::fit::{Clear, View};
-use super::noise::{Bell, Mixture, STRAY_MM};
+use super::noise::{Bell, Loose, STRAY_MM};
 use super::part::{Coarse, Distances, Last, Near, Range, press_in_object};
 use super::search::Candidate;
 use super::step::{Normal, Placement, Prior};
@@ -47,7 +47,8 @@ pub(super) struct Reading {
     pub normal: DVec3,
     pub variance_mm2: f64,
     pub sigma_mm: f64,
-    bell: Bell,
+    /// What contact would say of the distance.
+    pub bell: Bell,
     pub curvature_per_mm: f64,
     /// A marker whose foot on the part lies below where saliency begins is not asked, salient or not: asking those
     /// alone that noise has raised over it would raise the part.
@@ -317,14 +318,12 @@ impl<D: Distances> Polish<'_, D> {
     fn believe(&self, scratch: &mut PolishScratch, asked: Asked) {
         let PolishScratch { here, before, touches, .. } = scratch;
         let pressed = self.view.pressed.len();
-        let [shoulder_mm, free_mm, stray_mm] =
-            [SHOULDER_MM, FREE_MM, STRAY_MM].map(|mm| self.params.scaled(mm));
+        let loose = self.loose();
         let mut total = 0.0;
         let count = if asked == Asked::Touching { here.all.len() } else { pressed };
         for (k, r) in here.all[..count].iter().enumerate() {
-            let reach_mm = if k < pressed { shoulder_mm } else { free_mm };
-            let mixture = Mixture::new(before[k].max(0.01), self.params.outlier_share, (reach_mm, stray_mm));
-            touches[k] = if r.can_touch { mixture.at(r.distance_mm, r.sigma_mm, r.bell).0 } else { 0.0 };
+            let mixture = loose[usize::from(k >= pressed)].with(before[k].max(0.01));
+            touches[k] = if r.can_touch { mixture.at(r.distance_mm, r.bell).0 } else { 0.0 };
             if k < pressed {
                 total += touches[k];
             }
@@ -345,6 +344,12 @@ impl<D: Distances> Polish<'_, D> {
         before[pressed..].fill(0.0);
     }
 
+    /// Where salient markers are that do not touch, and where others.
+    fn loose(&self) -> [Loose; 2] {
+        let of = |mm| (self.params.scaled(mm), self.params.scaled(STRAY_MM));
+        [SHOULDER_MM, FREE_MM].map(|mm| Loose::new(self.params.outlier_share, of(mm)))
+    }
+
     /// What a placement costs.
     fn cost(&self, scratch: &PolishScratch, readings: &Readings, placement: &Placement) -> f64 {
         self.sum::<false>(scratch, readings, placement).cost
@@ -357,12 +362,12 @@ impl<D: Distances> Polish<'_, D> {
         readings: &Readings,
         placement: &Placement,
     ) -> Normal {
-        let outliers = self.params.outlier_share;
         let pressed = self.view.pressed.len();
         let mut sum = Normal::ZERO;
-        let [shoulder_mm, free_mm, far_mm, stray_mm] =
-            [SHOULDER_MM, FREE_MM, FAR_MM, STRAY_MM].map(|mm| self.params.scaled(mm));
-        let mut likelihood = Likelihood { product: 1.0, cost: 0.0 };
+        let [shoulder_mm, far_mm, stray_mm] =
+            [SHOULDER_MM, FAR_MM, STRAY_MM].map(|mm| self.params.scaled(mm));
+        let loose = self.loose();
+        let mut likelihood = Likelihood::ONE;
         let per_radius = 1.0 / self.view.radius_mm;
         let samples = self.view.pressed.iter().chain(self.view.unpressed);
         for (k, ((sample, r), &before)) in samples.zip(&readings.all).zip(&scratch.before).enumerate() {
@@ -370,12 +375,12 @@ impl<D: Distances> Polish<'_, D> {
             if k >= pressed && (r.distance_mm > far_mm || (before == 0.0 && pushed_mm == 0.0)) {
                 continue;
             }
-            let reach_mm = if k < pressed { shoulder_mm } else { free_mm };
-            let mixture = Mixture::new(before, outliers, (reach_mm, stray_mm));
+            let mixture = loose[usize::from(k >= pressed)].with(before);
             let (d_mm, (weight, density)) = if before > 0.0 {
-                (r.distance_mm, mixture.at(r.distance_mm, r.sigma_mm, r.bell))
-            } else if r.distance_mm > reach_mm {
-                (0.0, (0.0, Mixture::new(0.0, 1.0, (reach_mm, stray_mm)).free_density()))
+                (r.distance_mm, mixture.at(r.distance_mm, r.bell))
+            } else if k < pressed && r.distance_mm > shoulder_mm {
+                // Neither the part nor its shoulder brings it there: an outlier.
+                (0.0, (0.0, 1.0 / stray_mm))
             } else {
                 (pushed_mm, mixture.free(pushed_mm, r.sigma_mm))
             };
@@ -394,14 +399,16 @@ impl<D: Distances> Polish<'_, D> {
 }
 
 /// The negative logarithm of a product of densities; of several factors at once, for logarithms take long.
-struct Likelihood {
+pub(super) struct Likelihood {
     product: f64,
     cost: f64,
 }
 
 impl Likelihood {
+    pub const ONE: Self = Self { product: 1.0, cost: 0.0 };
+
     #[inline]
-    fn times(&mut self, density: f64) {
+    pub fn times(&mut self, density: f64) {
         self.product *= density;
         if !(1e-100..1e100).contains(&self.product) {
             self.cost -= ln(self.product);
@@ -409,7 +416,7 @@ impl Likelihood {
         }
     }
 
-    fn cost(&self) -> f64 {
+    pub fn cost(&self) -> f64 {
         self.cost - ln(self.product)
     }
 }
