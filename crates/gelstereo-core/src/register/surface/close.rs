@@ -24,8 +24,9 @@ const HALVINGS: u32 = 0;
 /// moves.
 const SLIDE_REACH_MM: f64 = 1.0;
 const CLOSE_REACH_MM: f64 = 0.7;
-/// Steps on the field of a part that is followed.
-const TRACK_STEPS: u32 = 5;
+/// Steps on the field of a part that is followed. From 0.5 degrees and 0.1 mm off five find it no more often and take a fifth
+/// longer; of frames running, each begun where the last one ended, they leave one in fifty fewer wrong.
+const TRACK_STEPS: u32 = 3;
 
 impl Search<'_> {
     /// From the guess alone, on the field.

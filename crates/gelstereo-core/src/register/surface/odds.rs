@@ -95,6 +95,6 @@ fn by_distances(samples: &Samples, scratch: &PolishScratch, outliers: f64) -> f6
     pressed.iter().for_each(|r| salient.times(densities(r, share).1 * samples.height_mm));
     let within = others.iter().filter(|r| r.distance_mm < 0.0);
     let deviations = |r: &Reading| r.distance_mm / r.sigma_mm;
-    -salient.cost() + within.map(|r| ln(good * exp(-0.5 * deviations(r) * deviations(r)) + stray)).sum::<f64>()
+    -salient.cost()
+        + within.map(|r| ln(good * exp(-0.5 * deviations(r) * deviations(r)) + stray)).sum::<f64>()
 }
-
