@@ -3,6 +3,26 @@
 /// A symmetric N x N matrix, stored whole, row by row.
 pub type Symmetric<const N: usize> = [[f64; N]; N];
 
+/// The upper triangle of a symmetric matrix; below it there is nothing.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Triangle<const N: usize>(pub Symmetric<N>);
+
+impl<const N: usize> Triangle<N> {
+    pub const ZERO: Self = Self([[0.0; N]; N]);
+
+    /// Adds w u uᵀ.
+    pub fn add_outer(&mut self, u: &[f64; N], weight: f64) {
+        for (i, row) in self.0.iter_mut().enumerate() {
+            let wu = weight * u[i];
+            (i..N).for_each(|k| row[k] += wu * u[k]);
+        }
+    }
+
+    pub fn whole(&self) -> Symmetric<N> {
+        core::array::from_fn(|i| core::array::from_fn(|k| self.0[i.min(k)][i.max(k)]))
+    }
+}
+
 /// Eigenvalues in ascending order and their unit eigenvectors (`vectors[k]` belongs to `values[k]`).
 #[derive(Clone, Copy, Debug)]
 pub struct Eigen<const N: usize> {

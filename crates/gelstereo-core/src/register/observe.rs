@@ -27,7 +27,7 @@
 //! For degenerate registration see J. Zhang, M. Kaess, S. Singh, "On Degeneracy of Optimization-based State
 //! Estimation Problems" (2016); there the threshold is tuned, here it follows from the noise.
 
-use crate::math::linalg::{self, Eigen, Symmetric};
+use crate::math::linalg::{self, Eigen, Symmetric, Triangle};
 use crate::math::{DVec3, Pose, centroid, so3, sqrt};
 
 /// A vector over (ρ ωx, ρ ωy, ρ ωz, vx, vy, vz).
@@ -89,15 +89,11 @@ pub(super) struct Sighting {
 pub(super) struct System {
     radius_mm: f64,
     sigma_mm: f64,
-    hessian: Triangle,
+    hessian: Triangle<6>,
     gradient: Vector6,
-    noise: Triangle,
+    noise: Triangle<6>,
     points: f64,
 }
-
-/// The upper triangle of a symmetric matrix; below it there is nothing.
-#[derive(Clone, Copy, Debug)]
-struct Triangle(Symmetric<6>);
 
 /// The eigenvectors of a patch's information and which of them it determines.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -212,21 +208,6 @@ impl System {
         let share = if length > limit_mm { limit_mm / length } else { 1.0 };
         let (omega, v) = halves(&z.map(|z| z * share));
         (omega / self.radius_mm, v)
-    }
-}
-
-impl Triangle {
-    const ZERO: Self = Self([[0.0; 6]; 6]);
-
-    fn add_outer(&mut self, u: &Vector6, weight: f64) {
-        for (i, row) in self.0.iter_mut().enumerate() {
-            let wu = weight * u[i];
-            (i..6).for_each(|k| row[k] += wu * u[k]);
-        }
-    }
-
-    fn whole(&self) -> Symmetric<6> {
-        core::array::from_fn(|i| core::array::from_fn(|k| self.0[i.min(k)][i.max(k)]))
     }
 }
 

@@ -5,13 +5,16 @@
 //! mixture of contact, free gel and outlier. Markers that are not salient have their own shares; at the rim of a contact
 //! some of them touch, and without them the salient ones would be those that noise has raised.
 
-use crate::math::exp_nonpositive;
+use crate::math::{exp_nonpositive, ln};
 use core::f64::consts::FRAC_1_SQRT_2;
+use core::ops::RangeInclusive;
 
 /// No contact is this many standard deviations off: its density, e^-32 of the greatest, is far below that of outliers.
 const NEVER: f64 = 8.0;
 /// 1 / √(2 π).
 const FRAC_1_SQRT_TAU: f64 = 0.398_942_280_401_432_7;
+/// There may be some even where none are expected.
+pub(super) const LEAST_OUTLIERS: f64 = 1e-4;
 /// Outliers are spread over this much.
 pub(super) const STRAY_MM: f64 = 3.0;
 
@@ -85,7 +88,7 @@ impl Loose {
     /// What is no outlier hangs up to `reach_mm` over the part; outliers are spread over `stray_mm`.
     pub fn new(outliers: f64, (reach_mm, stray_mm): (f64, f64)) -> Self {
         let good = 1.0 - outliers;
-        Self { good, free: good / reach_mm, stray: outliers.max(1e-4) / stray_mm, reach_mm }
+        Self { good, free: good / reach_mm, stray: outliers.max(LEAST_OUTLIERS) / stray_mm, reach_mm }
     }
 
     /// `contact` of the points that are no outliers touch.
@@ -103,7 +106,7 @@ pub(super) struct Mixture {
     /// Density of free gel outside of the part and of outliers, per mm.
     free: f64,
     stray: f64,
-    /// Whether free gel ends at `reach_mm`.
+    /// Free gel ends there.
     reach_mm: f64,
 }
 
@@ -139,6 +142,35 @@ impl Mixture {
     #[inline]
     pub fn free_density(&self) -> f64 {
         self.free + self.stray
+    }
+}
+
+/// The negative logarithm of a product of densities; of several factors at once, for logarithms take long.
+pub(super) struct Likelihood {
+    product: f64,
+    cost: f64,
+}
+
+impl Likelihood {
+    /// Factors are multiplied as far as this.
+    const ONE_LOGARITHM: RangeInclusive<f64> = 1e-100..=1e100;
+
+    /// Of something that costs so much before.
+    pub fn after(cost: f64) -> Self {
+        Self { product: 1.0, cost }
+    }
+
+    #[inline]
+    pub fn times(&mut self, density: f64) {
+        self.product *= density;
+        if !Self::ONE_LOGARITHM.contains(&self.product) {
+            self.cost -= ln(self.product);
+            self.product = 1.0;
+        }
+    }
+
+    pub fn cost(&self) -> f64 {
+        self.cost - ln(self.product)
     }
 }
 

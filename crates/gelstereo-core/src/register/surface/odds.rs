@@ -1,8 +1,8 @@
 //! Whether the part is where it is said to be: the odds of that over no part being there.
 
 use super::contact::Samples;
-use super::noise::STRAY_MM;
-use super::polish::{Likelihood, PolishScratch, Reading};
+use super::noise::{LEAST_OUTLIERS, Likelihood, STRAY_MM};
+use super::polish::{PolishScratch, Reading};
 use super::search::Candidate;
 use super::settled::{SettledScratch, Sight};
 use crate::math::{exp, ln, sqrt};
@@ -11,8 +11,6 @@ use crate::register::Observability;
 use crate::register::observe::halves;
 use core::f64::consts::TAU;
 
-/// There may be some even where none are expected.
-const LEAST_OUTLIERS: f64 = 1e-4;
 /// The gel's shoulder is salient as far beside the part as this many decay lengths: there it has sunk to a seventh.
 const BESIDE: f64 = 2.0;
 /// The share of points that touch is what the points themselves say; it starts close and settles at once.
@@ -91,7 +89,7 @@ fn by_distances(samples: &Samples, scratch: &PolishScratch, outliers: f64) -> f6
         };
         share = (pressed.iter().map(believed).sum::<f64>() + 1.0) / (count + 2.0);
     }
-    let mut salient = Likelihood::ONE;
+    let mut salient = Likelihood::after(0.0);
     pressed.iter().for_each(|r| salient.times(densities(r, share).1 * samples.height_mm));
     let within = others.iter().filter(|r| r.distance_mm < 0.0);
     let deviations = |r: &Reading| r.distance_mm / r.sigma_mm;

@@ -6,11 +6,11 @@
 
 use super::contact::Samples;
 use super::fit::{Clear, View};
-use super::noise::{Bell, Loose, STRAY_MM};
+use super::noise::{Bell, Likelihood, Loose, STRAY_MM};
 use super::part::{Coarse, Distances, Last, Near, Range, press_in_object};
 use super::search::Candidate;
 use super::step::{Normal, Placement, Prior};
-use crate::math::{DVec3, ln, sqrt};
+use crate::math::{DVec3, sqrt};
 use crate::params::RegisterParams;
 use alloc::vec::Vec;
 
@@ -367,7 +367,7 @@ impl<D: Distances> Polish<'_, D> {
         let [shoulder_mm, far_mm, stray_mm] =
             [SHOULDER_MM, FAR_MM, STRAY_MM].map(|mm| self.params.scaled(mm));
         let loose = self.loose();
-        let mut likelihood = Likelihood::ONE;
+        let mut likelihood = Likelihood::after(0.0);
         let per_radius = 1.0 / self.view.radius_mm;
         let samples = self.view.pressed.iter().chain(self.view.unpressed);
         for (k, ((sample, r), &before)) in samples.zip(&readings.all).zip(&scratch.before).enumerate() {
@@ -395,28 +395,5 @@ impl<D: Distances> Polish<'_, D> {
         sum.cost = likelihood.cost();
         sum.add_prior(&self.prior, placement, self.view.radius_mm, 1.0);
         sum
-    }
-}
-
-/// The negative logarithm of a product of densities; of several factors at once, for logarithms take long.
-pub(super) struct Likelihood {
-    product: f64,
-    cost: f64,
-}
-
-impl Likelihood {
-    pub const ONE: Self = Self { product: 1.0, cost: 0.0 };
-
-    #[inline]
-    pub fn times(&mut self, density: f64) {
-        self.product *= density;
-        if !(1e-100..1e100).contains(&self.product) {
-            self.cost -= ln(self.product);
-            self.product = 1.0;
-        }
-    }
-
-    pub fn cost(&self) -> f64 {
-        self.cost - ln(self.product)
     }
 }

@@ -8,18 +8,17 @@ use super::contact::Samples;
 use super::edges::Wall;
 use super::gel::{Gel, Node};
 use super::lattice::Sweeps;
-use super::noise::STRAY_MM;
+use super::noise::{Likelihood, STRAY_MM};
 use super::part::{Coarse, Exact, Foot, Line, UNDER_MM};
 use super::polish::End;
 use super::rest::{DECAY_LOGS, Rest};
 use super::search::Candidate;
 use super::step::{Normal, Prior};
 
-use crate::math::{DVec3, abs, exp, ln, sqrt};
+use crate::math::{DVec3, abs, exp, sqrt};
 use crate::params::RegisterParams;
 use alloc::vec::Vec;
-use core::mem::{replace, swap};
-use core::ops::RangeInclusive;
+use core::mem::swap;
 
 /// Turn and shift of the part, the plane of rest, and the logarithm of l².
 pub(super) const UNKNOWN: usize = 10;
@@ -37,8 +36,6 @@ pub(super) const LIFTED: f64 = 3.0;
 pub(super) const BETWEEN: f64 = 0.288_675;
 /// There may be outliers even where none are expected.
 const LEAST_OUTLIERS: f64 = 1e-3;
-/// Likelihoods of nodes are multiplied as far as this before the logarithm, which takes longer, is taken of all.
-const ONE_LOGARITHM: RangeInclusive<f64> = 1e-100..=1e100;
 /// Over which differences are taken at the end.
 pub(super) const LAST_SCALE_MM: f64 = 0.04;
 /// A pose that gains no more, in logarithms of the likelihood, is at rest, however far it still moves along what is free:
@@ -345,11 +342,10 @@ impl Settled<'_> {
     /// How likely the measured heights are beside the predicted ones, all blurred by a width.
     fn weigh(&self, state: &Candidate, width_mm: f64, there: &mut Prediction) {
         let (placement, gel) = (&state.placement, self.gel());
-        there.cost = self.prior_cost(state);
+        let mut likelihood = Likelihood::after(self.prior_cost(state));
         let model = self.params.surface_sigma_mm * self.params.surface_sigma_mm + width_mm * width_mm;
         let outliers = self.params.outlier_share.max(LEAST_OUTLIERS);
         let stray_mm = self.params.scaled(STRAY_MM);
-        let mut likelihood = 1.0;
         // The gel leaves the part at an edge, which the nodes know to a pitch; over that it sinks by 1 - e^(-pitch / l).
         let share = BETWEEN * (1.0 - exp(-1.0 / sqrt(gel.stiffness(state.rest.log_decay))));
         for ((node, sight), &height_mm) in gel.nodes.iter().zip(&mut there.sights).zip(&there.heights_mm) {
@@ -370,12 +366,9 @@ impl Settled<'_> {
                 / sqrt(core::f64::consts::TAU * sight.variance_mm2);
             let all = good + outliers / stray_mm;
             sight.weight = good / all;
-            likelihood *= all;
-            if !ONE_LOGARITHM.contains(&likelihood) {
-                there.cost -= ln(replace(&mut likelihood, 1.0));
-            }
+            likelihood.times(all);
         }
-        there.cost -= ln(likelihood);
+        there.cost = likelihood.cost();
     }
 
     fn prior_cost(&self, state: &Candidate) -> f64 {
