@@ -1,0 +1,111 @@
+//! The command line. Progress goes to stderr, results to stdout.
+
+mod check;
+mod replay;
+mod run;
+mod simulate;
+
+use clap::{Parser, Subcommand};
+use gelstereo_host::config::{Config, ConfigError};
+use gelstereo_host::run::HostError;
+use gelstereo_host::simulate::SimulateError;
+use std::fmt;
+use std::io::Write;
+use std::path::Path;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Grasp a part, find it in the hand by touch, insert it; record and replay.
+#[derive(Parser)]
+#[command(
+    name = "gelstereo-host",
+    version,
+    about,
+    after_help = "Examples:\n  \
+        gelstereo-host run                               the whole job with simulated sensor, gripper and robot\n  \
+        gelstereo-host run --config cell.toml --json     your own cell; the summary as JSON\n  \
+        gelstereo-host replay out/run.mcap               compute a recording again and compare every bit\n  \
+        gelstereo-host simulate scene.toml out/pairs     image pairs and truth from a scene\n  \
+        gelstereo-host check --print-default > cell.toml all settings to start from\n\n\
+        Exit code: 0 when the job is done or all is well, 1 when not, 2 for an error."
+)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Do the job: open, rest frame, close, localize, align, insert.
+    Run(run::Arguments),
+    /// Compute a recording again from its images and compare every result.
+    Replay(replay::Arguments),
+    /// Make a folder of image pairs with truth from a scene.
+    Simulate(simulate::Arguments),
+    /// Say whether a configuration would work here; nothing moves.
+    Check(check::Arguments),
+}
+
+/// What can go wrong at the edge: told in one line, exit code 2.
+enum CliError {
+    Host(HostError),
+    Simulate(SimulateError),
+    Signal(ctrlc::Error),
+    Json(serde_json::Error),
+    Output(std::io::Error),
+}
+
+impl fmt::Display for CliError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Host(error) => error.fmt(f),
+            Self::Simulate(error) => error.fmt(f),
+            Self::Signal(error) => write!(f, "cannot listen for Ctrl-C: {error}"),
+            Self::Output(error) => write!(f, "standard output cannot be written: {error}"),
+            Self::Json(error) => write!(f, "the summary cannot be written as JSON: {error}"),
+        }
+    }
+}
+
+impl<E: Into<HostError>> From<E> for CliError {
+    fn from(error: E) -> Self {
+        Self::Host(error.into())
+    }
+}
+
+/// Runs the command that the arguments name.
+pub fn main() -> ExitCode {
+    let result = match Arguments::parse().command {
+        Command::Run(arguments) => run::command(arguments),
+        Command::Replay(arguments) => replay::command(&arguments),
+        Command::Simulate(arguments) => simulate::command(&arguments),
+        Command::Check(arguments) => check::command(&arguments),
+    };
+    match result {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::from(1),
+        Err(error) => {
+            // When stderr is gone too, the exit code is all that is left to say.
+            let _ = writeln!(std::io::stderr(), "gelstereo-host: {error}");
+            ExitCode::from(2)
+        }
+    }
+}
+
+fn load(path: Option<&Path>) -> Result<Config, ConfigError> {
+    path.map_or_else(|| Ok(Config::default()), Config::load)
+}
+
+/// Writes a line of the result; a pipe that was closed is an error, not a panic.
+fn say(line: impl fmt::Display) -> Result<(), CliError> {
+    writeln!(std::io::stdout(), "{line}").map_err(CliError::Output)
+}
+
+/// A flag that Ctrl-C raises, as do SIGTERM and SIGHUP.
+fn stop_flag() -> Result<Arc<AtomicBool>, CliError> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let raised = Arc::clone(&stop);
+    ctrlc::set_handler(move || raised.store(true, Ordering::Relaxed)).map_err(CliError::Signal)?;
+    Ok(stop)
+}

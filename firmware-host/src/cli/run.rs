@@ -1,0 +1,95 @@
+//! `gelstereo-host run`.
+
+use super::{CliError, load, say, stop_flag};
+use clap::Args;
+use gelstereo_host::report::{JobReport, Outcome, StageReport};
+use gelstereo_host::run;
+use indicatif::ProgressBar;
+use std::io::Write;
+use std::path::PathBuf;
+use std::time::Duration;
+
+#[derive(Args)]
+pub struct Arguments {
+    /// Configuration; without it the embedded default.
+    #[arg(long, value_name = "TOML")]
+    config: Option<PathBuf>,
+    /// Where to record, instead of `recording.path`.
+    #[arg(long, value_name = "MCAP")]
+    record: Option<PathBuf>,
+    /// Seed of the simulated world, instead of `simulated.seed`.
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Print the summary as JSON instead of text.
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn command(Arguments { config, record, seed, json }: Arguments) -> Result<bool, CliError> {
+    let mut config = load(config.as_deref())?;
+    config.recording.path = record.unwrap_or(config.recording.path);
+    config.simulated.seed = seed.unwrap_or(config.simulated.seed);
+    let stop = stop_flag()?;
+    let bar = ProgressBar::new_spinner();
+    bar.enable_steady_tick(Duration::from_millis(100));
+    bar.set_message("Ctrl-C stops the job and closes the recording");
+    // The robot moves: that nobody reads the lines is told at the end, and does not break the job off.
+    let mut said = Ok(());
+    let mut progress = |report: &StageReport| {
+        let line = stage_line(report);
+        let write = || {
+            if json { writeln!(std::io::stderr(), "{line}") } else { writeln!(std::io::stdout(), "{line}") }
+        };
+        said = std::mem::replace(&mut said, Ok(())).and(bar.suspend(write));
+    };
+    let report = run::run(&config, &config.recording.path, &stop, &mut progress);
+    bar.finish_and_clear();
+    let report = report?;
+    said.map_err(CliError::Output)?;
+    if json {
+        say(serde_json::to_string_pretty(&report).map_err(CliError::Json)?)?;
+    } else {
+        print_summary(&report)?;
+    }
+    Ok(matches!(report.outcome, Outcome::Inserted { .. }))
+}
+
+fn stage_line(report: &StageReport) -> String {
+    let mut line = format!(
+        "{:<9} {:>6.0} ms, {:>3} frames over {:.2} s ",
+        report.stage.name(),
+        report.wall_s * 1e3,
+        report.frames,
+        report.source_s
+    );
+    if report.bad_frames > 0 {
+        line += &format!("  {} of them bad", report.bad_frames);
+    }
+    for figure in &report.figures {
+        line += &format!("  {} {:.3}", figure.name, figure.value);
+    }
+    line
+}
+
+fn print_summary(report: &JobReport) -> Result<(), CliError> {
+    say(format_args!("{:<9} {}", "done", report.outcome))?;
+    if let Some(localized) = &report.localized {
+        let free = if localized.free.is_empty() { "nothing".to_owned() } else { localized.free.join("; ") };
+        say(format_args!("  free: {free}"))?;
+    }
+    if let Some(truth) = &report.truth {
+        say(format_args!(
+            "  simulated truth: tip off by {:.3} mm and {:.2} mrad across, {:.3} mm along; inserted {:.2} mm; \
+             the outcome above is {}",
+            truth.tip_error_mm,
+            truth.tilt_error_rad * 1e3,
+            truth.axial_error_mm,
+            truth.inserted_mm.max(0.0),
+            if truth.outcome_is_true { "true" } else { "not true" }
+        ))?;
+    }
+    if let Some(recording) = &report.recording {
+        say(format_args!("  recording: {}", recording.display()))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,189 @@
+//! The one configuration of the host, as TOML. [`Config::default`] is the embedded default: a simulated sensor, robot
+//! and gripper, and a peg.
+//!
+//! Settings of the pipeline are [`Params`]; a file names a preset and states only what differs from it.
+
+mod error;
+mod range;
+mod recording;
+mod simulated;
+mod source;
+mod task;
+
+pub use error::ConfigError;
+pub use recording::RecordingConfig;
+pub use simulated::SimulatedConfig;
+pub use source::SourceConfig;
+pub use task::{PoseConfig, TaskConfig};
+
+use crate::part::PartConfig;
+use gelstereo_core::frames::{FingerKinematics, SensorMount};
+use gelstereo_core::math::{DVec3, Pose};
+use gelstereo_core::params::Params;
+use gelstereo_core::rig::Rig;
+use gelstereo_sim::{Gel, Scene, Shape};
+use range::LENGTH_MM;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// Everything that the host needs to know.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Preset that `params` starts from; see [`Params::preset`]. Default: `balanced`.
+    pub preset: String,
+    /// File with the calibrated rig; not together with `rig`. A relative path starts at the configuration's folder.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rig_file: Option<PathBuf>,
+    /// Where stereo pairs come from. Default: the simulated sensor.
+    pub source: SourceConfig,
+    /// The part to be grasped.
+    pub part: PartConfig,
+    /// The job.
+    pub task: TaskConfig,
+    /// Where the recording goes.
+    pub recording: RecordingConfig,
+    /// The simulated world behind simulated sensors, grippers and robots.
+    pub simulated: SimulatedConfig,
+    /// Where the sensor stands in the gripper. Default: in the middle of a Robotiq 2F-85's pad, looking across.
+    pub mount: SensorMount,
+    /// Settings of the pipeline and of registration.
+    pub params: Params,
+    /// The calibrated rig, inline. Default with the simulated sensor: [`Scene::default_rig`].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rig: Option<Rig>,
+}
+
+/// Preset of the embedded default: the paper's pipeline with its cheaper and more accurate rungs.
+pub const DEFAULT_PRESET: &str = "balanced";
+
+impl Default for Config {
+    fn default() -> Self {
+        let gel = Gel::default();
+        let gel_centre_mm = DVec3::new(gel.centre_mm[0], gel.centre_mm[1], gel.surface_mm);
+        Self {
+            preset: DEFAULT_PRESET.to_owned(),
+            rig_file: None,
+            source: SourceConfig::default(),
+            part: PartConfig::default(),
+            task: TaskConfig::default(),
+            recording: RecordingConfig::default(),
+            simulated: SimulatedConfig::default(),
+            mount: SensorMount::facing(FingerKinematics::robotiq_2f85(), gel_centre_mm),
+            params: Params::preset(DEFAULT_PRESET).unwrap_or_default(),
+            rig: None,
+        }
+    }
+}
+impl Config {
+    /// Reads a file and resolves what it refers to, so that [`Self::to_toml`] gives a configuration that stands alone
+    /// but for the part's mesh.
+    ///
+    /// # Errors
+    /// [`ConfigError`].
+    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        let read = |path: &Path| {
+            std::fs::read_to_string(path).map_err(|error| ConfigError::Read { path: path.to_owned(), error })
+        };
+        let mut config = Self::parse(&read(path)?, &path.display().to_string())?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        if let Some(file) = config.rig_file.take() {
+            if config.rig.is_some() {
+                return Err(ConfigError::RigSource {
+                    message: "there are both rig and rig_file; keep one of them",
+                });
+            }
+            let file = folder.join(file);
+            let rig = toml::from_str(&read(&file)?)
+                .map_err(|error| ConfigError::Parse { origin: file.display().to_string(), error })?;
+            config.rig = Some(rig);
+        }
+        if let SourceConfig::Folder { path, .. } = &mut config.source {
+            *path = folder.join(&*path);
+        }
+        if let Shape::Mesh { path, .. } = &mut config.part.shape {
+            *path = folder.join(&*path).to_string_lossy().into_owned();
+        }
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// Reads a text; `origin` says in errors where it came from.
+    ///
+    /// # Errors
+    /// [`ConfigError::Parse`] or [`ConfigError::Preset`].
+    pub fn parse(text: &str, origin: &str) -> Result<Self, ConfigError> {
+        let fail = |error| ConfigError::Parse { origin: origin.to_owned(), error };
+        // This pass finds errors and their lines; the next one lays the text's settings over the preset's.
+        let mut config: Self = toml::from_str(text).map_err(fail)?;
+        let preset = Params::preset(&config.preset)
+            .ok_or_else(|| ConfigError::Preset { found: config.preset.clone() })?;
+        let mut params = toml::Table::try_from(preset).map_err(ConfigError::Write)?;
+        let mut given: toml::Table = toml::from_str(text).map_err(fail)?;
+        if let Some(toml::Value::Table(given)) = given.remove("params") {
+            overlay(&mut params, given);
+        }
+        config.params = params.try_into().map_err(fail)?;
+        Ok(config)
+    }
+
+    /// All settings, defaults included.
+    ///
+    /// # Errors
+    /// [`ConfigError::Write`].
+    pub fn to_toml(&self) -> Result<String, ConfigError> {
+        toml::to_string(self).map_err(ConfigError::Write)
+    }
+
+    /// The rig: the file's, or that of the simulated sensor.
+    ///
+    /// # Errors
+    /// [`ConfigError::RigSource`] when real images come without a rig.
+    pub fn rig(&self) -> Result<Rig, ConfigError> {
+        match (&self.rig, &self.source) {
+            (Some(rig), _) => Ok(rig.clone()),
+            (None, SourceConfig::Simulated) => Ok(Scene::default_rig()),
+            (None, SourceConfig::Folder { .. }) => Err(ConfigError::RigSource {
+                message: "images from a folder need the rig that took them: add rig_file = \"rig.toml\", made by \
+                          `gelstereo calibrate`",
+            }),
+        }
+    }
+
+    /// The expected pose of the part in the gripper once it is grasped.
+    #[must_use]
+    pub fn expected_t_gripper_object(&self) -> Pose {
+        self.task.grasp_pose.pose().inverse() * self.task.part_pose.pose()
+    }
+
+    /// Unit direction of insertion in the part's frame.
+    #[must_use]
+    pub fn insertion_axis(&self) -> DVec3 {
+        DVec3::from_array(self.task.insertion_axis).normalize_or_zero()
+    }
+
+    /// Checks every setting against its meaning.
+    ///
+    /// # Errors
+    /// The first [`ConfigError`] found.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        self.params.validate().map_err(ConfigError::Params)?;
+        self.rig()?.validate().map_err(ConfigError::Rig)?;
+        self.source.validate()?;
+        LENGTH_MM.check("part.spacing_mm", self.part.spacing_mm)?;
+        self.task.validate(&self.mount.kinematics)?;
+        self.simulated.validate()
+    }
+}
+
+/// Lays `over` over `base`, table by table.
+fn overlay(base: &mut toml::Table, over: toml::Table) {
+    for (key, value) in over {
+        match (base.get_mut(&key), value) {
+            (Some(toml::Value::Table(base)), toml::Value::Table(over)) => overlay(base, over),
+            (_, value) => {
+                base.insert(key, value);
+            }
+        }
+    }
+}

@@ -1,0 +1,31 @@
+//! Where stereo pairs come from.
+
+use super::ConfigError;
+use super::range::RATE_HZ;
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// Where stereo pairs come from.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "kind", deny_unknown_fields)]
+pub enum SourceConfig {
+    /// The simulated sensor.
+    #[default]
+    Simulated,
+    /// Image pairs in a folder.
+    Folder {
+        /// The folder.
+        path: PathBuf,
+        /// Rate at which they were taken.
+        frame_rate_hz: f64,
+    },
+}
+
+impl SourceConfig {
+    pub(super) fn validate(&self) -> Result<(), ConfigError> {
+        match self {
+            Self::Simulated => Ok(()),
+            Self::Folder { frame_rate_hz, .. } => RATE_HZ.check("source.frame_rate_hz", *frame_rate_hz),
+        }
+    }
+}
