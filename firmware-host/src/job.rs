@@ -376,10 +376,21 @@ impl<'a> Job<'a> {
             return Err(Halt::Outcome(Outcome::Interrupted { stage: self.stage }));
         }
         let timeout = Duration::from_secs_f64(self.config.task.frame_timeout_s);
-        match self.devices.source.next_pair(timeout, &mut self.pair)? {
-            Next::Pair => self.begun_ns.get_or_insert(self.pair.time_ns),
-            Next::End => return Err(Halt::Outcome(Outcome::SourceEnded { stage: self.stage })),
-        };
+        let asked = Instant::now();
+        loop {
+            let left = timeout.saturating_sub(asked.elapsed());
+            match self.devices.source.next_pair(left, &mut self.pair)? {
+                Next::Pair => break,
+                Next::Event(event) => {
+                    self.note(&serde_json::json!({ "stage": self.stage, "source": event }))?
+                }
+                Next::End => return Err(Halt::Outcome(Outcome::SourceEnded { stage: self.stage })),
+            }
+            if asked.elapsed() >= timeout {
+                return Err(SourceError::Timeout { waited: timeout }.into());
+            }
+        }
+        self.begun_ns.get_or_insert(self.pair.time_ns);
         let limit_s = self.config.task.stage_timeout_s;
         if self.source_s() > limit_s {
             return Err(Halt::Error(JobError::StageTimeout { stage: self.stage, limit_s }));

@@ -1,20 +1,39 @@
-//! gelstereo on the robot's computer: frame sources, grippers, robots, recordings and the job.
+//! gelstereo on the robot's computer: frame sources, grippers, robots, recordings and the robot task.
 //!
-//! The only crate with clocks, files and threads. The job knows its devices by their traits; the simulated world
-//! stands behind all three of them, or real devices do.
+//! The only crate with clocks, files, threads and devices. The task knows its devices by their traits; the simulated
+//! world stands behind all three of them, or real devices do.
+//!
+//! Without the feature `host` only what the Python bindings share is compiled: codecs, cameras and HID devices.
 
+pub mod camera;
+#[cfg(feature = "host")]
 pub mod check;
+pub mod codec;
+#[cfg(feature = "host")]
 pub mod config;
+#[cfg(feature = "host")]
 pub mod gripper;
+pub mod hid;
+#[cfg(feature = "host")]
 pub mod job;
+#[cfg(feature = "host")]
 pub mod notes;
+#[cfg(feature = "host")]
 pub mod part;
+#[cfg(feature = "host")]
 pub mod recording;
+#[cfg(feature = "host")]
 pub mod replay;
+#[cfg(feature = "host")]
 pub mod report;
+#[cfg(feature = "host")]
 pub mod robot;
+#[cfg(feature = "host")]
 pub mod run;
+#[cfg(feature = "host")]
 pub mod sensing;
+#[cfg(feature = "host")]
 pub mod simulate;
 pub mod source;
+#[cfg(feature = "host")]
 pub mod world;

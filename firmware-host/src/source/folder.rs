@@ -1,6 +1,6 @@
 //! Image pairs in a folder.
 
-use super::{FrameSource, Gray, Next, SourceError, StereoPair};
+use super::{Capture, FrameSource, Gray, Next, SourceError, StereoPair};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -59,7 +59,7 @@ impl FolderSource {
 
     fn read(&mut self, path: &Path, gray: &mut Gray) -> Result<(), SourceError> {
         let image = image::open(path)
-            .map_err(|error| SourceError::Decode { path: path.to_owned(), error })?
+            .map_err(|error| SourceError::Decode { path: path.to_owned(), message: error.to_string() })?
             .into_luma8();
         let found = (image.width() as usize, image.height() as usize);
         let expected = *self.size.get_or_insert(found);
@@ -79,6 +79,7 @@ impl FrameSource for FolderSource {
         self.read(&left, &mut pair.left)?;
         self.read(&right, &mut pair.right)?;
         pair.time_ns = (self.next as f64 * self.period_ns) as u64;
+        pair.capture = Capture { sequence: self.next as u64, ..Capture::default() };
         self.next += 1;
         Ok(Next::Pair)
     }

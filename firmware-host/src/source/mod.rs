@@ -1,10 +1,13 @@
 //! Where stereo pairs come from.
 
+#[cfg(feature = "host")]
 mod folder;
 
+#[cfg(feature = "host")]
 pub use folder::FolderSource;
 
 use gelstereo_core::image::{GrayView, ImageError};
+use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -38,15 +41,148 @@ pub struct StereoPair {
     pub left: Gray,
     /// Right image.
     pub right: Gray,
+    /// How it was captured.
+    pub capture: Capture,
+    /// The camera's compressed images, where it sends such and the source was asked to keep them.
+    pub encoded: Encoded,
+    /// Whether the images are those of an earlier call, because no newer ones came.
+    pub stale: bool,
+}
+
+/// How a pair was captured. Clocks are `CLOCK_MONOTONIC` of this computer.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Capture {
+    /// The driver's sequence number, or the pair's number in a folder or stream.
+    pub sequence: u64,
+    /// When the driver had the later of both images. Absent where the source has no driver.
+    pub driver_ns: Option<u64>,
+    /// When both images were decoded. Absent where the source has no driver.
+    pub received_ns: Option<u64>,
+    /// Pairs that were lost or passed over since the pair before.
+    pub dropped: u64,
+    /// Right image's time minus the left one's; 0 for one stereo device.
+    pub skew_ns: i64,
+}
+
+/// Compressed images as the camera sent them.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum Encoded {
+    /// The camera sends plain pixels, or the source does not keep them.
+    #[default]
+    None,
+    /// One JPEG image that holds both views.
+    Joint {
+        /// Where the views stand in it.
+        layout: StereoLayout,
+        /// The file, from its start to its end marker.
+        jpeg: Vec<u8>,
+    },
+    /// Two JPEG images.
+    Separate {
+        /// The left one.
+        left_jpeg: Vec<u8>,
+        /// The right one.
+        right_jpeg: Vec<u8>,
+    },
+}
+
+/// Where both views stand in the frames of one stereo device.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StereoLayout {
+    /// The left half is the left view.
+    #[default]
+    SideBySide,
+    /// The left half is the right view.
+    SideBySideSwapped,
+    /// Even bytes are the left view, odd bytes the right one.
+    Interleaved,
+    /// Even bytes are the right view, odd bytes the left one.
+    InterleavedSwapped,
 }
 
 /// What came of waiting for a pair.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Next {
     /// A pair.
     Pair,
+    /// No new pair, but something to know. The pair handed over is left as it was and marked stale; the next call may
+    /// give a pair.
+    Event(SourceEvent),
     /// There will be no more.
     End,
+}
+
+/// What happened to a source that goes on.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "event")]
+pub enum SourceEvent {
+    /// A device was opened, at the start or again.
+    Connected {
+        /// Its name, path and serial number.
+        device: String,
+    },
+    /// A device went away: it was unplugged or its bus was reset.
+    Disconnected {
+        /// Its name, path and serial number.
+        device: String,
+        /// The system's answer.
+        reason: String,
+        /// When it is tried again.
+        retry_in_ms: u64,
+    },
+    /// A device is there but sends nothing.
+    Stalled {
+        /// Its name, path and serial number.
+        device: String,
+        /// For how long.
+        silent_ms: u64,
+    },
+    /// A frame cannot be used.
+    Corrupt {
+        /// The driver's sequence number.
+        sequence: u64,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// Sequence numbers go back, or jump farther than frames can have been lost.
+    Sequence {
+        /// Number that was expected.
+        expected: u64,
+        /// Number that came.
+        found: u64,
+    },
+    /// Two devices' images are too far apart in time to be a pair.
+    Skewed {
+        /// Right image's time minus the left one's.
+        skew_ns: i64,
+        /// Largest valid, in either direction.
+        max_skew_ns: u64,
+    },
+}
+
+impl std::fmt::Display for SourceEvent {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Connected { device } => write!(f, "camera {device} is connected"),
+            Self::Disconnected { device, reason, retry_in_ms } => {
+                write!(f, "camera {device} is gone ({reason}); trying again in {retry_in_ms} ms")
+            }
+            Self::Stalled { device, silent_ms } => {
+                write!(f, "camera {device} has sent nothing for {silent_ms} ms")
+            }
+            Self::Corrupt { sequence, reason } => write!(f, "frame {sequence} cannot be used: {reason}"),
+            Self::Sequence { expected, found } => {
+                write!(f, "frame {found} came where {expected} was expected")
+            }
+            Self::Skewed { skew_ns, max_skew_ns } => write!(
+                f,
+                "the right image is {:.3} ms later than the left one; at most {:.3} ms apart they are a pair",
+                *skew_ns as f64 * 1e-6,
+                *max_skew_ns as f64 * 1e-6
+            ),
+        }
+    }
 }
 
 /// Why there is no pair.
@@ -90,7 +226,7 @@ pub enum SourceError {
         /// Which.
         path: PathBuf,
         /// Why.
-        error: image::ImageError,
+        message: String,
     },
     /// An image differs in size from the first one.
     SizeChange {
@@ -134,8 +270,8 @@ impl std::fmt::Display for SourceError {
                 first.display(),
                 second.display()
             ),
-            Self::Decode { path, error } => {
-                write!(f, "{} is no PNG, PGM or JPEG image that can be read: {error}", path.display())
+            Self::Decode { path, message } => {
+                write!(f, "{} is no PNG, PGM or JPEG image that can be read: {message}", path.display())
             }
             Self::SizeChange { path, found, expected } => write!(
                 f,
@@ -155,7 +291,8 @@ impl std::error::Error for SourceError {}
 
 /// A stereo camera, or what stands in for one.
 pub trait FrameSource {
-    /// Waits for the next pair and writes it to `pair`, whose buffers it uses again.
+    /// Waits for the next pair and writes it to `pair`, whose buffers it uses again. Returns within `timeout`, with
+    /// an allowance for the decoding of one pair.
     ///
     /// # Errors
     /// [`SourceError::Timeout`] when nothing comes in time, after which the next call may succeed; any other

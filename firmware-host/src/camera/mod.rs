@@ -1,0 +1,1 @@
+//! Cameras by Video4Linux2: capture, decoding to luma, controls.

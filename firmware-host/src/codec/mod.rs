@@ -1,0 +1,1 @@
+//! Protocols without transport: bytes in, bytes out. The host, the Python bindings and the fuzzers share them.

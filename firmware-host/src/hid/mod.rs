@@ -1,0 +1,1 @@
+//! HID devices by hidraw.
