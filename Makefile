@@ -1,11 +1,12 @@
 # Two commands: `make demo` runs the main job, `make test` passes all tests. Both set up what they need.
+# `make test-long` adds what takes minutes: device drivers in a virtual machine, killed recordings, long runs.
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 OUT ?= out
 HOST := target/release/gelstereo-host
 
-.PHONY: demo test test-rust test-python explore fuzz frontier clean prerequisites
+.PHONY: demo test test-rust test-python test-long explore fuzz frontier clean prerequisites
 
 demo: prerequisites $(BIN)/python
 	$(BIN)/pip install --quiet '.[recording]'
@@ -43,6 +44,14 @@ test-python: prerequisites $(BIN)/python
 	$(BIN)/mypy --strict python/gelstereo
 	$(BIN)/python -m mypy.stubtest gelstereo._native
 	GELSTEREO_HOST=$(HOST) $(BIN)/pytest
+
+# GELSTEREO_LONG raises the counts of the tests that read it.
+test-long: prerequisites $(BIN)/python
+	$(BIN)/pip install --quiet '.[test]'
+	cargo build --release --quiet -p gelstereo-host
+	GELSTEREO_LONG=1 cargo test --release --quiet -p gelstereo-host
+	GELSTEREO_HOST=$(HOST) $(BIN)/pytest -m long
+	@echo "all long tests passed"
 
 # Cases that no run has tried yet, of every property test in Rust.
 explore: prerequisites
