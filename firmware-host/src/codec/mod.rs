@@ -1,1 +1,8 @@
 //! Protocols without transport: bytes in, bytes out. The host, the Python bindings and the fuzzers share them.
+
+pub mod dynamixel;
+pub mod feetech;
+pub mod modbus;
+pub mod robotiq;
+pub mod robotiq_urcap;
+pub mod wsg;

@@ -1,0 +1,188 @@
+//! Protocol of Feetech's STS and SMS bus servos: packets to a servo and replies from it.
+//!
+//! A packet is two bytes 0xFF, an identifier, a length, an instruction, parameters and a checksum, as in Dynamixel's
+//! protocol 1.0. Numbers in the control table are little-endian; some have a sign bit in front instead of a two's
+//! complement.
+
+use std::fmt;
+
+const HEADER: [u8; 2] = [0xFF; 2];
+/// Header, identifier, length.
+const PREFIX: usize = 4;
+/// The identifier of no servo.
+pub const BROADCAST: u8 = 0xFE;
+
+/// What a servo shall do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Instruction<'a> {
+    /// Say that you are there.
+    Ping,
+    /// Send bytes of the control table.
+    Read {
+        /// First address.
+        address: u8,
+        /// Bytes.
+        count: u8,
+    },
+    /// Change bytes of the control table.
+    Write {
+        /// First address.
+        address: u8,
+        /// The bytes, at most 251.
+        data: &'a [u8],
+    },
+}
+
+/// Why there is no packet or no reply.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FeetechError {
+    /// A packet carries at most 251 bytes of data.
+    TooLong {
+        /// Bytes of data.
+        found: usize,
+    },
+    /// A packet has the wrong checksum.
+    Checksum {
+        /// In the packet.
+        found: u8,
+        /// Of its bytes.
+        expected: u8,
+    },
+}
+
+impl fmt::Display for FeetechError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::TooLong { found } => write!(f, "the packet would carry {found} bytes; valid is up to 251"),
+            Self::Checksum { found, expected } => {
+                write!(f, "a packet has the checksum {found:#04x}, its bytes give {expected:#04x}")
+            }
+        }
+    }
+}
+
+impl std::error::Error for FeetechError {}
+
+impl Instruction<'_> {
+    /// The packet that carries it to a servo.
+    ///
+    /// # Errors
+    /// [`FeetechError::TooLong`].
+    pub fn encode(&self, id: u8) -> Result<Vec<u8>, FeetechError> {
+        let body = match *self {
+            Self::Ping => vec![0x01],
+            Self::Read { address, count } => vec![0x02, address, count],
+            Self::Write { address, data } => [&[0x03, address], data].concat(),
+        };
+        // The length counts the body and the checksum; 255 would look like a header.
+        let length = match u8::try_from(body.len() + 1) {
+            Ok(length) if length < 0xFF => length,
+            _ => return Err(FeetechError::TooLong { found: body.len().saturating_sub(2) }),
+        };
+        let mut bytes = HEADER.to_vec();
+        bytes.extend_from_slice(&[id, length]);
+        bytes.extend_from_slice(&body);
+        bytes.push(checksum(&bytes));
+        Ok(bytes)
+    }
+}
+
+/// Complement of the sum of all bytes after the header.
+fn checksum(packet: &[u8]) -> u8 {
+    !packet[HEADER.len()..].iter().fold(0_u8, |sum, &byte| sum.wrapping_add(byte))
+}
+
+/// A reply.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Status {
+    /// Who sent it.
+    pub id: u8,
+    /// Faults that the servo has now.
+    pub faults: Faults,
+    /// Bytes that were read.
+    pub data: Vec<u8>,
+}
+
+/// Faults of a servo, one bit each. They are a state and no refusal.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Faults(pub u8);
+
+impl fmt::Display for Faults {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        const WORDS: [(u8, &str); 5] = [
+            (0x01, "the supply voltage is out of range"),
+            (0x02, "the angle sensor has a fault"),
+            (0x04, "the motor is too hot"),
+            (0x08, "the motor current is too high"),
+            (0x20, "the load is too high"),
+        ];
+        let known: Vec<&str> =
+            WORDS.iter().filter(|(bit, _)| self.0 & bit != 0).map(|&(_, word)| word).collect();
+        let rest = WORDS.iter().fold(self.0, |bits, (bit, _)| bits & !bit);
+        match (known.is_empty(), rest) {
+            (true, 0) => f.write_str("no fault"),
+            (false, 0) => f.write_str(&known.join("; ")),
+            (true, rest) => write!(f, "fault bits {rest:#04x}"),
+            (false, rest) => write!(f, "{}; fault bits {rest:#04x}", known.join("; ")),
+        }
+    }
+}
+
+/// Collects the bytes of replies as they come.
+///
+/// A reply looks like an instruction: on a one-wire bus the echo of the instruction comes first. The echo is passed over
+/// where it is told apart by its bytes.
+#[derive(Clone, Debug, Default)]
+pub struct StatusReader {
+    bytes: Vec<u8>,
+    echo: Vec<u8>,
+}
+
+impl StatusReader {
+    /// For replies after a packet that may come back as an echo.
+    #[must_use]
+    pub fn after(packet: &[u8]) -> Self {
+        Self { bytes: Vec::new(), echo: packet.to_vec() }
+    }
+
+    /// Takes what came; the next whole reply, if there is one. Call again with nothing for more.
+    ///
+    /// # Errors
+    /// [`FeetechError::Checksum`].
+    pub fn push(&mut self, bytes: &[u8]) -> Option<Result<Status, FeetechError>> {
+        self.bytes.extend_from_slice(bytes);
+        loop {
+            let start = self.bytes.windows(HEADER.len()).position(|window| window == HEADER);
+            self.bytes.drain(..start.unwrap_or(self.bytes.len().saturating_sub(HEADER.len() - 1)));
+            let &[_, _, id, length] = self.bytes.first_chunk::<PREFIX>()?;
+            // A third 0xFF shifts the header by one; error and checksum are the shortest reply.
+            if id == 0xFF || length < 2 {
+                self.bytes.drain(..1);
+                continue;
+            }
+            let end = PREFIX + usize::from(length);
+            if self.bytes.len() < end {
+                return None;
+            }
+            let (found, expected) = (self.bytes[end - 1], checksum(&self.bytes[..end - 1]));
+            if found != expected {
+                self.bytes.drain(..1);
+                return Some(Err(FeetechError::Checksum { found, expected }));
+            }
+            let packet: Vec<u8> = self.bytes.drain(..end).collect();
+            if packet == self.echo {
+                self.echo.clear();
+                continue;
+            }
+            let faults = Faults(packet[PREFIX]);
+            return Some(Ok(Status { id, faults, data: packet[PREFIX + 1..end - 1].to_vec() }));
+        }
+    }
+}
+
+/// A number of the control table with its sign in bit `sign_bit`.
+#[must_use]
+pub const fn signed(value: u16, sign_bit: u32) -> i32 {
+    let magnitude = (value & ((1 << sign_bit) - 1)) as i32;
+    if value >> sign_bit & 1 == 1 { -magnitude } else { magnitude }
+}
