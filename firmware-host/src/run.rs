@@ -1,6 +1,7 @@
 //! From a configuration to a job: devices, template, recording, and in simulation the truth.
 
 use crate::config::{Config, ConfigError, SourceConfig};
+use crate::gripper::{Gripper, GripperError};
 use crate::job::{Devices, Job, JobError};
 use crate::part::{Part, PartError};
 use crate::recording::{Recorder, RecordingError};
@@ -29,6 +30,8 @@ pub enum HostError {
     Source(SourceError),
     /// The pipeline cannot start.
     Sensing(SensingError),
+    /// The gripper cannot be reached.
+    Gripper(GripperError),
     /// The recording.
     Recording(RecordingError),
     /// The job broke off.
@@ -43,6 +46,7 @@ impl std::fmt::Display for HostError {
             Self::World(error) => error.fmt(f),
             Self::Source(error) => error.fmt(f),
             Self::Sensing(error) => error.fmt(f),
+            Self::Gripper(error) => error.fmt(f),
             Self::Recording(error) => error.fmt(f),
             Self::Job(error) => error.fmt(f),
         }
@@ -61,7 +65,7 @@ macro_rules! host_from {
     };
 }
 host_from!(ConfigError => Config, PartError => Part, WorldError => World, SourceError => Source,
-           SensingError => Sensing, RecordingError => Recording, JobError => Job);
+           SensingError => Sensing, GripperError => Gripper, RecordingError => Recording, JobError => Job);
 
 /// A job's world and what it senses with.
 pub struct Setup {
@@ -92,11 +96,11 @@ impl Setup {
                 world: Rc::clone(&world),
             }),
         };
-        let devices = Devices {
-            source,
-            gripper: Box::new(SimulatedGripper(Rc::clone(&world))),
-            robot: Box::new(SimulatedRobot(Rc::clone(&world))),
+        let gripper: Box<dyn Gripper> = match config.gripper.open()? {
+            Some(gripper) => gripper,
+            None => Box::new(SimulatedGripper(Rc::clone(&world))),
         };
+        let devices = Devices { source, gripper, robot: Box::new(SimulatedRobot(Rc::clone(&world))) };
         Ok(Self { world, devices, sensing, part })
     }
 }

@@ -1,6 +1,7 @@
 //! The command line. Progress goes to stderr, results to stdout.
 
 mod check;
+mod gripper;
 mod replay;
 mod run;
 mod simulate;
@@ -45,6 +46,8 @@ enum Command {
     Simulate(simulate::Arguments),
     /// Say whether a configuration would work here; nothing moves.
     Check(check::Arguments),
+    /// Look at the configured gripper or move it, for bench work.
+    Gripper(gripper::Arguments),
 }
 
 /// What can go wrong at the edge: told in one line, exit code 2.
@@ -81,6 +84,7 @@ pub fn main() -> ExitCode {
         Command::Replay(arguments) => replay::command(&arguments),
         Command::Simulate(arguments) => simulate::command(&arguments),
         Command::Check(arguments) => check::command(&arguments),
+        Command::Gripper(arguments) => gripper::command(&arguments),
     };
     match result {
         Ok(true) => ExitCode::SUCCESS,

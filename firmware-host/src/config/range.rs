@@ -18,9 +18,9 @@ pub(super) fn check(
 /// Smallest and largest valid number, and both in words with the unit.
 #[derive(Clone, Copy)]
 pub(super) struct Range {
-    low: f64,
-    high: f64,
-    words: &'static str,
+    pub(super) low: f64,
+    pub(super) high: f64,
+    pub(super) words: &'static str,
 }
 
 impl Range {

@@ -1,4 +1,8 @@
-//! Robots that carry the gripper.
+//! Robots that carry the gripper: the trait that the robot task uses, and the bridge to any controller.
+
+mod bridge;
+
+pub use bridge::BridgeRobot;
 
 use gelstereo_core::math::Pose;
 use std::fmt;
@@ -20,7 +24,21 @@ pub enum RobotError {
         /// Speed asked for.
         speed_mm_s: f64,
     },
-    /// The robot does not answer, or reports a fault.
+    /// Nothing came back.
+    Silent {
+        /// Where it was waited.
+        address: String,
+        /// For how long.
+        waited_ms: u64,
+    },
+    /// The connection fails.
+    Connection {
+        /// Which.
+        address: String,
+        /// The system's answer.
+        message: String,
+    },
+    /// The robot reports a fault, or answers with what is no answer.
     Device {
         /// What it said.
         message: String,
@@ -33,6 +51,13 @@ impl fmt::Display for RobotError {
             Self::Speed { speed_mm_s } => {
                 write!(f, "the robot was asked for a speed of {speed_mm_s} mm/s; valid is above 0 and finite")
             }
+            Self::Silent { address, waited_ms } => {
+                write!(
+                    f,
+                    "the robot at {address} has not answered for {waited_ms} ms; the motion was not confirmed"
+                )
+            }
+            Self::Connection { address, message } => write!(f, "robot at {address}: {message}"),
             Self::Device { message } => write!(f, "robot: {message}"),
         }
     }

@@ -1,0 +1,81 @@
+//! `gelstereo-host gripper`: the configured gripper by hand, for bench work.
+
+use super::{CliError, load, say, stop_flag};
+use clap::{Args, Subcommand};
+use gelstereo_host::config::{Config, GripperConfig};
+use gelstereo_host::gripper::{Gripper, GripperError, GripperStatus};
+use gelstereo_host::run::HostError;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+#[derive(Args)]
+pub struct Arguments {
+    /// Configuration with a real `[gripper]`.
+    #[arg(long, value_name = "TOML")]
+    config: PathBuf,
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(Subcommand)]
+enum Action {
+    /// Print width and state; nothing moves.
+    Status,
+    /// Make the gripper ready. Some sweep their fingers, unless they are ready.
+    Activate,
+    /// Move to a width and wait until the fingers stand.
+    Move {
+        /// Opening between the pads.
+        width_mm: f64,
+        /// Speed.
+        #[arg(long, default_value_t = 50.0)]
+        speed_mm_s: f64,
+        /// Share of the gripper's range of force, 0 to 1.
+        #[arg(long, default_value_t = 0.2)]
+        force: f64,
+    },
+    /// Stop the fingers where they are.
+    Stop,
+}
+
+/// The longest stroke at the slowest speed of the grippers that there are drivers for takes some 8 s.
+const MAX_MOVE: Duration = Duration::from_secs(30);
+/// Between two looks at a move; a Robotiq gripper wants to hear something once a second.
+const POLL: Duration = Duration::from_millis(20);
+
+pub fn command(Arguments { config, action }: &Arguments) -> Result<bool, CliError> {
+    let config: Config = load(Some(config))?;
+    let Some(mut gripper) = config.gripper.open().map_err(HostError::Gripper)? else {
+        let kinds = "robotiq, robotiq_urcap, dh, on_robot, dynamixel or feetech";
+        debug_assert_eq!(config.gripper, GripperConfig::Simulated);
+        let message = format!("[gripper] kind is \"simulated\"; this command needs a real one: {kinds}");
+        return Err(HostError::Gripper(GripperError::Device { message }).into());
+    };
+    let stop = stop_flag()?;
+    let status = act(gripper.as_mut(), action, &stop).map_err(HostError::Gripper)?;
+    let GripperStatus { width_mm, moving, object_detected } = status;
+    say(format_args!("width_mm {width_mm:.2}  moving {moving}  object_detected {object_detected}"))?;
+    Ok(true)
+}
+
+fn act(gripper: &mut dyn Gripper, action: &Action, stop: &AtomicBool) -> Result<GripperStatus, GripperError> {
+    match *action {
+        Action::Status => {}
+        Action::Activate => gripper.activate()?,
+        Action::Stop => gripper.stop()?,
+        Action::Move { width_mm, speed_mm_s, force } => {
+            gripper.activate()?;
+            gripper.move_to(width_mm, speed_mm_s, force)?;
+            let deadline = Instant::now() + MAX_MOVE;
+            while gripper.status()?.moving {
+                if stop.load(Ordering::Relaxed) || Instant::now() > deadline {
+                    gripper.stop()?;
+                    break;
+                }
+                std::thread::sleep(POLL);
+            }
+        }
+    }
+    gripper.status()
+}

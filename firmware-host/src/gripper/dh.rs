@@ -1,0 +1,120 @@
+//! DH-Robotics AG-95, PGC, PGE and PGI over Modbus RTU.
+
+use super::{Gripper, GripperError, GripperStatus, Master, WidthTable, check_speed, share};
+use crate::codec::modbus::Request;
+use std::time::{Duration, Instant};
+
+const INITIALISE: u16 = 0x0100;
+const CLOSING_FORCE: u16 = 0x0101;
+const POSITION: u16 = 0x0103;
+/// Not 0x0102, which is the opening force of the PGE-2, though some drivers write the speed there.
+const SPEED: u16 = 0x0104;
+/// State of initialisation, of the grip, and position: three registers.
+const STATE: u16 = 0x0200;
+
+/// `INITIALISE`: find the end stops, opening and closing once.
+const FULL: u16 = 0xA5;
+const INITIALISED: u16 = 1;
+const MOVING: u16 = 0;
+const CAUGHT: u16 = 2;
+const DROPPED: u16 = 3;
+
+/// Force and speed are per cent of the largest; the manual's least force is 20 %.
+const PERCENT: f64 = 100.0;
+const MIN_FORCE_PERCENT: f64 = 20.0;
+const MAX_INITIALISATION: Duration = Duration::from_secs(15);
+const POLL: Duration = Duration::from_millis(50);
+
+/// A driver of one gripper.
+pub struct DhRobotics {
+    master: Master,
+    widths: WidthTable,
+    /// Absent for the AG-95, whose speed cannot be set.
+    speed_mm_s: Option<(f64, f64)>,
+    target: Option<u16>,
+}
+
+impl DhRobotics {
+    /// On a Modbus RTU line. `widths` maps the position, 0 to 1000, to the opening.
+    #[must_use]
+    pub const fn new(master: Master, widths: WidthTable, speed_mm_s: Option<(f64, f64)>) -> Self {
+        Self { master, widths, speed_mm_s, target: None }
+    }
+
+    fn write(&mut self, address: u16, value: u16) -> Result<(), GripperError> {
+        self.master.ask(Request::WriteSingle { address, value }).map(|_| ())
+    }
+
+    fn state(&mut self) -> Result<[u16; 3], GripperError> {
+        self.master.read(Request::ReadHolding { address: STATE, count: 3 })
+    }
+}
+
+impl Gripper for DhRobotics {
+    /// Does nothing where the gripper is initialised: a second time would drop what it holds.
+    fn activate(&mut self) -> Result<(), GripperError> {
+        let [initialised, grip, position] = self.state()?;
+        if initialised == INITIALISED {
+            self.target = Some(position);
+            return Ok(());
+        }
+        if grip == CAUGHT {
+            return Err(GripperError::Holds);
+        }
+        self.write(INITIALISE, FULL)?;
+        let deadline = Instant::now() + MAX_INITIALISATION;
+        loop {
+            std::thread::sleep(POLL);
+            let [initialised, _, position] = self.state()?;
+            if initialised == INITIALISED {
+                self.target = Some(position);
+                return Ok(());
+            }
+            if Instant::now() > deadline {
+                let message = format!("initialisation did not end within {MAX_INITIALISATION:?}");
+                return Err(GripperError::Fault { message });
+            }
+        }
+    }
+
+    fn move_to(&mut self, width_mm: f64, speed_mm_s: f64, force: f64) -> Result<(), GripperError> {
+        if self.target.is_none() {
+            return Err(GripperError::NotActivated);
+        }
+        let (min_mm, max_mm) = self.widths.range_mm();
+        let count = self.widths.count(width_mm).ok_or(GripperError::Width { width_mm, min_mm, max_mm })?;
+        let force = MIN_FORCE_PERCENT + share(force, PERCENT - MIN_FORCE_PERCENT)?;
+        if let Some((slowest, fastest)) = self.speed_mm_s {
+            let speed = (check_speed(speed_mm_s, (slowest, fastest))? - slowest) / (fastest - slowest);
+            self.write(SPEED, (1.0 + speed * (PERCENT - 1.0)).round() as u16)?;
+        }
+        self.write(CLOSING_FORCE, force as u16)?;
+        // Writing the position moves at once, so that it comes last.
+        let target = count.round() as u16;
+        self.write(POSITION, target)?;
+        self.target = Some(target);
+        Ok(())
+    }
+
+    /// The protocol has no stop: the gripper is sent to where it is.
+    fn stop(&mut self) -> Result<(), GripperError> {
+        let [_, grip, position] = self.state()?;
+        if grip == MOVING {
+            self.write(POSITION, position)?;
+            self.target = Some(position);
+        }
+        Ok(())
+    }
+
+    fn status(&mut self) -> Result<GripperStatus, GripperError> {
+        let [_, grip, position] = self.state()?;
+        if grip == DROPPED {
+            return Err(GripperError::Fault { message: "what was held has dropped".to_owned() });
+        }
+        Ok(GripperStatus {
+            width_mm: self.widths.width_mm(position.into()),
+            moving: grip == MOVING,
+            object_detected: grip == CAUGHT,
+        })
+    }
+}

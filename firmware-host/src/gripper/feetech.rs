@@ -1,0 +1,139 @@
+//! A gripper of one Feetech STS servo (STS3215 and relatives), as low-cost arms have it.
+
+use super::line::Line;
+use super::{Gripper, GripperError, GripperStatus, WidthTable, check_speed, share};
+use crate::codec::feetech::{FeetechError, Instruction, Status, StatusReader, signed};
+use std::time::{Duration, Instant};
+
+/// Addresses of the STS series' memory table.
+mod address {
+    pub const TORQUE_ENABLE: u8 = 40;
+    /// Position, time, speed, torque limit: 8 bytes.
+    pub const GOAL: u8 = 42;
+    /// Position to the moving flag: 11 bytes.
+    pub const STATE: u8 = 56;
+}
+
+/// Offset of the moving flag, register 66, in the state.
+const MOVING: usize = 10;
+/// The torque limit is in thousandths.
+const TORQUE_STEPS: f64 = 1000.0;
+/// The fastest STS3215 turns at about 3400 counts a second without load; faster goals are taken as the fastest.
+const MAX_COUNTS_PER_S: f64 = 3400.0;
+/// A goal that is missed by more counts than this was stopped by something: 2 degrees, the play of a geared finger.
+const MISSED_COUNTS: i32 = 23;
+/// Positions and speeds have their sign in bit 15.
+const SIGN_BIT: u32 = 15;
+const ATTEMPTS: u32 = 3;
+
+/// A driver of one servo.
+pub struct FeetechGripper {
+    line: Box<dyn Line>,
+    id: u8,
+    timeout: Duration,
+    widths: WidthTable,
+    goal: Option<i32>,
+}
+
+impl FeetechGripper {
+    /// The servo `id` on a line. `widths` maps its position to the opening.
+    #[must_use]
+    pub fn new(line: Box<dyn Line>, id: u8, timeout: Duration, widths: WidthTable) -> Self {
+        Self { line, id, timeout, widths, goal: None }
+    }
+
+    fn ask(&mut self, instruction: Instruction<'_>) -> Result<Status, GripperError> {
+        let device = |error: FeetechError| GripperError::Device { message: error.to_string() };
+        let packet = instruction.encode(self.id).map_err(device)?;
+        for _ in 0..ATTEMPTS {
+            self.line.discard_input()?;
+            self.line.send(&packet)?;
+            let deadline = Instant::now() + self.timeout;
+            let (mut reader, mut buffer) = (StatusReader::after(&packet), [0; 64]);
+            loop {
+                let count = self.line.receive(&mut buffer, deadline)?;
+                match reader.push(&buffer[..count]) {
+                    Some(Ok(status)) if status.id == self.id => return faultless(status),
+                    Some(_) => {}
+                    None if count > 0 => {}
+                    None => break,
+                }
+            }
+        }
+        let waited_ms = (self.timeout * ATTEMPTS).as_millis() as u64;
+        Err(GripperError::Silent { port: self.line.name().to_owned(), waited_ms })
+    }
+
+    fn write(&mut self, address: u8, data: &[u8]) -> Result<(), GripperError> {
+        self.ask(Instruction::Write { address, data }).map(|_| ())
+    }
+
+    /// Whether it moves, and its position.
+    fn state(&mut self) -> Result<(bool, i32), GripperError> {
+        let status = self.ask(Instruction::Read { address: address::STATE, count: MOVING as u8 + 1 })?;
+        let data: [u8; MOVING + 1] = status.data.try_into().map_err(|_| GripperError::Device {
+            message: "a reply has another length than was asked for".to_owned(),
+        })?;
+        Ok((data[MOVING] != 0, signed(u16::from_le_bytes([data[0], data[1]]), SIGN_BIT)))
+    }
+
+    fn go(&mut self, goal: i32, counts_per_s: u16, torque: u16) -> Result<(), GripperError> {
+        let position = (goal.unsigned_abs() as u16 & 0x7FFF) | u16::from(goal < 0) << SIGN_BIT;
+        // A time of 0 leaves the speed in charge.
+        let goals = [position, 0, counts_per_s, torque].map(u16::to_le_bytes).concat();
+        self.write(address::GOAL, &goals)?;
+        self.goal = Some(goal);
+        Ok(())
+    }
+}
+
+fn faultless(status: Status) -> Result<Status, GripperError> {
+    if status.faults.0 == 0 {
+        return Ok(status);
+    }
+    Err(GripperError::Fault { message: format!("servo {}: {}", status.id, status.faults) })
+}
+
+impl Gripper for FeetechGripper {
+    /// Torque is switched on, which holds the present position: nothing moves.
+    fn activate(&mut self) -> Result<(), GripperError> {
+        let (_, position) = self.state()?;
+        self.write(address::TORQUE_ENABLE, &[1])?;
+        self.goal = Some(position);
+        Ok(())
+    }
+
+    fn move_to(&mut self, width_mm: f64, speed_mm_s: f64, force: f64) -> Result<(), GripperError> {
+        if self.goal.is_none() {
+            return Err(GripperError::NotActivated);
+        }
+        let (min_mm, max_mm) = self.widths.range_mm();
+        let outside = GripperError::Width { width_mm, min_mm, max_mm };
+        let (Some(count), Some(closed), Some(open)) =
+            (self.widths.count(width_mm), self.widths.count(min_mm), self.widths.count(max_mm))
+        else {
+            return Err(outside);
+        };
+        let counts_per_mm = (open - closed).abs() / (max_mm - min_mm);
+        let range = (1.0 / counts_per_mm, MAX_COUNTS_PER_S / counts_per_mm);
+        let counts_per_s = check_speed(speed_mm_s, range)? * counts_per_mm;
+        let torque = share(force, TORQUE_STEPS)? as u16;
+        self.go(count.round() as i32, counts_per_s.round().max(1.0) as u16, torque)
+    }
+
+    /// The goal becomes the present position: torque stays on, so that what is held stays held.
+    fn stop(&mut self) -> Result<(), GripperError> {
+        let (_, position) = self.state()?;
+        self.go(position, 0, TORQUE_STEPS as u16)
+    }
+
+    fn status(&mut self) -> Result<GripperStatus, GripperError> {
+        let (moving, position) = self.state()?;
+        let missed = self.goal.is_some_and(|goal| (goal - position).abs() > MISSED_COUNTS);
+        Ok(GripperStatus {
+            width_mm: self.widths.width_mm(position.into()),
+            moving,
+            object_detected: !moving && missed,
+        })
+    }
+}

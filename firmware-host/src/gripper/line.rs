@@ -1,0 +1,148 @@
+//! Lines of bytes to a device: serial ports and TCP connections.
+
+use super::GripperError;
+use std::io::{ErrorKind, Read, Write};
+use std::net::{TcpStream, ToSocketAddrs};
+use std::time::{Duration, Instant};
+
+/// A TCP connection to a device on the robot's own network takes a few milliseconds.
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(2);
+/// A write of some twenty bytes that takes longer means that nobody takes them.
+const WRITE_TIMEOUT: Duration = Duration::from_millis(500);
+
+/// A line of bytes. All errors are [`GripperError::Port`].
+pub trait Line: Send {
+    /// Sends all bytes.
+    ///
+    /// # Errors
+    /// [`GripperError::Port`].
+    fn send(&mut self, bytes: &[u8]) -> Result<(), GripperError>;
+
+    /// Waits for bytes until `deadline`; their number, 0 when none came.
+    ///
+    /// # Errors
+    /// [`GripperError::Port`], also when the other side closed the line.
+    fn receive(&mut self, buffer: &mut [u8], deadline: Instant) -> Result<usize, GripperError>;
+
+    /// Its name in errors.
+    fn name(&self) -> &str;
+
+    /// Drops what came and was not read.
+    ///
+    /// # Errors
+    /// [`GripperError::Port`].
+    fn discard_input(&mut self) -> Result<(), GripperError> {
+        let mut buffer = [0; 256];
+        while self.receive(&mut buffer, Instant::now())? > 0 {}
+        Ok(())
+    }
+}
+
+/// Opens `tcp://host:port`, or a serial port by its path, with 8 data bits, no parity and one stop bit.
+///
+/// # Errors
+/// [`GripperError::Port`].
+pub fn open(port: &str, baud_rate: u32) -> Result<Box<dyn Line>, GripperError> {
+    match port.strip_prefix("tcp://") {
+        Some(address) => Ok(Box::new(TcpLine::connect(address)?)),
+        None => Ok(Box::new(SerialLine::open(port, baud_rate)?)),
+    }
+}
+
+fn fail(port: &str, error: impl std::fmt::Display) -> GripperError {
+    GripperError::Port { port: port.to_owned(), message: error.to_string() }
+}
+
+/// A serial port.
+pub struct SerialLine {
+    port: Box<dyn serialport::SerialPort>,
+    name: String,
+}
+
+impl SerialLine {
+    /// Opens the port for this process alone.
+    ///
+    /// # Errors
+    /// [`GripperError::Port`].
+    pub fn open(path: &str, baud_rate: u32) -> Result<Self, GripperError> {
+        let port = serialport::new(path, baud_rate).open().map_err(|error| fail(path, error))?;
+        Ok(Self { port, name: path.to_owned() })
+    }
+}
+
+impl Line for SerialLine {
+    fn send(&mut self, bytes: &[u8]) -> Result<(), GripperError> {
+        self.port.set_timeout(WRITE_TIMEOUT).map_err(|error| fail(&self.name, error))?;
+        self.port.write_all(bytes).map_err(|error| fail(&self.name, error))
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], deadline: Instant) -> Result<usize, GripperError> {
+        let wait = deadline.saturating_duration_since(Instant::now());
+        self.port.set_timeout(wait).map_err(|error| fail(&self.name, error))?;
+        match self.port.read(buffer) {
+            Ok(0) => Err(fail(&self.name, "the port is closed; was the adapter unplugged?")),
+            Ok(count) => Ok(count),
+            Err(error) if is_timeout(&error) => Ok(0),
+            Err(error) => Err(fail(&self.name, error)),
+        }
+    }
+
+    fn name(&self) -> &str {
+        &self.name
+    }
+}
+
+/// A TCP connection.
+pub struct TcpLine {
+    stream: TcpStream,
+    name: String,
+}
+
+impl TcpLine {
+    /// Connects to `host:port`.
+    ///
+    /// # Errors
+    /// [`GripperError::Port`].
+    pub fn connect(address: &str) -> Result<Self, GripperError> {
+        let name = format!("tcp://{address}");
+        let mut last = fail(&name, "the name has no address");
+        for candidate in address.to_socket_addrs().map_err(|error| fail(&name, error))? {
+            match TcpStream::connect_timeout(&candidate, CONNECT_TIMEOUT) {
+                Ok(stream) => {
+                    // A command must not wait for the acknowledgement of the one before.
+                    stream.set_nodelay(true).map_err(|error| fail(&name, error))?;
+                    stream.set_write_timeout(Some(WRITE_TIMEOUT)).map_err(|error| fail(&name, error))?;
+                    return Ok(Self { stream, name });
+                }
+                Err(error) => last = fail(&name, error),
+            }
+        }
+        Err(last)
+    }
+}
+
+impl Line for TcpLine {
+    fn send(&mut self, bytes: &[u8]) -> Result<(), GripperError> {
+        self.stream.write_all(bytes).map_err(|error| fail(&self.name, error))
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], deadline: Instant) -> Result<usize, GripperError> {
+        // A timeout of zero would wait for ever.
+        let wait = deadline.saturating_duration_since(Instant::now()).max(Duration::from_micros(1));
+        self.stream.set_read_timeout(Some(wait)).map_err(|error| fail(&self.name, error))?;
+        match self.stream.read(buffer) {
+            Ok(0) => Err(fail(&self.name, "the other side closed the connection")),
+            Ok(count) => Ok(count),
+            Err(error) if is_timeout(&error) => Ok(0),
+            Err(error) => Err(fail(&self.name, error)),
+        }
+    }
+
+    fn name(&self) -> &str {
+        &self.name
+    }
+}
+
+fn is_timeout(error: &std::io::Error) -> bool {
+    matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted)
+}

@@ -1,0 +1,139 @@
+//! Robotiq 2F-85, 2F-140 and Hand-E over Modbus RTU, by a serial adapter or by TCP (the UR controller's port 54321).
+
+use super::{Gripper, GripperError, GripperStatus, Master, WidthTable, check_speed, share};
+use crate::codec::robotiq::{Activation, Command, Motion, READ_STATUS, REGISTERS, Status, exchange};
+use std::time::{Duration, Instant};
+
+/// Activation sweeps the fingers once open and closed; the vendor's own driver allows ten seconds.
+const MAX_ACTIVATION: Duration = Duration::from_secs(15);
+/// Between two looks at an activation.
+const POLL: Duration = Duration::from_millis(50);
+/// Steps of position, speed and force.
+const STEPS: f64 = 255.0;
+
+/// A driver of one gripper.
+pub struct Robotiq {
+    master: Master,
+    widths: WidthTable,
+    speed_mm_s: (f64, f64),
+    /// The command that the gripper has; unknown until its status was read.
+    command: Option<Command>,
+}
+
+/// The command of an active gripper as its status repeats it, so that writing it again moves nothing.
+const fn command_of(status: &Status) -> Command {
+    Command {
+        activate: status.activated,
+        go: status.go,
+        release: false,
+        release_by_opening: false,
+        position: status.requested,
+        speed: 0,
+        force: 0,
+    }
+}
+
+impl Robotiq {
+    /// On a Modbus RTU line. `widths` maps the position register to the opening; `speed_mm_s` is the slowest and the
+    /// fastest speed of the model.
+    #[must_use]
+    pub fn new(master: Master, widths: WidthTable, speed_mm_s: (f64, f64)) -> Self {
+        Self { master, widths, speed_mm_s, command: None }
+    }
+
+    fn write(&mut self, command: Command) -> Result<Status, GripperError> {
+        let registers = command.registers();
+        let status: [u16; REGISTERS as usize] = self.master.read(exchange(&registers))?;
+        self.command = Some(command);
+        Ok(Status::from_registers(status))
+    }
+
+    fn read(&mut self) -> Result<Status, GripperError> {
+        let status = self.master.read(READ_STATUS).map(Status::from_registers)?;
+        self.command.get_or_insert(command_of(&status));
+        Ok(status)
+    }
+
+    /// The present command; a gripper that was never asked is asked first, so that nothing resets it unseen.
+    fn command(&mut self) -> Result<Command, GripperError> {
+        match self.command {
+            Some(command) => Ok(command),
+            None => self.read().map(|status| command_of(&status)),
+        }
+    }
+
+    /// Resets and activates, which sweeps the fingers.
+    fn sweep(&mut self) -> Result<(), GripperError> {
+        self.write(Command::default())?;
+        let deadline = Instant::now() + MAX_ACTIVATION;
+        let mut status = self.write(Command { activate: true, ..Command::default() })?;
+        while status.activation != Activation::Active {
+            if status.fault.needs_activation() || Instant::now() > deadline {
+                let message = format!("activation did not end: {}", status.fault);
+                return Err(GripperError::Fault { message });
+            }
+            std::thread::sleep(POLL);
+            status = self.read()?;
+        }
+        Ok(())
+    }
+}
+
+impl Gripper for Robotiq {
+    /// Does nothing where the gripper is active and well: a second activation would drop what it holds.
+    fn activate(&mut self) -> Result<(), GripperError> {
+        let status = self.read()?;
+        let active = status.activation == Activation::Active;
+        if active && !status.fault.needs_activation() {
+            self.command = Some(command_of(&status));
+            return Ok(());
+        }
+        // A reset gripper keeps its fingers where they are, so that what was held then is held still.
+        if matches!(status.motion, Motion::ContactClosing | Motion::ContactOpening) {
+            return Err(GripperError::Holds);
+        }
+        self.sweep()
+    }
+
+    fn move_to(&mut self, width_mm: f64, speed_mm_s: f64, force: f64) -> Result<(), GripperError> {
+        if !self.command()?.activate {
+            return Err(GripperError::NotActivated);
+        }
+        let (min_mm, max_mm) = self.widths.range_mm();
+        let count = self.widths.count(width_mm).ok_or(GripperError::Width { width_mm, min_mm, max_mm })?;
+        let (slowest, fastest) = self.speed_mm_s;
+        let speed = (check_speed(speed_mm_s, self.speed_mm_s)? - slowest) / (fastest - slowest);
+        let command = Command {
+            activate: true,
+            go: true,
+            position: count.round().clamp(0.0, STEPS) as u8,
+            speed: (speed * STEPS).round() as u8,
+            force: share(force, STEPS)? as u8,
+            ..Command::default()
+        };
+        self.write(command).map(|_| ())
+    }
+
+    fn stop(&mut self) -> Result<(), GripperError> {
+        let command = Command { go: false, ..self.command()? };
+        self.write(command).map(|_| ())
+    }
+
+    fn status(&mut self) -> Result<GripperStatus, GripperError> {
+        let status = self.read()?;
+        if status.fault.needs_activation() {
+            return Err(GripperError::Fault { message: status.fault.to_string() });
+        }
+        let command = self.command()?;
+        // Until the request is repeated, the object bits are those of the move before.
+        let echoed = status.requested == command.position;
+        let stopped = status.motion != Motion::Moving;
+        Ok(GripperStatus {
+            width_mm: self.widths.width_mm(status.position.into()),
+            moving: command.go && !(echoed && stopped),
+            object_detected: status.go
+                && echoed
+                && matches!(status.motion, Motion::ContactClosing | Motion::ContactOpening),
+        })
+    }
+}

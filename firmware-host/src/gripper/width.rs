@@ -1,0 +1,136 @@
+//! Opening width against a gripper's own counts, from a table that was measured.
+
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// Pairs of a gripper's count and the width between the pads, with straight lines between them.
+///
+/// A gripper's documents give two points at best. A table that was measured with gauge blocks has more, and its
+/// uncertainty is the blocks'.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "WidthTableFields", into = "WidthTableFields")]
+pub struct WidthTable {
+    /// Counts rise from point to point, and widths fall, or rise, all the way.
+    points: Vec<(f64, f64)>,
+    max_error_mm: f64,
+}
+
+#[derive(Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct WidthTableFields {
+    /// Pairs of count and width in millimetres.
+    points: Vec<(f64, f64)>,
+    /// How far the true width may be from the table's.
+    max_error_mm: f64,
+}
+
+/// Why pairs are no table.
+#[derive(Clone, Debug, PartialEq)]
+pub enum WidthTableError {
+    /// A line needs two points.
+    TooFew {
+        /// Points found.
+        found: usize,
+    },
+    /// Counts must rise and widths must go one way, all of them finite.
+    Order {
+        /// Index of the first point that breaks this.
+        index: usize,
+    },
+    /// The error bound is negative or not finite.
+    Bound {
+        /// What was found.
+        found: f64,
+    },
+}
+
+impl fmt::Display for WidthTableError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::TooFew { found } => write!(f, "the width table has {found} points; valid is two or more"),
+            Self::Order { index } => write!(
+                f,
+                "point {index} of the width table is out of order; counts must rise, and widths fall or rise all the way"
+            ),
+            Self::Bound { found } => write!(f, "max_error_mm is {found}; valid is 0 or more"),
+        }
+    }
+}
+
+impl std::error::Error for WidthTableError {}
+
+impl TryFrom<WidthTableFields> for WidthTable {
+    type Error = WidthTableError;
+
+    fn try_from(fields: WidthTableFields) -> Result<Self, WidthTableError> {
+        Self::new(fields.points, fields.max_error_mm)
+    }
+}
+
+impl From<WidthTable> for WidthTableFields {
+    fn from(table: WidthTable) -> Self {
+        Self { points: table.points, max_error_mm: table.max_error_mm }
+    }
+}
+
+impl WidthTable {
+    /// From pairs of count and width in millimetres. `max_error_mm` bounds how far the true width may be from the table.
+    ///
+    /// # Errors
+    /// [`WidthTableError`].
+    pub fn new(points: Vec<(f64, f64)>, max_error_mm: f64) -> Result<Self, WidthTableError> {
+        if points.len() < 2 {
+            return Err(WidthTableError::TooFew { found: points.len() });
+        }
+        if !(max_error_mm >= 0.0 && max_error_mm.is_finite()) {
+            return Err(WidthTableError::Bound { found: max_error_mm });
+        }
+        let falls = points[1].1 < points[0].1;
+        for (index, pair) in points.windows(2).enumerate() {
+            let [(count, width_mm), (next_count, next_width_mm)] = [pair[0], pair[1]];
+            let finite = [count, width_mm, next_count, next_width_mm].iter().all(|value| value.is_finite());
+            let moves = if falls { next_width_mm < width_mm } else { next_width_mm > width_mm };
+            if !(finite && next_count > count && moves) {
+                return Err(WidthTableError::Order { index: index + 1 });
+            }
+        }
+        Ok(Self { points, max_error_mm })
+    }
+
+    /// How far the true width may be from the table.
+    #[must_use]
+    pub const fn max_error_mm(&self) -> f64 {
+        self.max_error_mm
+    }
+
+    /// Smallest and largest width.
+    #[must_use]
+    pub fn range_mm(&self) -> (f64, f64) {
+        let (first, last) = (self.points[0].1, self.points[self.points.len() - 1].1);
+        (first.min(last), first.max(last))
+    }
+
+    /// Width at a count. Beyond the table the first and last lines go on, since a gripper's end stops wear.
+    #[must_use]
+    pub fn width_mm(&self, count: f64) -> f64 {
+        let last = self.points.len() - 2;
+        let segment = self.points.partition_point(|&(at, _)| at <= count).saturating_sub(1).min(last);
+        let [(low, from_mm), (high, to_mm)] = [self.points[segment], self.points[segment + 1]];
+        from_mm + (to_mm - from_mm) * (count - low) / (high - low)
+    }
+
+    /// Count of a width; `None` outside the range.
+    #[must_use]
+    pub fn count(&self, width_mm: f64) -> Option<f64> {
+        let (min_mm, max_mm) = self.range_mm();
+        if !(width_mm >= min_mm && width_mm <= max_mm) {
+            return None;
+        }
+        let pair = self.points.windows(2).find(|pair| {
+            let (a, b) = (pair[0].1, pair[1].1);
+            width_mm >= a.min(b) && width_mm <= a.max(b)
+        })?;
+        let [(low, from_mm), (high, to_mm)] = [pair[0], pair[1]];
+        Some(low + (high - low) * (width_mm - from_mm) / (to_mm - from_mm))
+    }
+}

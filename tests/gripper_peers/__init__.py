@@ -1,0 +1,1 @@
+"""Gripper peers: protocol servers by other authors, on lines with and without faults."""

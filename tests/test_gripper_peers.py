@@ -1,0 +1,152 @@
+"""gelstereo-host's gripper drivers against servers by other authors, over pseudo-terminals and loopback.
+
+pymodbus frames and checks every message of the Robotiq server. pyRobotiqGripper, a published driver, drives the same
+server as a check on the server itself.
+"""
+
+from __future__ import annotations
+
+import queue
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from gripper_peers.wire import Faults, Wire
+from test_recording_readers import host_binary
+
+pytest.importorskip("pymodbus")
+PEERS = Path(__file__).parent / "gripper_peers"
+
+
+class Server:
+    """A server process; ``lines`` has what it printed."""
+
+    def __init__(self, script: str, *arguments: str) -> None:
+        command = [sys.executable, str(PEERS / script), *arguments]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self._queue: queue.Queue[str] = queue.Queue()
+        threading.Thread(target=self._read, daemon=True).start()
+        assert self._queue.get(timeout=30) == "ready"
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self._queue.put(line.strip())
+
+    def commands(self) -> list[str]:
+        lines = []
+        while not self._queue.empty():
+            lines.append(self._queue.get().removeprefix("command "))
+        return lines
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.wait()
+
+
+@contextmanager
+def robotiq(faults: Faults | None = None, held: float | None = None) -> Iterator[tuple[Wire, Server]]:
+    wire = Wire(faults)
+    server = Server("robotiq_server.py", wire.device_port, *([] if held is None else [str(held)]))
+    try:
+        yield wire, server
+    finally:
+        server.close()
+        wire.close()
+
+
+def wait_for(port: int) -> None:
+    """Until somebody listens on the loopback port."""
+    for _ in range(300):
+        with socket.socket() as probe:
+            if probe.connect_ex(("127.0.0.1", port)) == 0:
+                return
+        time.sleep(0.1)
+    raise TimeoutError(f"nobody listens on port {port}")
+
+
+def gripper(tmp_path: Path, port: str, *action: str, kind: str = "robotiq") -> subprocess.CompletedProcess[str]:
+    cell = tmp_path / "cell.toml"
+    cell.write_text(f'[gripper]\nkind = "{kind}"\nport = "{port}"\nmodel = "2f85"\n')
+    command = [host_binary(), "gripper", "--config", str(cell), *action]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+
+
+def state(done: subprocess.CompletedProcess[str]) -> dict[str, str]:
+    assert done.returncode == 0, done.stdout + done.stderr
+    words = done.stdout.split()
+    return dict(zip(words[::2], words[1::2], strict=True))
+
+
+def test_a_robotiq_gripper_is_activated_moved_and_never_activated_again(tmp_path: Path) -> None:
+    with robotiq(held=180.0) as (wire, server):
+        assert state(gripper(tmp_path, wire.host_port, "activate"))["moving"] == "false"
+        assert server.commands() == ["0000 0000 0000", "0100 0000 0000"]
+        moved = state(gripper(tmp_path, wire.host_port, "move", "0", "--speed-mm-s", "150"))
+        # Held at count 180 of 3 to 230 over 85 mm.
+        assert abs(float(moved["width_mm"]) - 85 * 50 / 227) < 0.2
+        assert moved["object_detected"] == "true"
+        assert server.commands() == ["0900 00e6 ff33"], "no second activation: it would drop what is held"
+        stopped = state(gripper(tmp_path, wire.host_port, "stop"))
+        assert stopped["moving"] == "false"
+        assert server.commands()[-1].startswith("0100"), "stopped by taking back the request, still activated"
+
+
+def test_a_robotiq_gripper_is_reached_by_rtu_over_tcp(tmp_path: Path) -> None:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    server = Server("robotiq_server.py", str(port))
+    try:
+        wait_for(port)
+        moved = state(gripper(tmp_path, f"tcp://127.0.0.1:{port}", "move", "40", "--speed-mm-s", "150"))
+        assert abs(float(moved["width_mm"]) - 40) < 0.2
+    finally:
+        server.close()
+
+
+@pytest.mark.parametrize(
+    "faults",
+    [
+        Faults(drop=0.2, seed=3),
+        Faults(double=0.3, seed=4),
+        Faults(change=0.2, seed=5),
+        Faults(late=0.2, late_s=0.15, seed=6),
+        Faults(split=1.0, seed=7),
+    ],
+    ids=["dropped", "doubled", "changed", "late", "split"],
+)
+def test_faults_on_the_line_do_not_change_what_the_gripper_does(tmp_path: Path, faults: Faults) -> None:
+    with robotiq(faults) as (wire, server):
+        moved = state(gripper(tmp_path, wire.host_port, "move", "60", "--speed-mm-s", "150"))
+        assert abs(float(moved["width_mm"]) - 60) < 0.2
+        assert server.commands()[-1] == "0900 0046 ff33"
+
+
+def test_a_gripper_that_vanishes_is_an_error_in_words(tmp_path: Path) -> None:
+    with robotiq() as (wire, _):
+        state(gripper(tmp_path, wire.host_port, "activate"))
+        wire.cut = True
+        silent = gripper(tmp_path, wire.host_port, "status")
+        assert silent.returncode == 2
+        assert f"the gripper on {wire.host_port} has not answered for" in silent.stderr
+
+
+def test_another_driver_agrees_with_the_server(tmp_path: Path) -> None:
+    """pyRobotiqGripper moves the same server as we do: the server is no echo of our own reading of the manual."""
+    driver = pytest.importorskip("pyrobotiqgripper")
+    with robotiq() as (wire, server):
+        other = driver.RobotiqGripper(com_port=wire.host_port, device_id=9)
+        other.connect()
+        other.activate()
+        other.move(100)
+        other.disconnect()
+        ours = state(gripper(tmp_path, wire.host_port, "status"))
+        assert abs(float(ours["width_mm"]) - 85 * 130 / 227) < 0.4
+        assert server.commands()[-1].split()[1] == "0064"
