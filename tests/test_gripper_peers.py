@@ -51,14 +51,35 @@ class Server:
 
 
 @contextmanager
-def robotiq(faults: Faults | None = None, held: float | None = None) -> Iterator[tuple[Wire, Server]]:
+def on_a_wire(
+    script: str, kind: str, faults: Faults | None = None, held: float | None = None
+) -> Iterator[tuple[Wire, Server]]:
+    """A server of this kind at the other end of a serial line."""
     wire = Wire(faults)
-    server = Server("robotiq_server.py", wire.device_port, *([] if held is None else [str(held)]))
+    server = Server(script, kind, wire.device_port, *([] if held is None else [str(held)]))
     try:
         yield wire, server
     finally:
         server.close()
         wire.close()
+
+
+@contextmanager
+def on_tcp(kind: str, *arguments: str) -> Iterator[tuple[str, Server]]:
+    """A Modbus server of this kind on a loopback port."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    server = Server("modbus_server.py", kind, str(port), *arguments)
+    try:
+        wait_for(port)
+        yield f"tcp://127.0.0.1:{port}", server
+    finally:
+        server.close()
+
+
+def robotiq(faults: Faults | None = None, held: float | None = None):
+    return on_a_wire("modbus_server.py", "robotiq", faults, held)
 
 
 def wait_for(port: int) -> None:
@@ -71,9 +92,20 @@ def wait_for(port: int) -> None:
     raise TimeoutError(f"nobody listens on port {port}")
 
 
-def gripper(tmp_path: Path, port: str, *action: str, kind: str = "robotiq") -> subprocess.CompletedProcess[str]:
+TABLES = {
+    "robotiq": 'model = "2f85"',
+    "dh": "widths = { points = [[0, 0.0], [1000, 50.0]], max_error_mm = 0.5 }\nspeed_mm_s = [5, 100]",
+    "on_robot": 'model = "rg2"',
+    "dynamixel": "widths = { points = [[1000, 0.0], [3000, 60.0]], max_error_mm = 1 }\nmax_current = 900",
+    "feetech": "widths = { points = [[1000, 0.0], [3000, 60.0]], max_error_mm = 1 }",
+}
+
+
+def gripper(
+    tmp_path: Path, port: str, *action: str, kind: str = "robotiq"
+) -> subprocess.CompletedProcess[str]:
     cell = tmp_path / "cell.toml"
-    cell.write_text(f'[gripper]\nkind = "{kind}"\nport = "{port}"\nmodel = "2f85"\n')
+    cell.write_text(f'[gripper]\nkind = "{kind}"\nport = "{port}"\n{TABLES[kind]}\n')
     command = [host_binary(), "gripper", "--config", str(cell), *action]
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
@@ -99,16 +131,45 @@ def test_a_robotiq_gripper_is_activated_moved_and_never_activated_again(tmp_path
 
 
 def test_a_robotiq_gripper_is_reached_by_rtu_over_tcp(tmp_path: Path) -> None:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    server = Server("robotiq_server.py", str(port))
-    try:
-        wait_for(port)
-        moved = state(gripper(tmp_path, f"tcp://127.0.0.1:{port}", "move", "40", "--speed-mm-s", "150"))
+    with on_tcp("robotiq") as (port, _):
+        moved = state(gripper(tmp_path, port, "move", "40", "--speed-mm-s", "150"))
         assert abs(float(moved["width_mm"]) - 40) < 0.2
-    finally:
-        server.close()
+
+
+def test_a_dh_gripper_is_initialised_once_and_holds(tmp_path: Path) -> None:
+    with on_a_wire("modbus_server.py", "dh", held=400.0) as (wire, server):
+        moved = state(gripper(tmp_path, wire.host_port, "move", "10", kind="dh"))
+        assert (moved["width_mm"], moved["object_detected"]) == ("20.00", "true")
+        assert server.commands()[0].startswith("00a5")
+        state(gripper(tmp_path, wire.host_port, "activate", kind="dh"))
+        assert server.commands() == []
+
+
+def test_an_onrobot_gripper_moves_and_holds(tmp_path: Path) -> None:
+    with on_tcp("onrobot", "300") as (port, server):
+        moved = state(gripper(tmp_path, port, "move", "80", "--force", "0.5", kind="on_robot"))
+        assert (moved["width_mm"], moved["object_detected"]) == ("80.00", "false")
+        assert server.commands() == ["00c8 0320 0001"], "20 N of 40, 80 mm, grip"
+        moved = state(gripper(tmp_path, port, "move", "10", kind="on_robot"))
+        assert (moved["width_mm"], moved["object_detected"]) == ("30.00", "true")
+
+
+@pytest.mark.parametrize("kind", ["dynamixel", "feetech"])
+def test_a_servo_gripper_moves_and_holds(tmp_path: Path, kind: str) -> None:
+    """rustypot, a published driver, reads from the same servo what ours wrote."""
+    rustypot = pytest.importorskip("rustypot")
+    with on_a_wire("servo_server.py", kind, held=1500.0) as (wire, _):
+        moved = state(gripper(tmp_path, wire.host_port, "move", "45", kind=kind))
+        assert abs(float(moved["width_mm"]) - 45) < 0.1 and moved["object_detected"] == "false"
+        controller = rustypot.Xl330PyController if kind == "dynamixel" else rustypot.Sts3215PyController
+        other = controller(wire.host_port, 1_000_000, 0.5)
+        assert other.read_raw_goal_position(1) == [2500]
+        assert abs(other.read_raw_present_position(1)[0] - 2500) <= 2
+        del other
+        moved = state(gripper(tmp_path, wire.host_port, "move", "0", kind=kind))
+        assert abs(float(moved["width_mm"]) - 15) < 0.1 and moved["object_detected"] == "true"
+        stopped = state(gripper(tmp_path, wire.host_port, "stop", kind=kind))
+        assert abs(float(stopped["width_mm"]) - 15) < 0.1
 
 
 @pytest.mark.parametrize(
