@@ -6,6 +6,7 @@ use crate::job::{Devices, Job, JobError};
 use crate::part::{Part, PartError};
 use crate::recording::{Recorder, RecordingError};
 use crate::report::{JobReport, Outcome, StageReport, TruthReport};
+use crate::robot::{Robot, RobotError};
 use crate::sensing::{Sensing, SensingError};
 use crate::source::{FolderSource, FrameSource, SourceError};
 use crate::world::{
@@ -32,6 +33,8 @@ pub enum HostError {
     Sensing(SensingError),
     /// The gripper cannot be reached.
     Gripper(GripperError),
+    /// The robot cannot be reached.
+    Robot(RobotError),
     /// The recording.
     Recording(RecordingError),
     /// The job broke off.
@@ -47,6 +50,7 @@ impl std::fmt::Display for HostError {
             Self::Source(error) => error.fmt(f),
             Self::Sensing(error) => error.fmt(f),
             Self::Gripper(error) => error.fmt(f),
+            Self::Robot(error) => error.fmt(f),
             Self::Recording(error) => error.fmt(f),
             Self::Job(error) => error.fmt(f),
         }
@@ -65,7 +69,7 @@ macro_rules! host_from {
     };
 }
 host_from!(ConfigError => Config, PartError => Part, WorldError => World, SourceError => Source,
-           SensingError => Sensing, GripperError => Gripper, RecordingError => Recording, JobError => Job);
+           SensingError => Sensing, GripperError => Gripper, RobotError => Robot, RecordingError => Recording, JobError => Job);
 
 /// A job's world and what it senses with.
 pub struct Setup {
@@ -100,7 +104,11 @@ impl Setup {
             Some(gripper) => gripper,
             None => Box::new(SimulatedGripper(Rc::clone(&world))),
         };
-        let devices = Devices { source, gripper, robot: Box::new(SimulatedRobot(Rc::clone(&world))) };
+        let robot: Box<dyn Robot> = match config.robot.open()? {
+            Some(robot) => robot,
+            None => Box::new(SimulatedRobot(Rc::clone(&world))),
+        };
+        let devices = Devices { source, gripper, robot };
         Ok(Self { world, devices, sensing, part })
     }
 }

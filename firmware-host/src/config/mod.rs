@@ -7,6 +7,7 @@ mod error;
 mod gripper;
 mod range;
 mod recording;
+mod robot;
 mod simulated;
 mod source;
 mod task;
@@ -14,6 +15,7 @@ mod task;
 pub use error::ConfigError;
 pub use gripper::{GripperConfig, OnRobotModel, RobotiqModel};
 pub use recording::RecordingConfig;
+pub use robot::RobotConfig;
 pub use simulated::SimulatedConfig;
 pub use source::SourceConfig;
 pub use task::{PoseConfig, TaskConfig};
@@ -41,6 +43,8 @@ pub struct Config {
     pub source: SourceConfig,
     /// The gripper. Default: the simulated one.
     pub gripper: GripperConfig,
+    /// The robot. Default: the simulated one.
+    pub robot: RobotConfig,
     /// The part to be grasped.
     pub part: PartConfig,
     /// The job.
@@ -70,6 +74,7 @@ impl Default for Config {
             rig_file: None,
             source: SourceConfig::default(),
             gripper: GripperConfig::default(),
+            robot: RobotConfig::default(),
             part: PartConfig::default(),
             task: TaskConfig::default(),
             recording: RecordingConfig::default(),
@@ -176,6 +181,7 @@ impl Config {
         self.rig()?.validate().map_err(ConfigError::Rig)?;
         self.source.validate()?;
         self.gripper.validate()?;
+        self.robot.validate()?;
         LENGTH_MM.check("part.spacing_mm", self.part.spacing_mm)?;
         self.task.validate(&self.mount.kinematics)?;
         self.simulated.validate()
