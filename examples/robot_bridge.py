@@ -26,7 +26,9 @@ class Robot:
         step, self.time_s = self.speed_mm_s * (now - self.time_s), now
         way = math.dist(self.position_mm, self.target_mm)
         share = 1.0 if way <= step else step / way
-        self.position_mm = [p + share * (t - p) for p, t in zip(self.position_mm, self.target_mm, strict=True)]
+        self.position_mm = [
+            p + share * (t - p) for p, t in zip(self.position_mm, self.target_mm, strict=True)
+        ]
 
     def move(self, pose, speed_mm_s):
         self.target_mm, self.quaternion_xyzw = pose["position_mm"], pose["quaternion_xyzw"]
@@ -65,7 +67,9 @@ def serve(port):
             try:
                 for line in lines:
                     request = json.loads(line)
-                    lines.write(json.dumps({"id": request["id"], **answer(robot, connection, request)}) + "\n")
+                    lines.write(
+                        json.dumps({"id": request["id"], **answer(robot, connection, request)}) + "\n"
+                    )
                     lines.flush()
             except (OSError, ValueError) as error:
                 print(f"stopped: {error}", flush=True)

@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import gelstereo
 import pytest
 from gripper_peers.wire import Faults, Wire
 from test_recording_readers import host_binary
@@ -211,3 +212,39 @@ def test_another_driver_agrees_with_the_server(tmp_path: Path) -> None:
         ours = state(gripper(tmp_path, wire.host_port, "status"))
         assert abs(float(ours["width_mm"]) - 85 * 130 / 227) < 0.4
         assert server.commands()[-1].split()[1] == "0064"
+
+
+def test_python_drives_the_same_gripper_by_pyserial() -> None:
+    with (
+        robotiq(held=180.0) as (wire, server),
+        gelstereo.grippers.open("robotiq", wire.host_port, model="2f85") as hand,
+    ):
+        hand.activate()
+        held = hand.move(0.0, speed_mm_s=150.0)
+        assert held.object_detected and abs(held.width_mm - 85 * 50 / 227) < 0.2
+        assert repr(held) == "GripperStatus(width_mm=18.722, moving=False, object_detected=True)"
+        commands = server.commands()
+        hand.activate()
+        assert server.commands() == [], f"no second activation after {commands}"
+        with pytest.raises(
+            gelstereo.GripperError, match=r"asked for 120.000 mm; it can have 0.000 to 85.000 mm"
+        ):
+            hand.move(120.0)
+        with pytest.raises(gelstereo.GripperError, match="can move at 20 to 150 mm/s"):
+            hand.start(20.0, speed_mm_s=500.0)
+        wire.cut = True
+        with pytest.raises(gelstereo.GripperError, match="has not answered"):
+            hand.status()
+
+
+def test_settings_of_grippers_are_checked_in_python() -> None:
+    with pytest.raises(gelstereo.GripperError, match="gripper port /dev/nothing"):
+        gelstereo.grippers.open("robotiq", "/dev/nothing", model="2f85")
+    with robotiq() as (wire, _):
+        with pytest.raises(gelstereo.GripperError, match="unknown field `modle`"):
+            gelstereo.grippers.open("robotiq", wire.host_port, modle="2f85")
+        with pytest.raises(gelstereo.GripperError, match="unknown variant `robotic`"):
+            gelstereo.grippers.open("robotic", wire.host_port)
+        with pytest.raises(gelstereo.GripperError, match="counts must rise"):
+            table = {"points": [(230, 0.0), (3, 85.0)], "max_error_mm": 0.5}
+            gelstereo.grippers.open("dh", wire.host_port, widths=table)

@@ -11,7 +11,6 @@ pub mod check;
 pub mod codec;
 #[cfg(feature = "host")]
 pub mod config;
-#[cfg(feature = "host")]
 pub mod gripper;
 pub mod hid;
 #[cfg(feature = "host")]

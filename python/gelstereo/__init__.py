@@ -13,7 +13,7 @@ Every array that gelstereo returns is read-only; ``.copy()`` gives one that can 
 `Error`, which is a ``ValueError``.
 """
 
-from gelstereo import geometry, templates
+from gelstereo import geometry, grippers, templates
 from gelstereo._native import (
     Closest,
     ContactError,
@@ -25,6 +25,7 @@ from gelstereo._native import (
     Frame,
     FrameError,
     FreeDirection,
+    GripperError,
     ImageError,
     LabelError,
     LayerContact,
@@ -84,6 +85,7 @@ __all__ = [
     "Frame",
     "FrameError",
     "FreeDirection",
+    "GripperError",
     "ImageError",
     "LabelError",
     "LayerContact",
@@ -126,6 +128,7 @@ __all__ = [
     "disc_bias",
     "foresight_sort",
     "geometry",
+    "grippers",
     "localize",
     "pressure_saliency",
     "rest_lattice",

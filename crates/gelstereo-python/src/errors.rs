@@ -35,6 +35,7 @@ exceptions! {
     PoseError: "A matrix is no rotation or no rigid motion.",
     FrameError: "The gripper cannot have this opening width.",
     SceneError: "A scene makes no sense.",
+    GripperError: "A gripper was asked for what it cannot do, reports a fault, or does not answer.",
     LayerError: "There is no such layer of gel, or no such contact with it.",
 }
 
@@ -72,6 +73,7 @@ stage_errors! {
     core::math::se3::PoseError => PoseError,
     core::math::so3::RotationError => PoseError,
     core::frames::WidthError => FrameError,
+    gelstereo_host::gripper::GripperError => GripperError,
     gelstereo_sim::SceneError => SceneError,
     gelstereo_sim::layer::LayerError => LayerError,
 }

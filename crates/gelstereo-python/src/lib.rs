@@ -10,6 +10,7 @@ mod detect;
 mod errors;
 mod frames;
 mod geometry;
+mod gripper;
 mod label;
 mod layer;
 mod params;
@@ -36,8 +37,8 @@ mod _native {
     use crate::detect::{Detector, Markers};
     #[pymodule_export]
     use crate::errors::{
-        ContactError, DetectError, Error, FrameError, ImageError, LabelError, LayerError, MeshError,
-        ParamsError, PoseError, RegisterError, RigError, SceneError, ShapeError, TemplateError,
+        ContactError, DetectError, Error, FrameError, GripperError, ImageError, LabelError, LayerError,
+        MeshError, ParamsError, PoseError, RegisterError, RigError, SceneError, ShapeError, TemplateError,
         TriangulateError,
     };
     #[pymodule_export]
@@ -47,6 +48,8 @@ mod _native {
         nearest, rigid_fit, se3_exp, se3_log, so3_exp, so3_from_matrix, so3_left_jacobian,
         so3_left_jacobian_inverse, so3_log,
     };
+    #[pymodule_export]
+    use crate::gripper::{GripperDriver, GripperStatus};
     #[pymodule_export]
     use crate::label::{RestLattice, foresight_sort, rest_lattice};
     #[pymodule_export]

@@ -2,7 +2,7 @@
 
 use super::{CliError, load, say, stop_flag};
 use clap::{Args, Subcommand};
-use gelstereo_host::config::{Config, GripperConfig};
+use gelstereo_host::config::Config;
 use gelstereo_host::gripper::{Gripper, GripperError, GripperStatus};
 use gelstereo_host::run::HostError;
 use std::path::PathBuf;
@@ -48,7 +48,6 @@ pub fn command(Arguments { config, action }: &Arguments) -> Result<bool, CliErro
     let config: Config = load(Some(config))?;
     let Some(mut gripper) = config.gripper.open().map_err(HostError::Gripper)? else {
         let kinds = "robotiq, robotiq_urcap, dh, on_robot, dynamixel or feetech";
-        debug_assert_eq!(config.gripper, GripperConfig::Simulated);
         let message = format!("[gripper] kind is \"simulated\"; this command needs a real one: {kinds}");
         return Err(HostError::Gripper(GripperError::Device { message }).into());
     };

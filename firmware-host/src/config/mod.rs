@@ -13,13 +13,13 @@ mod source;
 mod task;
 
 pub use error::ConfigError;
-pub use gripper::{GripperConfig, OnRobotModel, RobotiqModel};
 pub use recording::RecordingConfig;
 pub use robot::RobotConfig;
 pub use simulated::SimulatedConfig;
 pub use source::SourceConfig;
 pub use task::{PoseConfig, TaskConfig};
 
+use crate::gripper::GripperConfig;
 use crate::part::PartConfig;
 use gelstereo_core::frames::{FingerKinematics, SensorMount};
 use gelstereo_core::math::{DVec3, Pose};

@@ -40,12 +40,19 @@ pub trait Line: Send {
 
 /// Opens `tcp://host:port`, or a serial port by its path, with 8 data bits, no parity and one stop bit.
 ///
+/// Without the feature `host` there are no serial ports: the Python bindings bring pyserial's.
+///
 /// # Errors
 /// [`GripperError::Port`].
 pub fn open(port: &str, baud_rate: u32) -> Result<Box<dyn Line>, GripperError> {
     match port.strip_prefix("tcp://") {
         Some(address) => Ok(Box::new(TcpLine::connect(address)?)),
+        #[cfg(feature = "host")]
         None => Ok(Box::new(SerialLine::open(port, baud_rate)?)),
+        #[cfg(not(feature = "host"))]
+        None => {
+            Err(fail(port, format!("no serial ports at {baud_rate} baud here; valid is tcp://host:port")))
+        }
     }
 }
 
@@ -54,11 +61,13 @@ fn fail(port: &str, error: impl std::fmt::Display) -> GripperError {
 }
 
 /// A serial port.
+#[cfg(feature = "host")]
 pub struct SerialLine {
     port: Box<dyn serialport::SerialPort>,
     name: String,
 }
 
+#[cfg(feature = "host")]
 impl SerialLine {
     /// Opens the port for this process alone.
     ///
@@ -70,6 +79,7 @@ impl SerialLine {
     }
 }
 
+#[cfg(feature = "host")]
 impl Line for SerialLine {
     fn send(&mut self, bytes: &[u8]) -> Result<(), GripperError> {
         self.port.set_timeout(WRITE_TIMEOUT).map_err(|error| fail(&self.name, error))?;

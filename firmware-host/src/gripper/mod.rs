@@ -2,6 +2,7 @@
 //!
 //! A driver is one file here beside its codec in [`crate::codec`]. It opens nothing by itself: [`line`] brings the bytes.
 
+mod config;
 mod dh;
 mod dynamixel;
 mod feetech;
@@ -12,11 +13,12 @@ mod robotiq;
 mod robotiq_urcap;
 mod width;
 
+pub use config::{GripperConfig, OnRobotModel, RobotiqModel};
 pub use dh::DhRobotics;
 pub use dynamixel::DynamixelGripper;
 pub use feetech::FeetechGripper;
 pub use modbus::{Framing, Master};
-pub use onrobot::{DEFAULT_UNIT as ONROBOT_UNIT, OnRobot};
+pub use onrobot::OnRobot;
 pub use robotiq::Robotiq;
 pub use robotiq_urcap::RobotiqUrcap;
 pub use width::{WidthTable, WidthTableError};

@@ -1,0 +1,228 @@
+//! Which gripper, as a configuration says it, and its driver.
+
+use super::line::{self, Line};
+use super::onrobot::{self, OnRobot};
+use super::{
+    DhRobotics, DynamixelGripper, FeetechGripper, Framing, Gripper, GripperError, Master, Robotiq,
+    RobotiqUrcap, WidthTable,
+};
+use serde::{Deserialize, Serialize};
+use std::time::Duration;
+
+/// Which gripper, and where it is connected.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "kind", deny_unknown_fields)]
+pub enum GripperConfig {
+    /// The simulated gripper.
+    #[default]
+    Simulated,
+    /// Robotiq 2F-85, 2F-140 or Hand-E over Modbus RTU.
+    Robotiq {
+        /// Serial port by its path, or `tcp://host:54321` for the tool port of a UR controller.
+        port: String,
+        /// Sets the range of speed and, without `widths`, of the opening.
+        model: RobotiqModel,
+        /// Modbus unit address. Default: `9`, as delivered.
+        #[serde(default = "robotiq_unit")]
+        unit: u8,
+        /// Default: `115200`, as delivered.
+        #[serde(default = "robotiq_baud_rate")]
+        baud_rate: u32,
+        /// Opening against the position register, measured. Default: a straight line of the model.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        widths: Option<WidthTable>,
+    },
+    /// The same grippers through the Robotiq Gripper URCap on a UR controller.
+    RobotiqUrcap {
+        /// `tcp://host:63352`.
+        port: String,
+        /// Sets the range of speed and, without `widths`, of the opening.
+        model: RobotiqModel,
+        /// Opening against the position, measured. Default: a straight line of the model.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        widths: Option<WidthTable>,
+    },
+    /// DH-Robotics AG-95, PGC, PGE or PGI over Modbus RTU.
+    Dh {
+        /// Serial port by its path, or `tcp://host:port`.
+        port: String,
+        /// Modbus unit address. Default: `1`, as delivered.
+        #[serde(default = "dh_unit")]
+        unit: u8,
+        /// Default: `115200`, as delivered.
+        #[serde(default = "robotiq_baud_rate")]
+        baud_rate: u32,
+        /// Opening against the position, 0 to 1000. Which end is open differs between models: measure both.
+        widths: WidthTable,
+        /// Slowest and fastest speed; left out for the AG-95, whose speed cannot be set.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        speed_mm_s: Option<[f64; 2]>,
+    },
+    /// OnRobot RG2 or RG6 over Modbus TCP.
+    OnRobot {
+        /// `tcp://host:502`.
+        port: String,
+        /// Sets the ranges of opening and force.
+        model: OnRobotModel,
+    },
+    /// One Dynamixel X servo.
+    Dynamixel {
+        /// Serial port by its path.
+        port: String,
+        /// Identifier. Default: `1`, as delivered.
+        #[serde(default = "servo_id")]
+        id: u8,
+        /// Default: `1000000`.
+        #[serde(default = "servo_baud_rate")]
+        baud_rate: u32,
+        /// Opening against the position, measured.
+        widths: WidthTable,
+        /// Largest goal current in the servo's own units; see its data sheet.
+        max_current: u16,
+    },
+    /// One Feetech STS servo.
+    Feetech {
+        /// Serial port by its path.
+        port: String,
+        /// Identifier. Default: `1`, as delivered.
+        #[serde(default = "servo_id")]
+        id: u8,
+        /// Default: `1000000`.
+        #[serde(default = "servo_baud_rate")]
+        baud_rate: u32,
+        /// Opening against the position, measured.
+        widths: WidthTable,
+    },
+}
+
+const fn robotiq_unit() -> u8 {
+    crate::codec::robotiq::DEFAULT_UNIT
+}
+const fn robotiq_baud_rate() -> u32 {
+    115_200
+}
+const fn dh_unit() -> u8 {
+    1
+}
+const fn servo_id() -> u8 {
+    1
+}
+const fn servo_baud_rate() -> u32 {
+    1_000_000
+}
+
+/// Models of Robotiq's that share one protocol.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum RobotiqModel {
+    /// 85 mm.
+    #[serde(rename = "2f85")]
+    TwoFinger85,
+    /// 140 mm.
+    #[serde(rename = "2f140")]
+    TwoFinger140,
+    /// 50 mm, sliding fingers.
+    #[serde(rename = "hand_e")]
+    HandE,
+}
+
+impl RobotiqModel {
+    /// Slowest and fastest speed, by the vendor's documents.
+    const fn speed_mm_s(self) -> (f64, f64) {
+        match self {
+            Self::TwoFinger85 | Self::HandE => (20.0, 150.0),
+            Self::TwoFinger140 => (30.0, 250.0),
+        }
+    }
+
+    /// A straight line from the position of an open gripper to that of a closed one, as the vendor's driver has it, and
+    /// how far the opening may be from it. The linkage of the 2F models bows by 2.9 mm of 85 in the middle of the
+    /// stroke; end stops differ by three counts from gripper to gripper.
+    fn widths(self) -> Result<WidthTable, GripperError> {
+        let (stroke_mm, max_error_mm) = match self {
+            Self::TwoFinger85 => (85.0, 4.0),
+            Self::TwoFinger140 => (140.0, 6.5),
+            Self::HandE => (50.0, 0.7),
+        };
+        WidthTable::new(vec![(3.0, stroke_mm), (230.0, 0.0)], max_error_mm)
+            .map_err(|error| GripperError::Device { message: error.to_string() })
+    }
+}
+
+/// Models of OnRobot's that share one protocol.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum OnRobotModel {
+    /// 110 mm, 40 N.
+    Rg2,
+    /// 160 mm, 120 N.
+    Rg6,
+}
+
+/// A status takes 2 ms on a serial line at 115200 baud, and up to 16 ms more through a USB adapter's latency timer.
+const REPLY_TIMEOUT: Duration = Duration::from_millis(100);
+/// The Compute Box and the URCap answer through another computer.
+const NETWORK_TIMEOUT: Duration = Duration::from_millis(300);
+
+impl GripperConfig {
+    /// Where a real gripper is connected, and how fast.
+    fn port(&self) -> Option<(&str, u32)> {
+        match self {
+            Self::Simulated => None,
+            Self::RobotiqUrcap { port, .. } | Self::OnRobot { port, .. } => Some((port, 0)),
+            Self::Robotiq { port, baud_rate, .. }
+            | Self::Dh { port, baud_rate, .. }
+            | Self::Dynamixel { port, baud_rate, .. }
+            | Self::Feetech { port, baud_rate, .. } => Some((port, *baud_rate)),
+        }
+    }
+
+    /// Opens the port of a real gripper; nothing moves. `None` for the simulated one.
+    ///
+    /// # Errors
+    /// [`GripperError::Port`].
+    pub fn open(&self) -> Result<Option<Box<dyn Gripper + Send>>, GripperError> {
+        let Some((port, baud_rate)) = self.port() else {
+            return Ok(None);
+        };
+        self.driver(line::open(port, baud_rate)?)
+    }
+
+    /// The driver on an open line. `None` for the simulated gripper.
+    ///
+    /// # Errors
+    /// [`GripperError::Device`] when the model's own table is none.
+    pub fn driver(&self, line: Box<dyn Line>) -> Result<Option<Box<dyn Gripper + Send>>, GripperError> {
+        let widths = |given: &Option<WidthTable>, model: RobotiqModel| match given {
+            Some(table) => Ok(table.clone()),
+            None => model.widths(),
+        };
+        Ok(Some(match self {
+            Self::Simulated => return Ok(None),
+            Self::Robotiq { model, unit, widths: given, .. } => {
+                let master = Master::new(line, Framing::Rtu, *unit, REPLY_TIMEOUT);
+                Box::new(Robotiq::new(master, widths(given, *model)?, model.speed_mm_s()))
+            }
+            Self::RobotiqUrcap { model, widths: given, .. } => {
+                Box::new(RobotiqUrcap::new(line, NETWORK_TIMEOUT, widths(given, *model)?, model.speed_mm_s()))
+            }
+            Self::Dh { unit, widths, speed_mm_s, .. } => {
+                let master = Master::new(line, Framing::Rtu, *unit, REPLY_TIMEOUT);
+                Box::new(DhRobotics::new(master, widths.clone(), speed_mm_s.map(|[low, high]| (low, high))))
+            }
+            Self::OnRobot { model, .. } => {
+                let master = Master::new(line, Framing::Tcp, onrobot::DEFAULT_UNIT, NETWORK_TIMEOUT);
+                let (max_width_mm, max_force_n) = match model {
+                    OnRobotModel::Rg2 => (110.0, 40.0),
+                    OnRobotModel::Rg6 => (160.0, 120.0),
+                };
+                Box::new(OnRobot::new(master, max_width_mm, max_force_n))
+            }
+            Self::Dynamixel { id, widths, max_current, .. } => {
+                Box::new(DynamixelGripper::new(line, *id, REPLY_TIMEOUT, widths.clone(), *max_current))
+            }
+            Self::Feetech { id, widths, .. } => {
+                Box::new(FeetechGripper::new(line, *id, REPLY_TIMEOUT, widths.clone()))
+            }
+        }))
+    }
+}
