@@ -2,9 +2,9 @@
 
 use crate::source::SourceEvent;
 
-/// A driver's timestamp may be this much later than the moment of its reading: timestamps that a device's own clock is
-/// converted to are off by some milliseconds at the start.
-const MAX_AHEAD_NS: u64 = 100_000_000;
+/// A driver's timestamp may be this much later than the moment of its reading: what is converted from a device's own
+/// clock is off at the start, and vivid's is the end of the frame to come.
+const MAX_AHEAD_NS: u64 = 1_000_000_000;
 /// And this much earlier: no driver keeps an image longer, and the clocks of the day and of the start-up differ by more.
 const MAX_BEHIND_NS: u64 = 10_000_000_000;
 

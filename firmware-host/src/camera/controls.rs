@@ -156,6 +156,10 @@ pub struct ControlWrite {
 }
 
 impl ControlSettings {
+    /// Names of the settings that are not in `other`.
+    pub const NAMES: [&str; 5] =
+        ["exposure_us", "auto_exposure", "gain", "white_balance_k", "auto_white_balance"];
+
     pub(super) fn validate(&self) -> Result<(), CaptureError> {
         if let Some(exposure_us) = self.exposure_us {
             if !(exposure_us.is_finite() && exposure_us > 0.0) {
