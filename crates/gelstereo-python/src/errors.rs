@@ -36,6 +36,7 @@ exceptions! {
     FrameError: "The gripper cannot have this opening width.",
     SceneError: "A scene makes no sense.",
     GripperError: "A gripper was asked for what it cannot do, reports a fault, or does not answer.",
+    CameraError: "A camera is not there, does not give what is asked for, or does not answer.",
     LayerError: "There is no such layer of gel, or no such contact with it.",
 }
 
@@ -76,6 +77,7 @@ stage_errors! {
     gelstereo_host::gripper::GripperError => GripperError,
     gelstereo_sim::SceneError => SceneError,
     gelstereo_sim::layer::LayerError => LayerError,
+    gelstereo_host::camera::CaptureError => CameraError,
 }
 
 impl ToPython for core::register::RegisterError {
