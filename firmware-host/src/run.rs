@@ -1,7 +1,9 @@
 //! From a configuration to a job: devices, template, recording, and in simulation the truth.
 
 use crate::config::{Config, ConfigError, SourceConfig};
+use crate::hid::HidError;
 use crate::job::{Devices, Job, JobError};
+use crate::light::{LightOn, set_up_camera};
 use crate::part::{Part, PartError};
 use crate::recording::{Recorder, RecordingError};
 use crate::report::{JobReport, Outcome, StageReport, TruthReport};
@@ -25,6 +27,8 @@ pub enum HostError {
     Part(PartError),
     /// The simulated world.
     World(WorldError),
+    /// The light, or the camera's settings by HID.
+    Hid(HidError),
     /// The frame source.
     Source(SourceError),
     /// The pipeline cannot start.
@@ -41,6 +45,7 @@ impl std::fmt::Display for HostError {
             Self::Config(error) => error.fmt(f),
             Self::Part(error) => error.fmt(f),
             Self::World(error) => error.fmt(f),
+            Self::Hid(error) => error.fmt(f),
             Self::Source(error) => error.fmt(f),
             Self::Sensing(error) => error.fmt(f),
             Self::Recording(error) => error.fmt(f),
@@ -60,7 +65,7 @@ macro_rules! host_from {
         })*
     };
 }
-host_from!(ConfigError => Config, PartError => Part, WorldError => World, SourceError => Source,
+host_from!(ConfigError => Config, PartError => Part, WorldError => World, HidError => Hid, SourceError => Source,
            SensingError => Sensing, RecordingError => Recording, JobError => Job);
 
 /// A job's world and what it senses with.
@@ -119,11 +124,14 @@ pub fn run(
     stop: &AtomicBool,
     progress: &mut dyn FnMut(&StageReport),
 ) -> Result<JobReport, HostError> {
+    set_up_camera(&config.camera_hid)?;
+    let light = LightOn::new(&config.light)?;
     let setup = Setup::new(config)?;
     let attachments: Vec<_> = setup.part.file.clone().into_iter().collect();
     let recorder = Recorder::create(recording, &recorded_config(config)?, &attachments)?;
     let mut report = run_with(config, setup, Some(recorder), stop, progress)?;
     report.recording = Some(recording.to_owned());
+    light.off()?;
     Ok(report)
 }
 

@@ -173,7 +173,8 @@ impl fmt::Display for TaraError {
 impl std::error::Error for TaraError {}
 
 impl Exposure {
-    const VALID: &'static str = "1 (automatic) or 10 to 1000000 us";
+    /// What is valid, in words.
+    pub const VALID: &'static str = "1 (automatic) or 10 to 1000000 us";
 
     /// Reads the number that commands and settings use: 1 for automatic, else microseconds.
     ///
@@ -367,6 +368,12 @@ impl Assembly {
         let wanted = (self.length - self.bytes.len()).min(PACKET_BYTES);
         self.bytes.extend_from_slice(&packet.data[..wanted]);
         Ok(())
+    }
+
+    /// What has come.
+    #[must_use]
+    pub fn bytes(&self) -> &[u8] {
+        &self.bytes
     }
 
     /// The file.

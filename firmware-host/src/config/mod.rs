@@ -4,6 +4,7 @@
 //! Settings of the pipeline are [`Params`]; a file names a preset and states only what differs from it.
 
 mod error;
+mod light;
 mod range;
 mod recording;
 mod simulated;
@@ -11,6 +12,7 @@ mod source;
 mod task;
 
 pub use error::ConfigError;
+pub use light::{CameraHidConfig, LightConfig, StreamModeConfig};
 pub use recording::RecordingConfig;
 pub use simulated::SimulatedConfig;
 pub use source::SourceConfig;
@@ -37,6 +39,10 @@ pub struct Config {
     pub rig_file: Option<PathBuf>,
     /// Where stereo pairs come from. Default: the simulated sensor.
     pub source: SourceConfig,
+    /// The light over the gel. Default: none.
+    pub light: LightConfig,
+    /// Settings of the camera that go by HID. Default: none.
+    pub camera_hid: CameraHidConfig,
     /// The part to be grasped.
     pub part: PartConfig,
     /// The job.
@@ -65,6 +71,8 @@ impl Default for Config {
             preset: DEFAULT_PRESET.to_owned(),
             rig_file: None,
             source: SourceConfig::default(),
+            light: LightConfig::default(),
+            camera_hid: CameraHidConfig::default(),
             part: PartConfig::default(),
             task: TaskConfig::default(),
             recording: RecordingConfig::default(),
@@ -170,6 +178,8 @@ impl Config {
         self.params.validate().map_err(ConfigError::Params)?;
         self.rig()?.validate().map_err(ConfigError::Rig)?;
         self.source.validate()?;
+        self.light.validate()?;
+        self.camera_hid.validate()?;
         LENGTH_MM.check("part.spacing_mm", self.part.spacing_mm)?;
         self.task.validate(&self.mount.kinematics)?;
         self.simulated.validate()

@@ -12,7 +12,7 @@ from types import FrameType
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from guest.checks import CHECKS, Check, load_all  # noqa: E402
+from guest.checks import CHECKS, Check, load_all
 
 OUT = Path("/out")
 
