@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 import threading
 import time
@@ -82,8 +83,10 @@ class Video:
         self.flowing = threading.Event()
         """Cleared, the camera sends nothing but stays plugged in."""
         self.flowing.set()
-        self.sent = 0
-        """Frames sent since the device was made."""
+        self.phase_s = 0.0
+        """Delay of this camera's frames behind those of other cameras of its rate, which are in step."""
+        self.sent: list[int] = []
+        """Which of `frames` were sent, in their order."""
         # A bitmap: 1 manual, 8 aperture priority. Only manual takes an exposure time.
         self.auto_exposure = Control("<B", 8, 1, 9, 8)
         self.exposure = Control("<I", 80, 1, 10000, 80)
@@ -124,15 +127,17 @@ class Video:
 
     def send_for_ever(self, port: Port) -> None:
         """Sends frames until the device is unplugged; the thread that calls it ends then."""
-        next_s, toggle = time.monotonic(), 0
+        toggle, tick = 0, 0
         try:
             while True:
-                next_s = max(next_s + 1.0 / self.mode.rate_hz, time.monotonic())
-                time.sleep(max(0.0, next_s - time.monotonic()))
+                # All cameras of one rate share one clock, as by a cable for synchronisation.
+                tick = max(tick + 1, math.ceil((time.monotonic() - self.phase_s) * self.mode.rate_hz))
+                time.sleep(max(0.0, tick / self.mode.rate_hz + self.phase_s - time.monotonic()))
                 if self.flowing.wait(0.1):
                     toggle ^= 1
-                    self._send(port, self.frames[self.sent % len(self.frames)], toggle)
-                    self.sent += 1
+                    index = tick % len(self.frames)
+                    self._send(port, self.frames[index], toggle)
+                    self.sent.append(index)
         except Detached:
             return
 
