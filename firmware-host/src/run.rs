@@ -2,7 +2,9 @@
 
 use crate::config::{Config, ConfigError, SourceConfig};
 use crate::gripper::{Gripper, GripperError};
+use crate::hid::HidError;
 use crate::job::{Devices, Job, JobError};
+use crate::light::{LightOn, set_up_camera};
 use crate::part::{Part, PartError};
 use crate::recording::{Recorder, RecordingError};
 use crate::report::{JobReport, Outcome, StageReport, TruthReport};
@@ -28,6 +30,8 @@ pub enum HostError {
     Part(PartError),
     /// The simulated world.
     World(WorldError),
+    /// The light, or the camera's settings by HID.
+    Hid(HidError),
     /// The frame source.
     Source(SourceError),
     /// The pipeline cannot start.
@@ -48,6 +52,7 @@ impl std::fmt::Display for HostError {
             Self::Config(error) => error.fmt(f),
             Self::Part(error) => error.fmt(f),
             Self::World(error) => error.fmt(f),
+            Self::Hid(error) => error.fmt(f),
             Self::Source(error) => error.fmt(f),
             Self::Sensing(error) => error.fmt(f),
             Self::Gripper(error) => error.fmt(f),
@@ -69,8 +74,9 @@ macro_rules! host_from {
         })*
     };
 }
-host_from!(ConfigError => Config, PartError => Part, WorldError => World, SourceError => Source,
-           SensingError => Sensing, GripperError => Gripper, RobotError => Robot, RecordingError => Recording, JobError => Job);
+host_from!(ConfigError => Config, PartError => Part, WorldError => World, HidError => Hid, SourceError => Source,
+           SensingError => Sensing, GripperError => Gripper, RobotError => Robot, RecordingError => Recording,
+           JobError => Job);
 
 /// A job's world and what it senses with.
 pub struct Setup {
@@ -136,11 +142,14 @@ pub fn run(
     stop: &AtomicBool,
     progress: &mut dyn FnMut(&StageReport),
 ) -> Result<JobReport, HostError> {
+    set_up_camera(&config.camera_hid)?;
+    let light = LightOn::new(&config.light)?;
     let setup = Setup::new(config)?;
     let attachments: Vec<_> = setup.part.file.clone().into_iter().collect();
     let recorder = Recorder::create(recording, &recorded_config(config)?, &attachments)?;
     let mut report = run_with(config, setup, Some(recorder), stop, progress)?;
     report.recording = Some(recording.to_owned());
+    light.off()?;
     Ok(report)
 }
 

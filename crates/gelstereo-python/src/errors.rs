@@ -38,6 +38,7 @@ exceptions! {
     GripperError: "A gripper was asked for what it cannot do, reports a fault, or does not answer.",
     CameraError: "A camera is not there, does not give what is asked for, or does not answer.",
     LayerError: "There is no such layer of gel, or no such contact with it.",
+    HidError: "A HID device is absent, refuses a command or does not answer.",
 }
 
 /// A stage's error as its Python exception.
@@ -78,6 +79,8 @@ stage_errors! {
     gelstereo_sim::SceneError => SceneError,
     gelstereo_sim::layer::LayerError => LayerError,
     gelstereo_host::camera::CaptureError => CameraError,
+    gelstereo_host::codec::tara::TaraError => HidError,
+    gelstereo_host::codec::blink1::Blink1Error => HidError,
 }
 
 impl ToPython for core::register::RegisterError {

@@ -6,6 +6,7 @@
 mod arrays;
 mod camera;
 mod closest;
+mod codec;
 mod contact;
 mod detect;
 mod errors;
@@ -35,14 +36,16 @@ mod _native {
     #[pymodule_export]
     use crate::closest::{Closest, Surface, Symmetry, turned_outward};
     #[pymodule_export]
+    use crate::codec::{Blink1Command, TaraAssembly, TaraRequest, hid_udev_rule};
+    #[pymodule_export]
     use crate::contact::{RestSurface, pressure_saliency};
     #[pymodule_export]
     use crate::detect::{Detector, Markers};
     #[pymodule_export]
     use crate::errors::{
-        CameraError, ContactError, DetectError, Error, FrameError, GripperError, ImageError, LabelError,
-        LayerError, MeshError, ParamsError, PoseError, RegisterError, RigError, SceneError, ShapeError,
-        TemplateError, TriangulateError,
+        CameraError, ContactError, DetectError, Error, FrameError, GripperError, HidError, ImageError,
+        LabelError, LayerError, MeshError, ParamsError, PoseError, RegisterError, RigError, SceneError,
+        ShapeError, TemplateError, TriangulateError,
     };
     #[pymodule_export]
     use crate::frames::{FingerKinematics, SensorMount, adjusted_gripper};

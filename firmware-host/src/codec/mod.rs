@@ -1,8 +1,10 @@
 //! Protocols without transport: bytes in, bytes out. The host, the Python bindings and the fuzzers share them.
 
+pub mod blink1;
 pub mod dynamixel;
 pub mod feetech;
 pub mod modbus;
 pub mod robotiq;
 pub mod robotiq_urcap;
+pub mod tara;
 pub mod wsg;

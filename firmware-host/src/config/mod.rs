@@ -5,6 +5,7 @@
 
 mod error;
 mod gripper;
+mod light;
 mod range;
 mod recording;
 mod robot;
@@ -13,6 +14,7 @@ mod source;
 mod task;
 
 pub use error::ConfigError;
+pub use light::{CameraHidConfig, LightConfig, StreamModeConfig};
 pub use recording::RecordingConfig;
 pub use robot::RobotConfig;
 pub use simulated::SimulatedConfig;
@@ -45,6 +47,10 @@ pub struct Config {
     pub gripper: GripperConfig,
     /// The robot. Default: the simulated one.
     pub robot: RobotConfig,
+    /// The light over the gel. Default: none.
+    pub light: LightConfig,
+    /// Settings of the camera that go by HID. Default: none.
+    pub camera_hid: CameraHidConfig,
     /// The part to be grasped.
     pub part: PartConfig,
     /// The job.
@@ -75,6 +81,8 @@ impl Default for Config {
             source: SourceConfig::default(),
             gripper: GripperConfig::default(),
             robot: RobotConfig::default(),
+            light: LightConfig::default(),
+            camera_hid: CameraHidConfig::default(),
             part: PartConfig::default(),
             task: TaskConfig::default(),
             recording: RecordingConfig::default(),
@@ -185,6 +193,8 @@ impl Config {
         self.source.validate()?;
         self.gripper.validate()?;
         self.robot.validate()?;
+        self.light.validate()?;
+        self.camera_hid.validate()?;
         LENGTH_MM.check("part.spacing_mm", self.part.spacing_mm)?;
         self.task.validate(&self.mount.kinematics)?;
         self.simulated.validate()
