@@ -31,6 +31,11 @@ class Latest(Generic[T]):
             self._changed.notify_all()
 
     @property
+    def number(self) -> int:
+        """How many values there have been."""
+        return self._number
+
+    @property
     def closed(self) -> bool:
         """Whether there will be no newer value."""
         return self._closed
