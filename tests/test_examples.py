@@ -97,6 +97,14 @@ def test_examples_of_live_runs_run(words: list[str], press: Path, monkeypatch: p
     assert main([*words, *(["--port", "0"] if "--show" not in words else [])]) == 0
 
 
+@pytest.mark.parametrize("words", examples("export"), ids=" ".join)
+def test_examples_of_exports_run(words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    scene = str(SCENES / "grasp_cylinder.toml")
+    assert main(["live", "--scene", scene, "--frames", "8", "--show", "none", "--record", "run.mcap"]) == 0
+    assert main(words) == 0
+
+
 def test_examples_of_the_demo_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for words in examples("demo"):

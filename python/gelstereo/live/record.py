@@ -293,7 +293,7 @@ def capture_note(result: LiveResult) -> dict[str, Any]:
 
 
 def _pixel_crc(image: npt.NDArray[np.uint8]) -> str:
-    return f"{zlib.crc32(np.ascontiguousarray(image)):08x}"
+    return f"{zlib.crc32(image.tobytes()):08x}"
 
 
 def config_toml(rig: Rig, params: Params, shape: dict[str, Any] | None = None) -> str:
