@@ -118,15 +118,18 @@ def test_an_event_is_kept_and_no_image_twice(results: list[LiveResult], tmp_path
     from mcap.reader import make_reader
 
     path = tmp_path / "run.mcap"
-    gone = dataclasses.replace(results[0].frame, stale=True, event="camera X is gone", dropped=3)
+    fields = {"event": "disconnected", "retry_in_ms": 500}
+    gone = dataclasses.replace(
+        results[0].frame, stale=True, event="camera X is gone", event_fields=fields, time_ns=1
+    )
     with LiveRecorder(path, gs.simulate(SCENE).scene.rig, gs.Params()) as recorder:
         recorder.write(results[0])
         recorder.write(LiveResult(gone, problem="camera X is gone"))
     with path.open("rb") as stream:
         found = [(c.topic, m.data) for _, c, m in make_reader(stream).iter_messages()]
     assert [topic for topic, _ in found].count("/gelstereo/left/image") == 1
-    note = json.loads(found[-1][1][8:].rstrip(b"\0"))
-    assert (note["event"], note["stale"], note["dropped"]) == ("camera X is gone", True, 3)
+    assert [topic for topic, _ in found].count("/gelstereo/capture") == 2
+    assert json.loads(found[-1][1][8:].rstrip(b"\0")) == {"event": "disconnected", "retry_in_ms": 500}
 
 
 def test_a_full_disk_ends_the_recording_and_not_the_sensing(

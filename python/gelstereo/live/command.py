@@ -45,21 +45,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument(
-        "--camera", metavar="DEVICE", help="camera: a path such as /dev/video0, or a serial number"
+        "--camera", metavar="DEVICE", help="camera: /dev/video0, or serial: and its USB serial number"
     )
     source.add_argument("--scene", type=Path, metavar="FILE", help="simulated sensor: a scene file (TOML)")
     source.add_argument(
         "--folder", type=Path, help="images left/NAME.png and right/NAME.png, played there and back"
     )
     parser.add_argument(
-        "--right-camera", metavar="DEVICE", help="right camera, if each view has its own device"
-    )
-    parser.add_argument(
         "--rig", type=Path, help="rig file; a scene has its own, a folder may have FOLDER/rig.toml"
     )
     parser.add_argument(
-        "--rate-hz", type=float, default=DEFAULT_RATE_HZ, help="frames a second of a folder (%(default)s)"
+        "--rate-hz",
+        type=float,
+        default=DEFAULT_RATE_HZ,
+        help="frames a second of a camera or folder (%(default)s)",
     )
+    _add_camera(parser)
     add_params(parser)
     part = parser.add_argument_group("pose of the part")
     part.add_argument(
@@ -89,6 +90,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rrd", type=Path, metavar="FILE", help="with --show rerun: write a file for Rerun instead"
     )
+
+
+def _add_camera(parser: argparse.ArgumentParser) -> None:
+    camera = parser.add_argument_group("camera", "what is left out is as gelstereo.cameras.open has it")
+    camera.add_argument(
+        "--right-camera", metavar="DEVICE", help="right camera, if each view has its own device"
+    )
+    camera.add_argument(
+        "--layout", help="where both views stand in the frames of one device, as side_by_side"
+    )
+    camera.add_argument("--format", help="how the camera sends pixels, as mjpg")
+    camera.add_argument(
+        "--size-px", type=int, nargs=2, metavar=("W", "H"), help="size of the device's frames"
+    )
+    camera.add_argument("--exposure-us", type=float, help="exposure time, microseconds")
+    camera.add_argument("--gain", type=int, help="gain in the camera's own unit")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -134,8 +151,17 @@ def _setup(arguments: argparse.Namespace) -> _Setup:
     if arguments.rig is None:
         raise Error("a camera needs the rig that `gelstereo calibrate` made of it: add --rig rig.toml")
     rig = Rig.load(arguments.rig)
-    settings = {} if arguments.right_camera is None else {"right": arguments.right_camera}
-    return _Setup(CameraSource(arguments.camera, **settings), rig, part)
+    camera = CameraSource(
+        arguments.camera,
+        right_device=arguments.right_camera,
+        layout=arguments.layout,
+        format=arguments.format,
+        size_px=arguments.size_px,
+        frame_rate_hz=arguments.rate_hz,
+        exposure_us=arguments.exposure_us,
+        gain=arguments.gain,
+    )
+    return _Setup(camera, rig, part)
 
 
 def _template(arguments: argparse.Namespace) -> Template | None:

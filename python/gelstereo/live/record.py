@@ -21,6 +21,7 @@ import numpy.typing as npt
 from gelstereo import Error, Frame, Localization, MarkerState, Params, Rig, __version__
 from gelstereo.geometry import so3_from_matrix
 from gelstereo.live.sensing import LiveResult
+from gelstereo.live.source import LiveFrame
 
 Floats = npt.NDArray[np.float64]
 
@@ -108,12 +109,13 @@ class LiveRecorder:
         OSError
             If the disk is full or away; what was written before can be read.
         """
-        time_ns = result.frame.time_ns
-        if not result.frame.stale:
-            self._image("/gelstereo/left/image", time_ns, SENSOR_FRAME, result.frame.left)
-            self._image("/gelstereo/right/image", time_ns, RIGHT_FRAME, result.frame.right)
-        self._text("/gelstereo/capture", time_ns, capture_note(result))
-        if not result.frame.stale:
+        frame, time_ns = result.frame, result.frame.time_ns
+        if frame.event is not None:
+            self._text("/gelstereo/capture", time_ns, frame.event_fields or {"event": frame.event})
+        if not frame.stale:
+            self._image("/gelstereo/left/image", time_ns, SENSOR_FRAME, frame.left)
+            self._image("/gelstereo/right/image", time_ns, RIGHT_FRAME, frame.right)
+            self._text("/gelstereo/capture", time_ns, capture_note(frame))
             self._text("/gelstereo/frame", time_ns, frame_note(result))
         if result.sensed is not None:
             self._cloud(time_ns, result.sensed)
@@ -271,13 +273,12 @@ def pose_note(located: Localization) -> dict[str, Any]:
     }
 
 
-def capture_note(result: LiveResult) -> dict[str, Any]:
+def capture_note(frame: LiveFrame) -> dict[str, Any]:
     """How a frame was captured, for ``/gelstereo/capture``; clocks are the system's monotonic one.
 
     The CRC-32 of the pixels is what a replay compares its decoded images with.
     """
-    frame = result.frame
-    note: dict[str, Any] = {
+    return {
         "sequence": frame.sequence,
         "driver_ns": frame.driver_ns,
         "received_ns": frame.received_ns,
@@ -287,9 +288,6 @@ def capture_note(result: LiveResult) -> dict[str, Any]:
         "left_crc32": _pixel_crc(frame.left),
         "right_crc32": _pixel_crc(frame.right),
     }
-    if frame.event is not None:
-        note["event"] = frame.event
-    return note
 
 
 def _pixel_crc(image: npt.NDArray[np.uint8]) -> str:

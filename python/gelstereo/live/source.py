@@ -48,6 +48,8 @@ class LiveFrame:
         Whether no new images came.
     event : str or None
         What happened to the source, for people.
+    event_fields : dict or None
+        The same for programs, as the host writes it: ``event`` names it, the others are its figures.
     """
 
     left: Image
@@ -60,6 +62,7 @@ class LiveFrame:
     skew_ns: int = 0
     stale: bool = False
     event: str | None = None
+    event_fields: dict[str, Any] | None = None
 
 
 class LiveSource(Protocol):
@@ -129,29 +132,31 @@ class FolderSource:
 
 
 class CameraSource:
-    """A camera through `gelstereo.cameras`; `settings` are those of `gelstereo.cameras.open`."""
+    """A camera; device and settings are those of `gelstereo.cameras.open`."""
 
     def __init__(self, device: str, **settings: Any) -> None:
         from gelstereo import cameras
 
         self._camera = cameras.open(device, **settings)
         self.name = f"camera {device}"
-        self.rate_hz: float | None = settings.get("rate_hz")
+        self.rate_hz: float | None = float(self._camera.settings["frame_rate_hz"])
 
     def __iter__(self) -> Iterator[LiveFrame]:
         for frame in self._camera:
-            received_ns = frame.received_ns
+            time_ns = frame.driver_ns or frame.received_ns or time.monotonic_ns()
+            fields = None if frame.event is None else dict(frame.event)
             yield LiveFrame(
                 left=frame.left,
                 right=frame.right,
                 sequence=frame.sequence,
-                time_ns=received_ns if frame.driver_ns is None else frame.driver_ns,
+                time_ns=time_ns,
                 driver_ns=frame.driver_ns,
-                received_ns=received_ns,
+                received_ns=frame.received_ns,
                 dropped=frame.dropped,
                 skew_ns=frame.skew_ns,
                 stale=frame.stale,
-                event=None if frame.event is None else str(frame.event),
+                event=None if fields is None else str(fields.pop("text")),
+                event_fields=fields,
             )
 
     def close(self) -> None:
