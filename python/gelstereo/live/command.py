@@ -156,12 +156,19 @@ def _setup(arguments: argparse.Namespace) -> _Setup:
         right_device=arguments.right_camera,
         layout=arguments.layout,
         format=arguments.format,
-        size_px=arguments.size_px,
+        size_px=arguments.size_px or _device_size_px(rig, arguments),
         frame_rate_hz=arguments.rate_hz,
         exposure_us=arguments.exposure_us,
         gain=arguments.gain,
     )
     return _Setup(camera, rig, part)
+
+
+def _device_size_px(rig: Rig, arguments: argparse.Namespace) -> tuple[int, int]:
+    """Size of a device's frames whose views are as large as the rig's: side by side, they are twice as wide."""
+    width, height = rig.size_px
+    beside = arguments.right_camera is None and not (arguments.layout or "").startswith("interleaved")
+    return (2 * width if beside else width), height
 
 
 def _template(arguments: argparse.Namespace) -> Template | None:
