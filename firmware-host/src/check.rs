@@ -61,6 +61,10 @@ fn describe(config: &Config, setup: &Setup) -> String {
             setup.devices.source.len_hint().unwrap_or(0),
             path.display()
         ),
+        SourceConfig::Camera(camera) => {
+            let right = camera.right_device.iter().map(|right| format!(" and {right}"));
+            format!("camera {}{}, simulated gripper and robot", camera.device, right.collect::<String>())
+        }
     }
 }
 

@@ -6,9 +6,10 @@ use crate::part::{Part, PartError};
 use crate::recording::{Recorder, RecordingError};
 use crate::report::{JobReport, Outcome, StageReport, TruthReport};
 use crate::sensing::{Sensing, SensingError};
-use crate::source::{FolderSource, FrameSource, SourceError};
+use crate::source::{CameraSource, FolderSource, FrameSource, SourceError};
 use crate::world::{
-    BenchTruth, PacedSource, SimulatedCamera, SimulatedGripper, SimulatedRobot, World, WorldError,
+    BenchTruth, PacedSource, SimulatedCamera, SimulatedGripper, SimulatedRobot, TimedSource, World,
+    WorldError,
 };
 use gelstereo_core::math::Pose;
 use std::cell::RefCell;
@@ -91,6 +92,10 @@ impl Setup {
                 source: Box::new(FolderSource::open(path, *frame_rate_hz)?),
                 world: Rc::clone(&world),
             }),
+            SourceConfig::Camera(camera) => {
+                let source = CameraSource::open(camera).map_err(SourceError::Camera)?;
+                Box::new(TimedSource::new(Box::new(source), Rc::clone(&world)))
+            }
         };
         let devices = Devices {
             source,

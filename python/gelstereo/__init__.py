@@ -13,8 +13,9 @@ Every array that gelstereo returns is read-only; ``.copy()`` gives one that can 
 `Error`, which is a ``ValueError``.
 """
 
-from gelstereo import geometry, templates
+from gelstereo import cameras, geometry, templates
 from gelstereo._native import (
+    CameraError,
     Closest,
     ContactError,
     DenseSurface,
@@ -74,6 +75,7 @@ from gelstereo.simulation import simulate
 from gelstereo.states import MarkerState, Sight
 
 __all__ = [
+    "CameraError",
     "Closest",
     "ContactError",
     "DenseSurface",
@@ -123,6 +125,7 @@ __all__ = [
     "ViewEvidence",
     "__version__",
     "adjusted_gripper",
+    "cameras",
     "disc_bias",
     "foresight_sort",
     "geometry",

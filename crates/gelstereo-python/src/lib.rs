@@ -4,6 +4,7 @@
 #![allow(clippy::needless_pass_by_value)]
 
 mod arrays;
+mod camera;
 mod closest;
 mod contact;
 mod detect;
@@ -29,6 +30,8 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _native {
     #[pymodule_export]
+    use crate::camera::{Camera, CameraControl, CameraFrame, CameraInfo, decode_camera_frame, list_cameras};
+    #[pymodule_export]
     use crate::closest::{Closest, Surface, Symmetry, turned_outward};
     #[pymodule_export]
     use crate::contact::{RestSurface, pressure_saliency};
@@ -36,8 +39,8 @@ mod _native {
     use crate::detect::{Detector, Markers};
     #[pymodule_export]
     use crate::errors::{
-        ContactError, DetectError, Error, FrameError, ImageError, LabelError, LayerError, MeshError,
-        ParamsError, PoseError, RegisterError, RigError, SceneError, ShapeError, TemplateError,
+        CameraError, ContactError, DetectError, Error, FrameError, ImageError, LabelError, LayerError,
+        MeshError, ParamsError, PoseError, RegisterError, RigError, SceneError, ShapeError, TemplateError,
         TriangulateError,
     };
     #[pymodule_export]

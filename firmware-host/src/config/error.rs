@@ -1,5 +1,6 @@
 //! Why a configuration cannot be used.
 
+use crate::camera::CaptureError;
 use gelstereo_core::params::{Params, ParamsError};
 use gelstereo_core::rig::RigError;
 use std::path::PathBuf;
@@ -37,6 +38,8 @@ pub enum ConfigError {
         /// What would be valid.
         valid: &'static str,
     },
+    /// A setting of the camera makes no sense.
+    Camera(CaptureError),
     /// There is no rig, or there are two.
     RigSource {
         /// What to do.
@@ -58,6 +61,7 @@ impl std::fmt::Display for ConfigError {
             }
             Self::Params(error) => write!(f, "params.{error}"),
             Self::Value { name, found, valid } => write!(f, "{name} is {found}; valid is {valid}"),
+            Self::Camera(error) => write!(f, "source.{error}"),
             Self::RigSource { message } => f.write_str(message),
             Self::Rig(error) => write!(f, "rig: {error}"),
             Self::Write(error) => write!(f, "the configuration cannot be written as TOML: {error}"),

@@ -147,6 +147,9 @@ impl Config {
                 message: "images from a folder need the rig that took them: add rig_file = \"rig.toml\", made by \
                           `gelstereo calibrate`",
             }),
+            (None, SourceConfig::Camera(_)) => Err(ConfigError::RigSource {
+                message: "a camera needs its rig: add rig_file = \"rig.toml\", made by `gelstereo calibrate`",
+            }),
         }
     }
 
