@@ -89,6 +89,22 @@ def test_examples_of_calibration_run(tmp_path: Path, monkeypatch: pytest.MonkeyP
         assert main(words) == 0
 
 
+@pytest.mark.parametrize("words", examples("live"), ids=" ".join)
+def test_examples_of_live_runs_run(words: list[str], press: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not (press / "scenes").exists():
+        shutil.copytree(SCENES, press / "scenes")
+    monkeypatch.chdir(press)
+    assert main([*words, *(["--port", "0"] if "--show" not in words else [])]) == 0
+
+
+@pytest.mark.parametrize("words", examples("export"), ids=" ".join)
+def test_examples_of_exports_run(words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    scene = str(SCENES / "grasp_cylinder.toml")
+    assert main(["live", "--scene", scene, "--frames", "8", "--show", "none", "--record", "run.mcap"]) == 0
+    assert main(words) == 0
+
+
 def test_examples_of_the_demo_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for words in examples("demo"):

@@ -22,7 +22,12 @@ COMMANDS = {
     "localize": ("gelstereo.cli.localize", "a point cloud or stereo images, and a template, to a pose"),
     "template": ("gelstereo.cli.template", "a part's mesh, checked, to a template and a picture of it"),
     "simulate": ("gelstereo.cli.simulate", "a scene to stereo images with their truth"),
+    "live": (
+        "gelstereo.live.command",
+        "a camera, a scene or a folder, sensed and shown while it is recorded",
+    ),
     "view": ("gelstereo.cli.view", "a recording or a folder of stereo images to a picture"),
+    "export": ("gelstereo.export.command", "recordings to a dataset of another program"),
     "experiment": ("gelstereo.experiments.command", "the paper's experiments, simulated, with a report each"),
     "frontier": ("gelstereo.frontier.command", "measure every method and write docs/accuracy-vs-time.md"),
 }

@@ -10,7 +10,8 @@ from gelstereo.view.canvas import FAINT, HELD, INK, LOST, RULE, SALIENT, SEEN, C
 from gelstereo.view.moment import Moment
 from gelstereo.view.solid import draw_solid
 
-_STATE_COLOURS: dict[MarkerState, Colour] = {
+#: Colour of a marker in each state.
+STATE_COLOURS: dict[MarkerState, Colour] = {
     MarkerState.SEEN: SEEN,
     MarkerState.HELD: HELD,
     MarkerState.LOST: LOST,
@@ -73,7 +74,7 @@ def _draw_image(canvas: Canvas, moment: Moment, x: int, y: int, height: int) -> 
     rest = (moment.reference_px + 0.5) * scale - 0.5 + [x, y]
     radius = 0.42 * scale * _pitch_px(moment)
     for centre, state, salient in zip(now, moment.state, moment.salient, strict=True):
-        colour = SALIENT if salient else _STATE_COLOURS[MarkerState(state)]
+        colour = SALIENT if salient else STATE_COLOURS[MarkerState(state)]
         canvas.circle(centre, radius, colour, 1.6 if salient else 1.0)
     for start, end in zip(rest, now, strict=True):
         canvas.arrow(start, end, _ARROW)
@@ -86,7 +87,7 @@ def _pitch_px(moment: Moment) -> float:
 
 def _draw_legend(canvas: Canvas, moment: Moment, x: int, y: int) -> None:
     counts = {state: int(np.sum(moment.state == state)) for state in MarkerState}
-    items = [(f"{count} {state.name.lower()}", _STATE_COLOURS[state]) for state, count in counts.items()]
+    items = [(f"{count} {state.name.lower()}", STATE_COLOURS[state]) for state, count in counts.items()]
     items.append((f"{int(np.sum(moment.salient))} salient", SALIENT))
     for text, colour in items:
         canvas.circle((x + 6, y - 5), 5.0, colour, 1.6)

@@ -1,0 +1,164 @@
+"""One recording as one episode of a dataset."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from gelstereo.export.features import (
+    DISPLACEMENT,
+    IMAGES,
+    MARKER_STATE,
+    Features,
+    Values,
+    features_of,
+    row_of,
+    schema_of,
+    values_of,
+)
+from gelstereo.export.recording import RecordedFrame, recorded_frames
+from gelstereo.export.statistics import Statistics, image_statistics, statistics
+from gelstereo.export.timeline import Timeline
+
+_ROWS_AT_ONCE = 64
+#: Statistics of images come from so many frames and from every fourth pixel each way, much as LeRobot's own do.
+_SAMPLED_IMAGES, _SAMPLED_PIXELS = 100, 4
+
+
+@dataclass(frozen=True)
+class Episode:
+    """A recording as it stands in a dataset.
+
+    Attributes
+    ----------
+    recording : Path
+    number, start : int
+        Which episode it is, and the index of its first frame in the dataset.
+    timeline : Timeline
+        Which recorded frame stands at each step.
+    features : dict
+    statistics : dict
+        Of each feature.
+    """
+
+    recording: Path
+    number: int
+    start: int
+    timeline: Timeline
+    features: Features
+    statistics: dict[str, Statistics]
+
+    @property
+    def length(self) -> int:
+        """Frames of the episode."""
+        return len(self.timeline.taken)
+
+
+class EpisodeWriter:
+    """Writes one episode's data file.
+
+    Parameters
+    ----------
+    recording, timeline
+        What is written.
+    number, start
+        As in `Episode`.
+    features
+        Those of the dataset, or None in its first episode.
+    views
+        Images to take along.
+    """
+
+    def __init__(
+        self,
+        recording: Path,
+        timeline: Timeline,
+        number: int,
+        start: int,
+        features: Features | None,
+        views: tuple[str, ...],
+    ) -> None:
+        self._recording = recording
+        self._timeline = timeline
+        self._number, self._start = number, start
+        self._features = features
+        self._views = views
+        self._kept: dict[str, list[Any]] = {}
+        steps = len(timeline.taken)
+        self._sampled = set(
+            np.linspace(0, steps - 1, min(steps, _SAMPLED_IMAGES)).round().astype(int).tolist()
+        )
+
+    def write(self, path: Path, progress: Callable[[int], None]) -> Episode:
+        """Write the file; `progress` is called with the steps done."""
+        frames = self._frames()
+        repeats, first = next(frames)
+        features = self._features or features_of(self._recording, first, self._views)
+        schema = schema_of(features)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with pq.ParquetWriter(path, schema) as writer:
+            rows: list[dict[str, Any]] = []
+            step = 0
+            for count, frame in chain([(repeats, first)], frames):
+                values = values_of(self._recording, frame, first.points_mm, features)
+                row = row_of(values)
+                for _ in range(count):
+                    self._keep(values, step)
+                    rows.append(row | self._counted(step))
+                    step += 1
+                if len(rows) >= _ROWS_AT_ONCE:
+                    writer.write_table(pa.Table.from_pylist(rows, schema=schema))
+                    rows = []
+                    progress(step)
+            if rows:
+                writer.write_table(pa.Table.from_pylist(rows, schema=schema))
+        progress(step)
+        return Episode(
+            self._recording, self._number, self._start, self._timeline, features, self._statistics()
+        )
+
+    def _frames(self) -> Iterator[tuple[int, RecordedFrame]]:
+        """Frames that stand at some step, with the number of steps."""
+        repeats = Counter(self._timeline.taken)
+        for index, frame in enumerate(recorded_frames(self._recording)):
+            if repeats[index]:
+                yield repeats[index], frame
+
+    def _counted(self, step: int) -> dict[str, Any]:
+        return {
+            "timestamp": step / self._timeline.fps,
+            "frame_index": step,
+            "episode_index": self._number,
+            "index": self._start + step,
+            "task_index": 0,
+        }
+
+    def _keep(self, values: Values, step: int) -> None:
+        """Keep what the statistics need: displacements in full, and some pixels of some images."""
+        for name, value in values.items():
+            if name.startswith(IMAGES):
+                if step not in self._sampled:
+                    continue
+                value = value[::_SAMPLED_PIXELS, ::_SAMPLED_PIXELS]
+            self._kept.setdefault(name, []).append(value)
+        for name, number in self._counted(step).items():
+            self._kept.setdefault(name, []).append(number)
+
+    def _statistics(self) -> dict[str, Statistics]:
+        out: dict[str, Statistics] = {}
+        for name, values in self._kept.items():
+            if name.startswith(IMAGES):
+                out[name] = image_statistics(np.stack(values), len(values))
+            elif name in (DISPLACEMENT, MARKER_STATE):
+                out[name] = statistics(np.stack(values))
+            else:
+                out[name] = statistics(np.array(values, dtype=np.float64))
+        return out

@@ -1,0 +1,176 @@
+"""Recordings as a LeRobotDataset, format v3.0: what LeRobot 0.4 and later open from a folder.
+
+Each recording is an episode. The format is written with pyarrow alone, so that neither LeRobot nor torch is needed;
+LeRobot's own loader opens the result in the tests.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from gelstereo.export.episode import Episode, EpisodeWriter
+from gelstereo.export.recording import ExportError, frame_times_ns
+from gelstereo.export.statistics import pooled
+from gelstereo.export.timeline import Timeline
+
+FORMAT = "v3.0"
+_FILES_A_CHUNK = 1000
+_DATA_FILE_MB, _VIDEO_FILE_MB = 100, 200
+_PATH = "{folder}/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+
+
+def export_lerobot(
+    recordings: Sequence[Path],
+    folder: Path,
+    *,
+    task: str,
+    fps: int | None = None,
+    views: Sequence[str] = ("left",),
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Episode]:
+    """Write recordings as a dataset.
+
+    Parameters
+    ----------
+    recordings
+        MCAP files of `gelstereo-host` or `gelstereo live`; one episode each.
+    folder
+        The dataset; there must be nothing yet.
+    task
+        What was done, in words.
+    fps
+        Frames a second; that of the first recording if left out. Steps without a frame repeat the nearest one.
+    views
+        Images to take along: any of ``left`` and ``right``.
+    progress
+        Called with the steps done and with all of them.
+
+    Returns
+    -------
+    list of Episode
+
+    Raises
+    ------
+    ExportError
+        If a recording cannot be used, or the folder is taken.
+    """
+    if folder.exists():
+        raise ExportError(f"{folder} is there already; name a new folder, or remove that one")
+    timelines = _timelines(recordings, fps)
+    total = sum(len(timeline.taken) for timeline in timelines)
+    partial = folder.with_name(folder.name + ".partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    episodes: list[Episode] = []
+    try:
+        for number, (recording, timeline) in enumerate(zip(recordings, timelines, strict=True)):
+            start = sum(episode.length for episode in episodes)
+            features = episodes[0].features if episodes else None
+            writer = EpisodeWriter(recording, timeline, number, start, features, tuple(views))
+            path = partial / _path("data", number)
+            episodes.append(writer.write(path, lambda done, before=start: progress(before + done, total)))  # type: ignore[misc]
+        _write_meta(partial, episodes, task)
+        partial.rename(folder)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return episodes
+
+
+def _timelines(recordings: Sequence[Path], fps: int | None) -> list[Timeline]:
+    out: list[Timeline] = []
+    for recording in recordings:
+        times_ns = frame_times_ns(recording)
+        if not times_ns:
+            raise ExportError(f"{recording} has no frame with markers")
+        out.append(Timeline.of(times_ns, fps))
+        fps = out[0].fps
+    return out
+
+
+def _path(folder: str, file: int) -> str:
+    chunk_index, file_index = divmod(file, _FILES_A_CHUNK)
+    return _PATH.format(folder=folder, chunk_index=chunk_index, file_index=file_index)
+
+
+def _write_meta(folder: Path, episodes: list[Episode], task: str) -> None:
+    meta = folder / "meta"
+    meta.mkdir(parents=True)
+    _write_json(meta / "info.json", _info(episodes))
+    names = episodes[0].statistics
+    stats = {name: pooled([episode.statistics[name] for episode in episodes]) for name in names}
+    plain = {name: {key: value.tolist() for key, value in each.items()} for name, each in stats.items()}
+    _write_json(meta / "stats.json", plain)
+    _write_tasks(meta / "tasks.parquet", task)
+    path = folder / _path("meta/episodes", 0)
+    path.parent.mkdir(parents=True)
+    pq.write_table(pa.Table.from_pylist([_episode_row(episode, task) for episode in episodes]), path)
+
+
+def _info(episodes: list[Episode]) -> dict[str, Any]:
+    data_path = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+    return {
+        "codebase_version": FORMAT,
+        "robot_type": None,
+        "total_episodes": len(episodes),
+        "total_frames": sum(episode.length for episode in episodes),
+        "total_tasks": 1,
+        "chunks_size": _FILES_A_CHUNK,
+        "data_files_size_in_mb": _DATA_FILE_MB,
+        "video_files_size_in_mb": _VIDEO_FILE_MB,
+        "fps": episodes[0].timeline.fps,
+        "splits": {"train": f"0:{len(episodes)}"},
+        "data_path": data_path,
+        "video_path": None,
+        "features": episodes[0].features,
+    }
+
+
+def _episode_row(episode: Episode, task: str) -> dict[str, Any]:
+    chunk, file = divmod(episode.number, _FILES_A_CHUNK)
+    row: dict[str, Any] = {
+        "episode_index": episode.number,
+        "tasks": [task],
+        "length": episode.length,
+        "data/chunk_index": chunk,
+        "data/file_index": file,
+        "dataset_from_index": episode.start,
+        "dataset_to_index": episode.start + episode.length,
+        "meta/episodes/chunk_index": 0,
+        "meta/episodes/file_index": 0,
+    }
+    for name, values in episode.statistics.items():
+        row |= {f"stats/{name}/{key}": value.tolist() for key, value in values.items()}
+    return row
+
+
+def _write_tasks(path: Path, task: str) -> None:
+    """LeRobot reads tasks with pandas, with the task as the index; its notes in the file say which column that is."""
+    index = "__index_level_0__"
+    texts = {"metadata": None, "numpy_type": "object", "pandas_type": "unicode"}
+    notes = {
+        "index_columns": [index],
+        "column_indexes": [{"name": None, "field_name": None, **texts}],
+        "columns": [
+            {
+                "name": "task_index",
+                "field_name": "task_index",
+                "metadata": None,
+                "numpy_type": "int64",
+                "pandas_type": "int64",
+            },
+            {"name": None, "field_name": index, **texts},
+        ],
+        "pandas_version": "2.2.0",
+    }
+    table = pa.table({"task_index": pa.array([0], pa.int64()), index: pa.array([task], pa.string())})
+    pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(notes)}), path)
+
+
+def _write_json(path: Path, content: dict[str, Any]) -> None:
+    path.write_text(json.dumps(content, indent=4, ensure_ascii=False) + "\n", encoding="utf-8")

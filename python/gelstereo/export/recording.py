@@ -1,0 +1,144 @@
+"""Frames of a recording, one after the other: markers and images."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gelstereo import Error
+
+Image = npt.NDArray[np.uint8]
+
+_MAGIC = b"\x89MCAP0\r\n"
+_NS_PER_S = 1_000_000_000
+_MM_PER_M = 1000.0
+_POINTS = "/gelstereo/points"
+_IMAGES = {"/gelstereo/left/image": "left", "/gelstereo/right/image": "right"}
+_TOPICS = {_POINTS, *_IMAGES}
+
+
+class ExportError(Error):
+    """A recording cannot be exported, or not to this place."""
+
+
+@dataclass(frozen=True)
+class RecordedFrame:
+    """One sensed frame.
+
+    Attributes
+    ----------
+    time_ns : int
+        On the frame source's clock.
+    rows, cols : int
+        Size of the lattice; marker ``row * cols + col`` stands at that index.
+    points_mm : (N, 3) float64
+        Sensor frame.
+    state : (N,) uint8
+        `gelstereo.MarkerState`.
+    images : dict
+        ``left`` and ``right``, (H, W) uint8, where the recording has them.
+    """
+
+    time_ns: int
+    rows: int
+    cols: int
+    points_mm: npt.NDArray[np.float64]
+    state: npt.NDArray[np.uint8]
+    images: dict[str, Image]
+
+
+def frame_times_ns(path: Path) -> list[int]:
+    """Times of all frames with markers, in the order of the file."""
+    return [_stamp_ns(message) for topic, message in _messages(path, {_POINTS}) if topic == _POINTS]
+
+
+def recorded_frames(path: Path) -> Iterator[RecordedFrame]:
+    """All frames with markers, in the order of the file. Frames that could not be sensed have none.
+
+    Raises
+    ------
+    ExportError
+        If it is no recording of a sensor.
+    """
+    images: dict[str, tuple[int, Image]] = {}
+    for topic, message in _messages(path, _TOPICS):
+        if topic in _IMAGES:
+            images[_IMAGES[topic]] = (_stamp_ns(message), _image(path, message))
+        else:
+            time_ns = _stamp_ns(message)
+            of_now = {view: image for view, (image_ns, image) in images.items() if image_ns == time_ns}
+            yield _frame(path, time_ns, message, of_now)
+
+
+def _messages(path: Path, topics: set[str]) -> Iterator[tuple[str, Any]]:
+    """Messages by the definitions that the file has; of a file that was cut off, those before the cut."""
+    import lz4  # noqa: F401 (mcap imports it when it meets the first chunk)
+    from mcap.exceptions import McapError
+    from mcap.reader import NonSeekingReader
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store: Any = get_typestore(Stores.EMPTY)
+    known: set[str] = set()
+    count = 0
+    with path.open("rb") as stream:
+        if stream.read(len(_MAGIC)) != _MAGIC:
+            raise ExportError(f"{path} is no MCAP file; valid is a recording of a sensor")
+        stream.seek(0)
+        try:
+            for schema, channel, message in NonSeekingReader(stream).iter_messages(log_time_order=False):
+                if channel.topic not in topics or schema is None:
+                    continue
+                if schema.name not in known:
+                    types = get_types_from_msg(schema.data.decode(), schema.name)
+                    store.register(
+                        {name: text for name, text in types.items() if name not in store.fielddefs}
+                    )
+                    known.add(schema.name)
+                count += 1
+                yield channel.topic, store.deserialize_cdr(message.data, schema.name)
+        except (McapError, EOFError, RuntimeError) as error:
+            if count == 0:
+                raise ExportError(f"{path} cannot be read as MCAP: {error or 'it ends too early'}") from error
+
+
+def _stamp_ns(message: Any) -> int:
+    return int(message.header.stamp.sec) * _NS_PER_S + int(message.header.stamp.nanosec)
+
+
+def _image(path: Path, message: Any) -> Image:
+    if hasattr(message, "format"):
+        import cv2
+
+        image = cv2.imdecode(message.data, cv2.IMREAD_GRAYSCALE)
+        if image is None:
+            raise ExportError(f"{path} has an image as {message.format!r} that cannot be decoded")
+        return np.asarray(image, dtype=np.uint8)
+    if message.encoding != "mono8":
+        raise ExportError(f"{path} has an image as {message.encoding!r}; valid is 'mono8'")
+    pixels: Image = message.data.reshape(message.height, message.step)[:, : message.width]
+    return pixels
+
+
+def _frame(path: Path, time_ns: int, cloud: Any, images: dict[str, Image]) -> RecordedFrame:
+    offsets = {field.name: field.offset for field in cloud.fields}
+    missing = {"x", "y", "z", "state"} - set(offsets)
+    if missing:
+        raise ExportError(f"{path} has clouds with the fields {sorted(offsets)}; they lack {sorted(missing)}")
+    layout = np.dtype(
+        {
+            "names": ["x", "y", "z", "state"],
+            "formats": ["<f4"] * 3 + ["u1"],
+            "offsets": [offsets[name] for name in ("x", "y", "z", "state")],
+            "itemsize": cloud.point_step,
+        }
+    )
+    values = np.frombuffer(bytes(cloud.data), dtype=layout)
+    points_m = np.stack([values["x"], values["y"], values["z"]], axis=1).astype(np.float64)
+    return RecordedFrame(
+        time_ns, cloud.height, cloud.width, points_m * _MM_PER_M, values["state"].copy(), images
+    )

@@ -1,0 +1,14 @@
+"""Sensing while one watches: frames of a camera, a scene or a folder, their results, and viewers that never wait."""
+
+from gelstereo.live.sensing import LiveResult, LiveSensor
+from gelstereo.live.source import CameraSource, FolderSource, LiveFrame, LiveSource, SceneSource
+
+__all__ = [
+    "CameraSource",
+    "FolderSource",
+    "LiveFrame",
+    "LiveResult",
+    "LiveSensor",
+    "LiveSource",
+    "SceneSource",
+]

@@ -1,0 +1,243 @@
+"""The command ``gelstereo live``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gelstereo import Error, Rig, Template
+from gelstereo.cli.extras import module_of
+from gelstereo.cli.options import add_guess, add_params, count, guess_of, params_of
+from gelstereo.geometry import shape_mesh
+from gelstereo.live.meter import Reading
+from gelstereo.live.picture import LivePicture
+from gelstereo.live.record import LiveRecorder
+from gelstereo.live.run import LiveRun
+from gelstereo.live.sensing import ExpectedPart, LiveSensor
+from gelstereo.live.shown import Shown
+from gelstereo.live.source import DEFAULT_RATE_HZ, CameraSource, FolderSource, LiveSource, SceneSource
+from gelstereo.live.web import DEFAULT_PORT, WebViewer
+from gelstereo.live.window import show_window, window_problem
+from gelstereo.templates import MM_PER_UNIT
+from gelstereo.view.canvas import Image
+
+EXAMPLES = """examples:
+  gelstereo live --scene scenes/grasp_cylinder.toml --frames 60         a simulated sensor
+  gelstereo live --folder out/press --frames 6 --show none              images, there and back
+  gelstereo live --scene scenes/grasp_cylinder.toml --frames 30 --show none --record out/live.mcap
+
+With a camera: gelstereo live --camera /dev/video0 --rig rig.toml --record run.mcap
+Nothing may touch the gel in the first frame. Ctrl-C ends the run and completes the recording.
+"""
+
+#: Deviation of a scene's flattened part from the true one.
+_SHAPE_TOLERANCE_MM = 0.02
+#: Seconds between figures on the terminal.
+_REPORT_S = 1.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument(
+        "--camera", metavar="DEVICE", help="camera: /dev/video0, or serial: and its USB serial number"
+    )
+    source.add_argument("--scene", type=Path, metavar="FILE", help="simulated sensor: a scene file (TOML)")
+    source.add_argument(
+        "--folder", type=Path, help="images left/NAME.png and right/NAME.png, played there and back"
+    )
+    parser.add_argument(
+        "--rig", type=Path, help="rig file; a scene has its own, a folder may have FOLDER/rig.toml"
+    )
+    parser.add_argument(
+        "--rate-hz",
+        type=float,
+        default=DEFAULT_RATE_HZ,
+        help="frames a second of a camera or folder (%(default)s)",
+    )
+    _add_camera(parser)
+    add_params(parser)
+    part = parser.add_argument_group("pose of the part")
+    part.add_argument(
+        "--template",
+        type=Path,
+        metavar="MESH",
+        help="mesh of the part, or a saved .template; a scene has its own",
+    )
+    part.add_argument("--units", choices=list(MM_PER_UNIT), help="unit of the mesh; STEP files say it")
+    add_guess(parser)
+    parser.add_argument("--record", type=Path, metavar="FILE", help="MCAP file to write while sensing")
+    parser.add_argument(
+        "--frames", type=count, metavar="N", help="end after so many frames; for ever if left out"
+    )
+    parser.add_argument(
+        "--show",
+        choices=["auto", "window", "web", "rerun", "none"],
+        default="auto",
+        help="viewer; auto is a window where there can be one, else a web page of this computer (%(default)s)",
+    )
+    parser.add_argument(
+        "--port",
+        type=int,
+        default=DEFAULT_PORT,
+        help="port of the web page, 0 for any free one (%(default)s)",
+    )
+    parser.add_argument(
+        "--rrd", type=Path, metavar="FILE", help="with --show rerun: write a file for Rerun instead"
+    )
+
+
+def _add_camera(parser: argparse.ArgumentParser) -> None:
+    camera = parser.add_argument_group("camera", "what is left out is as gelstereo.cameras.open has it")
+    camera.add_argument(
+        "--right-camera", metavar="DEVICE", help="right camera, if each view has its own device"
+    )
+    camera.add_argument(
+        "--layout", help="where both views stand in the frames of one device, as side_by_side"
+    )
+    camera.add_argument("--format", help="how the camera sends pixels, as mjpg")
+    camera.add_argument(
+        "--size-px", type=int, nargs=2, metavar=("W", "H"), help="size of the device's frames"
+    )
+    camera.add_argument("--exposure-us", type=float, help="exposure time, microseconds")
+    camera.add_argument("--gain", type=int, help="gain in the camera's own unit")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Sense, show and record until the end; the exit code."""
+    setup = _setup(arguments)
+    sensor = LiveSensor(setup.rig, params_of(arguments), setup.part)
+    live = LiveRun(setup.source, sensor, arguments.frames)
+    try:
+        # The viewer first: where there can be none, no file is left behind.
+        with _viewer(arguments, setup, live) as show:
+            if arguments.record is not None:
+                live.recorder = LiveRecorder(arguments.record, setup.rig, sensor.params, setup.shape)
+            with live:
+                show()
+            live.wait(0.0)
+    except KeyboardInterrupt:
+        # The usual end of a run: the recording is complete by now.
+        sys.stderr.write("\n")
+    return _report(live, arguments.record)
+
+
+@dataclass(frozen=True)
+class _Setup:
+    source: LiveSource
+    rig: Rig
+    part: ExpectedPart | None
+    #: The scene's part, for the recording.
+    shape: dict[str, Any] | None = None
+
+
+def _setup(arguments: argparse.Namespace) -> _Setup:
+    template = _template(arguments)
+    part = None if template is None else ExpectedPart(template, guess_of(arguments))
+    if arguments.scene is not None:
+        if arguments.rig is not None:
+            raise Error("a scene has a rig of its own; leave out --rig, or change the scene")
+        scene = SceneSource(arguments.scene)
+        shape = scene.simulator.scene.to_dict().get("indenter")
+        return _Setup(scene, scene.rig, part or _part_of(scene, shape), None if template else shape)
+    if arguments.folder is not None:
+        rig = Rig.load(arguments.rig or arguments.folder / "rig.toml")
+        return _Setup(FolderSource(arguments.folder, arguments.rate_hz), rig, part)
+    if arguments.rig is None:
+        raise Error("a camera needs the rig that `gelstereo calibrate` made of it: add --rig rig.toml")
+    rig = Rig.load(arguments.rig)
+    camera = CameraSource(
+        arguments.camera,
+        right_device=arguments.right_camera,
+        layout=arguments.layout,
+        format=arguments.format,
+        size_px=arguments.size_px or _device_size_px(rig, arguments),
+        frame_rate_hz=arguments.rate_hz,
+        exposure_us=arguments.exposure_us,
+        gain=arguments.gain,
+    )
+    return _Setup(camera, rig, part)
+
+
+def _device_size_px(rig: Rig, arguments: argparse.Namespace) -> tuple[int, int]:
+    """Size of a device's frames whose views are as large as the rig's: side by side, they are twice as wide."""
+    width, height = rig.size_px
+    beside = arguments.right_camera is None and not (arguments.layout or "").startswith("interleaved")
+    return (2 * width if beside else width), height
+
+
+def _template(arguments: argparse.Namespace) -> Template | None:
+    if arguments.template is None:
+        return None
+    if arguments.template.suffix == ".template":
+        return Template.load(arguments.template)
+    return Template.from_mesh(arguments.template, units=arguments.units)
+
+
+def _part_of(scene: SceneSource, shape: dict[str, Any] | None) -> ExpectedPart | None:
+    """The scene's own part, expected where the scene first has it; None without one."""
+    start = scene.simulator[0].t_sensor_object
+    if shape is None or start is None:
+        return None
+    if shape["kind"] == "mesh":
+        return ExpectedPart(Template.from_mesh(shape["path"], units=shape["units"]), start)
+    return ExpectedPart(Template.from_triangles(*shape_mesh(shape, _SHAPE_TOLERANCE_MM)), start)
+
+
+@contextmanager
+def _viewer(arguments: argparse.Namespace, setup: _Setup, live: LiveRun) -> Iterator[Callable[[], None]]:
+    """The viewer that was asked for, made ready: what is yielded shows the run until it ends."""
+    picture = LivePicture(setup.rig, setup.part, f"gelstereo live: {setup.source.name}")
+
+    def draw(shown: Shown) -> Image:
+        return picture.draw(shown.result, shown.reading, shown.recording)
+
+    kind, problem = arguments.show, window_problem()
+    if kind == "auto":
+        kind = "web" if problem else "window"
+    if kind == "window":
+        if problem is not None:
+            raise Error(problem)
+        yield lambda: show_window(live.newest, draw)
+    elif kind == "web":
+        with WebViewer(live.newest, draw, arguments.port) as web:
+            print(f"picture    {web.url} (Ctrl-C ends)", flush=True)
+            yield lambda: _wait(live)
+    elif kind == "rerun":
+        rerun = module_of("gelstereo live --show rerun", "gelstereo.live.rerun_viewer")
+        with rerun.RerunViewer(arguments.rrd, setup.part) as viewer:
+            yield lambda: viewer.follow(live.newest)
+    else:
+        yield lambda: _wait(live)
+
+
+def _wait(live: LiveRun) -> None:
+    """Wait for the end; people see the figures every second."""
+    while not live.wait(_REPORT_S):
+        if sys.stderr.isatty():
+            sys.stderr.write(f"\r{_figures(live.reading)}\x1b[K")
+            sys.stderr.flush()
+
+
+def _figures(reading: Reading) -> str:
+    latency = f"latency {reading.p50_ms:.1f} ms (p99 {reading.p99_ms:.1f})"
+    counts = f"dropped {reading.dropped}, stale {reading.stale}, failed {reading.failed}"
+    return f"{reading.frames} frames, {reading.rate_hz:.1f} Hz, {latency}, {counts}"
+
+
+def _report(live: LiveRun, record: Path | None) -> int:
+    """Tell what came of the run; the exit code, 1 if its recording is not complete."""
+    print(f"sensed     {_figures(live.reading)}")
+    for event in live.reading.events:
+        print(f"event      {event.after_s:.1f} s: {event.text}")
+    if live.recording_error is not None:
+        print(f"gelstereo: {record}: {live.recording_error}", file=sys.stderr)
+        return 1
+    if record is not None:
+        print(f"recording  {record}")
+    return 0

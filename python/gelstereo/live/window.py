@@ -1,0 +1,54 @@
+"""The live picture in a window of OpenCV, where OpenCV has windows and there is a display."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+
+from gelstereo.live.latest import Latest
+from gelstereo.live.shown import Shown
+from gelstereo.view.canvas import Image
+
+_NAME = "gelstereo live"
+_ESCAPE = 27
+#: Milliseconds that the window has for its events with each picture; also the pace at which it looks for a new one.
+_EVENTS_MS = 15
+
+
+def window_problem() -> str | None:
+    """Why no window can be opened here, or None.
+
+    The wheel that gelstereo depends on is the headless one. It has no windows even on a desktop, since the other one
+    brings Qt along and does not install beside it.
+    """
+    import cv2
+
+    if not cv2.currentUIFramework():
+        return (
+            "this OpenCV has no windows; use --show web, or replace opencv-contrib-python-headless by "
+            "opencv-contrib-python"
+        )
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        return "there is no display (neither DISPLAY nor WAYLAND_DISPLAY is set); use --show web"
+    return None
+
+
+def show_window(newest: Latest[Shown], draw: Callable[[Shown], Image]) -> None:
+    """Show the newest moment until the run ends, the window is closed, or Escape or q is pressed."""
+    import cv2
+
+    number = 0
+    cv2.namedWindow(_NAME, cv2.WINDOW_NORMAL | cv2.WINDOW_KEEPRATIO)
+    try:
+        while not newest.closed:
+            found = newest.newer_than(number, 0.2)
+            if found is not None:
+                number, shown = found
+                cv2.imshow(_NAME, draw(shown))
+            if cv2.waitKey(_EVENTS_MS) & 0xFF in (_ESCAPE, ord("q")):
+                return
+            if number and cv2.getWindowProperty(_NAME, cv2.WND_PROP_VISIBLE) < 1:
+                return
+    finally:
+        cv2.destroyAllWindows()

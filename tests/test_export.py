@@ -1,0 +1,145 @@
+"""Datasets made of recordings, read back by pyarrow; tests/test_lerobot.py opens them with LeRobot's own loader."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import gelstereo as gs
+import numpy as np
+import pytest
+from gelstereo.cli import main
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+pytest.importorskip("rosbags", reason="PyPI's rosbags is not installed")
+parquet = pytest.importorskip("pyarrow.parquet", reason="PyPI's pyarrow is not installed")
+
+from gelstereo.export.lerobot import export_lerobot  # noqa: E402
+from gelstereo.export.recording import ExportError, recorded_frames  # noqa: E402
+from gelstereo.export.statistics import pooled, statistics  # noqa: E402
+from gelstereo.export.timeline import Timeline  # noqa: E402
+
+SCENE = Path(__file__).parents[1] / "scenes" / "grasp_cylinder.toml"
+DISPLACEMENT = "observation.tactile.displacement"
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("export") / "run.mcap"
+    words = ["live", "--scene", str(SCENE), "--frames", "20", "--show", "none", "--record", str(path)]
+    assert main(words) == 0
+    return path
+
+
+def test_the_command_writes_episodes(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "new" / "dataset"
+    words = ["export", recording, recording, "--to", "lerobot", folder, "--task", "grasp", "--images", "both"]
+    assert main([str(word) for word in words]) == 0
+    assert "20 frames at 30 Hz, 0 repeated, 0 passed over" in capsys.readouterr().out
+    info = json.loads((folder / "meta" / "info.json").read_text())
+    assert (info["total_episodes"], info["total_frames"], info["fps"]) == (2, 40, 30)
+    table = parquet.read_table(folder / "data" / "chunk-000" / "file-001.parquet")
+    assert table["index"].to_pylist() == list(range(20, 40))
+    scene = gs.simulate(SCENE)
+    pipeline = gs.Pipeline(scene.scene.rig, gs.Params.preset("balanced"))
+    points = [pipeline.process(scene[k].left, scene[k].right).points_mm for k in range(20)]
+    moved = np.array(table[DISPLACEMENT].to_pylist())
+    # The recording holds single-precision metres.
+    np.testing.assert_allclose(moved, np.stack(points) - points[0], atol=2e-5)
+    for view in ("left", "right"):
+        png = table[f"observation.images.{view}"][7].as_py()["bytes"]
+        image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED)
+        assert np.array_equal(image, np.repeat(getattr(scene[7], view)[:, :, None], 3, axis=2))
+    assert sorted(path.name for path in folder.parent.iterdir()) == ["dataset"]
+
+
+def test_without_images_a_dataset_is_small(recording: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "dataset"
+    assert (
+        main(["export", str(recording), "--to", "lerobot", str(folder), "--images", "none", "--fps", "10"])
+        == 0
+    )
+    table = parquet.read_table(folder / "data" / "chunk-000" / "file-000.parquet")
+    assert not any("images" in name for name in table.column_names)
+    assert table.num_rows == 7 and table["timestamp"].to_pylist() == pytest.approx([k / 10 for k in range(7)])
+
+
+def test_a_recording_that_was_cut_off_is_exported_up_to_the_cut(recording: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    whole = recording.read_bytes()
+    cut.write_bytes(whole[: len(whole) // 2])
+    assert 7 <= len(list(recorded_frames(cut))) <= 10
+
+
+def test_what_cannot_be_exported_says_why_and_leaves_nothing(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def error(*words: object) -> str:
+        assert main(["export", *map(str, words)]) == 2
+        return capsys.readouterr().err
+
+    text = tmp_path / "text.mcap"
+    text.write_text("no recording")
+    taken = tmp_path / "taken"
+    taken.mkdir()
+    new = tmp_path / "new"
+    assert "no MCAP file" in error(text, "--to", "lerobot", new)
+    assert "is there already" in error(recording, "--to", "lerobot", taken)
+    assert "valid is lerobot" in error(recording, "--to", "zarr", new)
+    assert "No such file" in error(tmp_path / "nowhere.mcap", "--to", "lerobot", new)
+    assert error(recording, text, "--to", "lerobot", new)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["taken", "text.mcap"]
+
+
+def test_an_error_on_the_way_leaves_no_half_dataset(recording: Path, tmp_path: Path) -> None:
+    def stop(done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        export_lerobot([recording], tmp_path / "dataset", task="grasp", progress=stop)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_view_that_was_not_recorded_is_an_error(recording: Path, tmp_path: Path) -> None:
+    with pytest.raises(ExportError, match="--images none"):
+        export_lerobot([recording], tmp_path / "dataset", task="grasp", views=("upper",))
+
+
+@given(st.lists(st.integers(1_000_000, 400_000_000), min_size=1, max_size=60), st.integers(1, 60))
+def test_steps_stand_at_the_nearest_frame(gaps_ns: list[int], fps: int) -> None:
+    times_ns = np.cumsum([5_000, *gaps_ns]).tolist()
+    timeline = Timeline.of(times_ns, fps)
+    assert timeline.taken == sorted(timeline.taken) and timeline.taken[0] == 0
+    times_s = (np.array(times_ns) - times_ns[0]) / 1e9
+    for step, index in enumerate(timeline.taken):
+        distance = np.abs(times_s - step / fps)
+        assert distance[index] == pytest.approx(distance.min(), abs=1e-9)
+    assert len(timeline.taken) == round(times_s[-1] * fps) + 1
+    assert timeline.repeated + len(times_ns) - timeline.passed_over == len(timeline.taken)
+
+
+@given(st.integers(1, 50), st.integers(1, 90))
+def test_a_steady_recording_is_taken_as_it_is(frames: int, rate_hz: int) -> None:
+    times_ns = [round(index * 1e9 / rate_hz) for index in range(frames)]
+    timeline = Timeline.of(times_ns, None if frames > 1 else rate_hz)
+    assert (timeline.taken, timeline.repeated, timeline.passed_over) == (list(range(frames)), 0, 0)
+    assert timeline.fps == rate_hz
+
+
+@given(
+    st.lists(
+        arrays(np.float64, st.tuples(st.integers(1, 6), st.just(3)), elements=st.floats(-50.0, 50.0)),
+        min_size=1,
+        max_size=4,
+    )
+)
+def test_pooled_statistics_are_those_of_all(parts: list[np.ndarray]) -> None:
+    together, alone = pooled([statistics(part) for part in parts]), statistics(np.concatenate(parts))
+    for name in ("min", "max", "mean", "std", "count"):
+        np.testing.assert_allclose(together[name], alone[name], atol=1e-6, err_msg=name)
+    assert (together["q50"] >= alone["min"] - 1e-9).all() and (together["q50"] <= alone["max"] + 1e-9).all()

@@ -1,0 +1,216 @@
+"""A live recording is one of the host's: readers that nobody here wrote open it, and the host computes it again."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import subprocess
+from pathlib import Path
+
+import gelstereo as gs
+import numpy as np
+import pytest
+from gelstereo._native import parse_toml
+from gelstereo.cli import main
+from gelstereo.geometry import se3_exp, se3_log
+from gelstereo.live import LiveFrame, LiveResult, LiveSensor
+from gelstereo.live.record import LiveRecorder, config_toml, ros_covariance
+from gelstereo.live.run import LiveRun
+from gelstereo.view.recording import moment_of_recording
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from test_live import PATIENCE_S, SCENE, Played
+from test_recording_readers import check_frame, host_binary
+
+pytest.importorskip("rosbags", reason="PyPI's rosbags is not installed")
+
+TYPES = {
+    "/gelstereo/left/image": "sensor_msgs/msg/Image",
+    "/gelstereo/right/image": "sensor_msgs/msg/Image",
+    "/gelstereo/points": "sensor_msgs/msg/PointCloud2",
+    "/gelstereo/frame": "std_msgs/msg/String",
+    "/gelstereo/pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "/gelstereo/stage": "std_msgs/msg/String",
+    "/gelstereo/capture": "std_msgs/msg/String",
+}
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Fifty frames of the simulated grasp, by the command."""
+    path = tmp_path_factory.mktemp("live") / "out" / "live.mcap"
+    words = ["live", "--scene", str(SCENE), "--frames", "50", "--show", "none", "--record", str(path)]
+    assert main(words) == 0
+    return path
+
+
+def test_rosbags_decodes_every_message(recorded: Path) -> None:
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    scene = gs.simulate(SCENE)
+    counts = dict.fromkeys(TYPES, 0)
+    with AnyReader([recorded], default_typestore=get_typestore(Stores.EMPTY)) as reader:
+        assert {c.topic: c.msgtype for c in reader.connections} == TYPES
+        for connection, time_ns, raw in reader.messages():
+            message = reader.deserialize(raw, connection.msgtype)
+            header = getattr(message, "header", None)
+            if header is not None:
+                assert header.stamp.sec * 10**9 + header.stamp.nanosec == time_ns
+            if connection.topic == "/gelstereo/points":
+                check_frame(message, {f.name: (f.offset, f.datatype) for f in message.fields})
+            if connection.topic == "/gelstereo/right/image" and counts[connection.topic] < 3:
+                image = message.data.reshape(message.height, message.step)
+                assert np.array_equal(image, scene[counts[connection.topic]].right)
+            if connection.topic == "/gelstereo/pose":
+                sigma = np.sqrt(np.diag(message.pose.covariance.reshape(6, 6)))
+                assert (sigma[:3] < 0.6e-3 * 1.001).all() and (sigma[3:] < 0.03 * 1.001).all()
+                assert message.pose.pose.position.z == pytest.approx(0.031, abs=0.002)
+            counts[connection.topic] += 1
+    assert (
+        counts["/gelstereo/left/image"] == counts["/gelstereo/capture"] == counts["/gelstereo/points"] == 50
+    )
+    assert counts["/gelstereo/pose"] == counts["/gelstereo/stage"] > 10
+
+
+def test_mcap_ros2_decodes_every_message(recorded: Path) -> None:
+    reader = pytest.importorskip("mcap_ros2.reader", reason="PyPI's mcap-ros2-support is not installed")
+    notes = [m.ros_msg.data for m in reader.read_ros2_messages(str(recorded), topics=["/gelstereo/capture"])]
+    assert [json.loads(note)["sequence"] for note in notes] == list(range(50))
+
+
+def test_the_host_computes_the_same_bits_again(recorded: Path) -> None:
+    command = [host_binary(), "replay", str(recorded)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=10 * PATIENCE_S)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "50 frames" in done.stdout and "same bits" in done.stdout
+
+
+def test_view_draws_the_located_part(recorded: Path) -> None:
+    moment = moment_of_recording(recorded)
+    assert moment.part is not None and moment.left.shape == (480, 640)
+    # The peg's own axis: what is free is told, not called determined.
+    assert any("spin" in note for note in moment.notes)
+
+
+@pytest.fixture(scope="module")
+def results() -> list[LiveResult]:
+    scene = gs.simulate(SCENE)
+    sensor = LiveSensor(scene.scene.rig, gs.Params.preset("balanced"))
+    frames = [LiveFrame(scene[k].left, scene[k].right, n, n * 10**9) for n, k in enumerate([0, 10, 20])]
+    return [sensor.process(frame) for frame in frames]
+
+
+def test_a_killed_recording_is_read_up_to_its_last_frame(results: list[LiveResult], tmp_path: Path) -> None:
+    path = tmp_path / "killed.mcap"
+    recorder = LiveRecorder(path, gs.simulate(SCENE).scene.rig, gs.Params.preset("balanced"))
+    for result in results:
+        recorder.write(result)
+    # What the system has at this moment is what a kill leaves.
+    (tmp_path / "left.mcap").write_bytes(path.read_bytes())
+    recorder.close()
+    moment = moment_of_recording(tmp_path / "left.mcap")
+    assert "frame 2" in moment.title
+
+
+def test_an_event_is_kept_and_no_image_twice(results: list[LiveResult], tmp_path: Path) -> None:
+    from mcap.reader import make_reader
+
+    path = tmp_path / "run.mcap"
+    fields = {"event": "disconnected", "retry_in_ms": 500}
+    gone = dataclasses.replace(
+        results[0].frame, stale=True, event="camera X is gone", event_fields=fields, time_ns=1
+    )
+    with LiveRecorder(path, gs.simulate(SCENE).scene.rig, gs.Params()) as recorder:
+        recorder.write(results[0])
+        recorder.write(LiveResult(gone, problem="camera X is gone"))
+    with path.open("rb") as stream:
+        found = [(c.topic, m.data) for _, c, m in make_reader(stream).iter_messages()]
+    assert [topic for topic, _ in found].count("/gelstereo/left/image") == 1
+    assert [topic for topic, _ in found].count("/gelstereo/capture") == 2
+    assert json.loads(found[-1][1][8:].rstrip(b"\0")) == {"event": "disconnected", "retry_in_ms": 500}
+
+
+def test_a_full_disk_ends_the_recording_and_not_the_sensing(
+    results: list[LiveResult], tmp_path: Path
+) -> None:
+    resource = pytest.importorskip("resource", reason="this system has no limits of file sizes")
+    scene = gs.simulate(SCENE)
+    live = LiveRun(Played([r.frame for r in results]), LiveSensor(scene.scene.rig, gs.Params()))
+    live.recorder = LiveRecorder(tmp_path / "run.mcap", scene.scene.rig, gs.Params())
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    # The system refuses what would make the file longer than one frame and a half.
+    resource.setrlimit(resource.RLIMIT_FSIZE, (900_000, before[1]))
+    try:
+        with live:
+            assert live.wait(PATIENCE_S)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert live.reading.frames == 3
+    assert live.recording_error is not None and "too large" in live.recording_error
+    # What was written before can be read.
+    assert "frame 0" in moment_of_recording(tmp_path / "run.mcap").title
+
+
+def test_a_configuration_holds_rig_settings_and_part() -> None:
+    rig, params = gs.simulate(SCENE).scene.rig, gs.Params.preset("paper")
+    shape = {"kind": "box", "size_mm": [8.0, 6.0, 20.0]}
+    config = parse_toml(config_toml(rig, params, shape))
+    assert config["params"] == params.to_dict()
+    assert gs.Scene().replace(rig=config["rig"]).rig == rig
+    assert config["part"]["shape"] == shape
+
+
+@given(
+    arrays(np.float64, (6, 6), elements=st.floats(-30.0, 30.0)),
+    arrays(np.float64, 6, elements=st.floats(-0.5, 0.5)),
+    arrays(np.float64, 3, elements=st.floats(-30.0, 30.0)),
+)
+def test_the_covariance_is_that_of_the_parts_origin(
+    root: np.ndarray, twist: np.ndarray, position: np.ndarray
+) -> None:
+    """Against moments of perturbed poses, to first order."""
+    information = root @ root.T
+    pose = np.array(se3_exp([*twist[:3], 0.0, 0.0, 0.0]))
+    pose[:3, 3] = position
+    covariance = ros_covariance(information, pose)
+    # Each column of the Jacobian by a difference: where the origin goes and how it turns.
+    step = 1e-6
+    moves = []
+    for axis in np.eye(6):
+        moved = se3_exp(axis * step) @ pose
+        turn = se3_log(moved @ np.linalg.inv(pose))[:3]
+        moves.append(np.concatenate([(moved[:3, 3] - pose[:3, 3]) / 1000.0, turn]) / step)
+    jacobian = np.array(moves).T
+    prior = np.diag(1.0 / np.array([0.6e-3] * 3 + [0.03] * 3) ** 2)
+    inverse = np.linalg.inv(jacobian)
+    expected = np.linalg.inv(inverse.T @ information @ inverse + prior)
+    sigma = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(
+        covariance / np.outer(sigma, sigma), expected / np.outer(sigma, sigma), atol=1e-4
+    )
+
+
+def test_rerun_gets_images_clouds_and_the_part(tmp_path: Path) -> None:
+    rerun = pytest.importorskip("rerun", reason="PyPI's rerun-sdk is not installed")
+    assert rerun.__version__
+    path = tmp_path / "live.rrd"
+    words = ["live", "--scene", str(SCENE), "--frames", "46", "--show", "rerun", "--rrd", str(path)]
+    assert main(words) == 0
+    import sys
+
+    def rrd(*words: str) -> str:
+        command = [sys.executable, "-m", "rerun", "rrd", *words, str(path)]
+        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=PATIENCE_S).stdout
+
+    rrd("verify")
+    printed = rrd("print")
+    for entity in (
+        "/image/left/markers",
+        "/image/left/motion",
+        "/sensor/gel",
+        "/sensor/part",
+        "/source/rate_hz",
+    ):
+        assert entity in printed, entity
