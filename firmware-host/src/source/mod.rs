@@ -2,9 +2,13 @@
 
 #[cfg(feature = "host")]
 mod folder;
+mod huffman;
+pub mod jpeg;
+mod layout;
 
 #[cfg(feature = "host")]
 pub use folder::FolderSource;
+pub use layout::OddWidth;
 
 use gelstereo_core::image::{GrayView, ImageError};
 use serde::{Deserialize, Serialize};
