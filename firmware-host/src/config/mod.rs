@@ -11,7 +11,7 @@ mod source;
 mod task;
 
 pub use error::ConfigError;
-pub use recording::RecordingConfig;
+pub use recording::{ImageFormat, RecordingConfig, RecordingMode};
 pub use simulated::SimulatedConfig;
 pub use source::SourceConfig;
 pub use task::{PoseConfig, TaskConfig};
@@ -172,6 +172,7 @@ impl Config {
         self.source.validate()?;
         LENGTH_MM.check("part.spacing_mm", self.part.spacing_mm)?;
         self.task.validate(&self.mount.kinematics)?;
+        self.recording.validate()?;
         self.simulated.validate()
     }
 }
