@@ -1,1 +1,3 @@
 //! Protocols without transport: bytes in, bytes out. The host, the Python bindings and the fuzzers share them.
+
+pub mod frame_stream;
