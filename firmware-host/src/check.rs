@@ -61,6 +61,7 @@ fn describe(config: &Config, setup: &Setup) -> String {
             setup.devices.source.len_hint().unwrap_or(0),
             path.display()
         ),
+        SourceConfig::Stream(stream) => format!("frames through {}", stream.name()),
     }
 }
 

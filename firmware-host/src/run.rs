@@ -6,7 +6,7 @@ use crate::part::{Part, PartError};
 use crate::recording::{Recorder, RecordingError};
 use crate::report::{JobReport, Outcome, StageReport, TruthReport};
 use crate::sensing::{Sensing, SensingError};
-use crate::source::{FolderSource, FrameSource, SourceError};
+use crate::source::{FolderSource, FrameSource, SourceError, StreamSource};
 use crate::world::{
     BenchTruth, PacedSource, SimulatedCamera, SimulatedGripper, SimulatedRobot, World, WorldError,
 };
@@ -85,12 +85,9 @@ impl Setup {
         let part = Part::load(&config.part.shape)?;
         let sensing = Sensing::new(&config.rig()?, &config.params, part.template(&config.part)?)?;
         let world = World::shared(config)?;
-        let source: Box<dyn FrameSource> = match &config.source {
-            SourceConfig::Simulated => Box::new(SimulatedCamera(Rc::clone(&world))),
-            SourceConfig::Folder { path, frame_rate_hz } => Box::new(PacedSource {
-                source: Box::new(FolderSource::open(path, *frame_rate_hz)?),
-                world: Rc::clone(&world),
-            }),
+        let source: Box<dyn FrameSource> = match open_source(&config.source)? {
+            None => Box::new(SimulatedCamera(Rc::clone(&world))),
+            Some(source) => Box::new(PacedSource { source, world: Rc::clone(&world) }),
         };
         let devices = Devices {
             source,
@@ -99,6 +96,20 @@ impl Setup {
         };
         Ok(Self { world, devices, sensing, part })
     }
+}
+
+/// Opens where real stereo pairs come from; `None` for the simulated sensor, which needs its world.
+///
+/// # Errors
+/// [`SourceError`].
+pub fn open_source(source: &SourceConfig) -> Result<Option<Box<dyn FrameSource>>, SourceError> {
+    Ok(match source {
+        SourceConfig::Simulated => None,
+        SourceConfig::Folder { path, frame_rate_hz } => {
+            Some(Box::new(FolderSource::open(path, *frame_rate_hz)?))
+        }
+        SourceConfig::Stream(stream) => Some(Box::new(StreamSource::open(stream)?)),
+    })
 }
 
 /// What stands in a recording besides messages: the configuration with its rig, and the part's mesh file.

@@ -23,11 +23,13 @@ pub enum Topic {
     Stage,
     /// How a pair was captured, and what happened to its source, JSON.
     Capture,
+    /// Whether and how something touches the gel, JSON.
+    Contact,
 }
 
 impl Topic {
     /// All of them, in the order of their channels.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::LeftImage,
         Self::RightImage,
         Self::Points,
@@ -37,6 +39,7 @@ impl Topic {
         Self::Robot,
         Self::Stage,
         Self::Capture,
+        Self::Contact,
     ];
 
     /// Its name.
@@ -52,6 +55,7 @@ impl Topic {
             Self::Robot => "/robot/gripper_pose",
             Self::Stage => "/gelstereo/stage",
             Self::Capture => "/gelstereo/capture",
+            Self::Contact => "/gelstereo/contact",
         }
     }
 
@@ -61,7 +65,7 @@ impl Topic {
         match self {
             Self::LeftImage | Self::RightImage => schemas::IMAGE,
             Self::Points => schemas::POINT_CLOUD,
-            Self::Frame | Self::Stage | Self::Capture => schemas::STRING,
+            Self::Frame | Self::Stage | Self::Capture | Self::Contact => schemas::STRING,
             Self::Pose => schemas::POSE_WITH_COVARIANCE,
             Self::Gripper => schemas::JOINT_STATE,
             Self::Robot => schemas::POSE,

@@ -1,14 +1,24 @@
 //! Where stereo pairs come from.
 
 #[cfg(feature = "host")]
+mod clock;
+#[cfg(feature = "host")]
 mod folder;
 mod huffman;
 pub mod jpeg;
 mod layout;
+#[cfg(feature = "host")]
+pub mod stream;
+#[cfg(feature = "host")]
+mod stream_reader;
 
+#[cfg(feature = "host")]
+pub(crate) use clock::monotonic_ns;
 #[cfg(feature = "host")]
 pub use folder::FolderSource;
 pub use layout::OddWidth;
+#[cfg(feature = "host")]
+pub use stream::StreamSource;
 
 use gelstereo_core::image::{GrayView, ImageError};
 use serde::{Deserialize, Serialize};
