@@ -65,6 +65,7 @@ fn describe(config: &Config, setup: &Setup) -> String {
             let right = camera.right_device.iter().map(|right| format!(" and {right}"));
             format!("camera {}{}, simulated gripper and robot", camera.device, right.collect::<String>())
         }
+        SourceConfig::Stream(stream) => format!("frames through {}", stream.name()),
     }
 }
 

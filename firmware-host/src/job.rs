@@ -290,8 +290,7 @@ impl<'a> Job<'a> {
             .flat_map(|i| (0..3).map(move |j| (i, j)))
             .map(|(i, j)| axis[i] * covariance[i][j] * axis[j])
             .sum();
-        let unit = |i: usize| if i < 3 { 1e-3 } else { 1.0 };
-        let metres = core::array::from_fn(|i| core::array::from_fn(|j| unit(i) * covariance[i][j] * unit(j)));
+        let metres = sensing::in_metres(&covariance);
         let time_ns = self.pair.time_ns;
         self.record(Topic::Pose, time_ns, || {
             messages::pose_with_covariance(time_ns, &found.t_sensor_object, &metres)
@@ -451,7 +450,7 @@ impl<'a> Job<'a> {
     /// Asks something of the pipeline, and records that it was asked and what came of it.
     fn act(&mut self, action: &Action) -> Result<Option<Registration>, Halt> {
         let result = self.sensing.act(action);
-        let note = action_note(self.stage, action, &result);
+        let note = action_note(self.stage, action, &result, self.sensing.standing());
         self.digest = self.digest.bytes(note.to_string().as_bytes());
         self.note(&note)?;
         result.map_err(|error| Halt::Error(JobError::Sensing { stage: self.stage, bad_frames: 0, error }))

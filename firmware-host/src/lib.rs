@@ -22,6 +22,8 @@ pub mod notes;
 #[cfg(feature = "host")]
 pub mod part;
 #[cfg(feature = "host")]
+pub mod publish;
+#[cfg(feature = "host")]
 pub mod recording;
 #[cfg(feature = "host")]
 pub mod replay;
@@ -31,6 +33,8 @@ pub mod report;
 pub mod robot;
 #[cfg(feature = "host")]
 pub mod run;
+#[cfg(feature = "host")]
+pub mod sense;
 #[cfg(feature = "host")]
 pub mod sensing;
 #[cfg(feature = "host")]

@@ -3,7 +3,7 @@
 
 use crate::report::Stage;
 use crate::sensing::{Action, Sensing, SensingError};
-use gelstereo_core::register::Registration;
+use gelstereo_core::register::{Registration, Standing};
 use gelstereo_core::track::MarkerState;
 
 /// What the topic `/gelstereo/frame` says of a frame: evidence and digest, or the error.
@@ -26,12 +26,23 @@ pub fn frame_note(sensed: &Result<(), SensingError>, sensing: &Sensing) -> serde
     }
 }
 
-/// What the topic `/gelstereo/stage` says of an action and its result.
+/// What a standing is called in notes and lines.
+#[must_use]
+pub const fn standing_name(standing: Standing) -> &'static str {
+    match standing {
+        Standing::Followed => "followed",
+        Standing::Found => "found",
+        Standing::Lost => "lost",
+    }
+}
+
+/// What the topic `/gelstereo/stage` says of an action and its result; a followed part has a standing.
 #[must_use]
 pub fn action_note(
     stage: Stage,
     action: &Action,
     result: &Result<Option<Registration>, SensingError>,
+    standing: Option<Standing>,
 ) -> serde_json::Value {
     let mut note = serde_json::json!({ "stage": stage, "request": action });
     match result {
@@ -39,6 +50,9 @@ pub fn action_note(
             note["digest"] = format!("{:016x}", found.digest()).into();
             note["converged"] = found.converged.into();
             note["free"] = found.free.iter().map(ToString::to_string).collect::<Vec<_>>().into();
+            if let (Action::Follow, Some(standing)) = (action, standing) {
+                note["standing"] = standing_name(standing).into();
+            }
         }
         Ok(None) => {}
         Err(error) => note["error"] = error.to_string().into(),

@@ -145,7 +145,8 @@ impl Replay {
                 }
             }
             Topic::Stage => self.request(messages::read_string(data).map_err(fail)?)?,
-            Topic::Points | Topic::Pose | Topic::Gripper | Topic::Robot => {}
+            Topic::Points | Topic::Pose | Topic::Gripper | Topic::Robot | Topic::Capture | Topic::Contact => {
+            }
         }
         Ok(())
     }
@@ -163,8 +164,8 @@ impl Replay {
         let action: Action = serde_json::from_value(request).map_err(fail)?;
         let stage: Stage = serde_json::from_value(note["stage"].take()).map_err(fail)?;
         let result = self.sensing.act(&action);
-        self.report.localizations += u64::from(matches!(action, Action::Localize { .. }));
-        self.compare(recorded, action_note(stage, &action, &result).to_string());
+        self.report.localizations += u64::from(matches!(action, Action::Localize { .. } | Action::Follow));
+        self.compare(recorded, action_note(stage, &action, &result, self.sensing.standing()).to_string());
         Ok(())
     }
 

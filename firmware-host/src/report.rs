@@ -21,6 +21,8 @@ pub enum Stage {
     Insert,
     /// The end.
     Done,
+    /// No job: sensing alone.
+    Sense,
 }
 
 impl Stage {
@@ -35,6 +37,7 @@ impl Stage {
             Self::Align => "align",
             Self::Insert => "insert",
             Self::Done => "done",
+            Self::Sense => "sense",
         }
     }
 }

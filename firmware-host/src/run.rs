@@ -10,7 +10,7 @@ use crate::recording::{Recorder, RecordingError};
 use crate::report::{JobReport, Outcome, StageReport, TruthReport};
 use crate::robot::{Robot, RobotError};
 use crate::sensing::{Sensing, SensingError};
-use crate::source::{CameraSource, FolderSource, FrameSource, SourceError};
+use crate::source::{CameraSource, FolderSource, FrameSource, SourceError, StreamSource};
 use crate::world::{
     BenchTruth, PacedSource, SimulatedCamera, SimulatedGripper, SimulatedRobot, TimedSource, World,
     WorldError,
@@ -100,16 +100,10 @@ impl Setup {
         let part = Part::load(&config.part.shape)?;
         let sensing = Sensing::new(&config.rig()?, &config.params, part.template(&config.part)?)?;
         let world = World::shared(config)?;
-        let source: Box<dyn FrameSource> = match &config.source {
-            SourceConfig::Simulated => Box::new(SimulatedCamera(Rc::clone(&world))),
-            SourceConfig::Folder { path, frame_rate_hz } => Box::new(PacedSource {
-                source: Box::new(FolderSource::open(path, *frame_rate_hz)?),
-                world: Rc::clone(&world),
-            }),
-            SourceConfig::Camera(camera) => {
-                let source = CameraSource::open(camera).map_err(SourceError::Camera)?;
-                Box::new(TimedSource::new(Box::new(source), Rc::clone(&world)))
-            }
+        let source: Box<dyn FrameSource> = match open_source(&config.source)? {
+            None => Box::new(SimulatedCamera(Rc::clone(&world))),
+            Some(source) if config.source.is_live() => Box::new(TimedSource::new(source, Rc::clone(&world))),
+            Some(source) => Box::new(PacedSource { source, world: Rc::clone(&world) }),
         };
         let gripper: Box<dyn Gripper> = match config.gripper.open()? {
             Some(gripper) => gripper,
@@ -122,6 +116,23 @@ impl Setup {
         let devices = Devices { source, gripper, robot };
         Ok(Self { world, devices, sensing, part })
     }
+}
+
+/// Opens where real stereo pairs come from; `None` for the simulated sensor, which needs its world.
+///
+/// # Errors
+/// [`SourceError`].
+pub fn open_source(source: &SourceConfig) -> Result<Option<Box<dyn FrameSource>>, SourceError> {
+    Ok(match source {
+        SourceConfig::Simulated => None,
+        SourceConfig::Folder { path, frame_rate_hz } => {
+            Some(Box::new(FolderSource::open(path, *frame_rate_hz)?))
+        }
+        SourceConfig::Camera(camera) => {
+            Some(Box::new(CameraSource::open(camera).map_err(SourceError::Camera)?))
+        }
+        SourceConfig::Stream(stream) => Some(Box::new(StreamSource::open(stream)?)),
+    })
 }
 
 /// What stands in a recording besides messages: the configuration with its rig, and the part's mesh file.

@@ -5,8 +5,8 @@ use gelstereo_core::image::ImageError;
 use gelstereo_core::math::linalg::{Symmetric, eigen};
 use gelstereo_core::math::{DMat3, DQuat, DVec3, Pose, so3};
 use gelstereo_core::params::Params;
-use gelstereo_core::pipeline::{Frame, Pipeline, PipelineError, Touch};
-use gelstereo_core::register::{RegisterError, Registrar, Registration, Template};
+use gelstereo_core::pipeline::{Frame, Pipeline, PipelineError, RestRecord, Touch};
+use gelstereo_core::register::{Localizer, RegisterError, Registrar, Registration, Standing, Template};
 use gelstereo_core::rig::Rig;
 use serde::{Deserialize, Serialize};
 
@@ -19,6 +19,8 @@ pub enum SensingError {
     Pipeline(PipelineError),
     /// Registration refused.
     Register(RegisterError),
+    /// A part was to be followed, but nothing said where it is expected.
+    NoExpectation,
 }
 
 impl std::fmt::Display for SensingError {
@@ -27,6 +29,9 @@ impl std::fmt::Display for SensingError {
             Self::Image(error) => error.fmt(f),
             Self::Pipeline(error) => error.fmt(f),
             Self::Register(error) => write!(f, "registration: {error}"),
+            Self::NoExpectation => {
+                write!(f, "a part cannot be followed before `expect` says where to look for it")
+            }
         }
     }
 }
@@ -48,6 +53,15 @@ pub enum Action {
         /// Translation.
         translation_mm: [f64; 3],
     },
+    /// The part is expected there (`t_sensor_object`): the next `Follow` looks for it anew.
+    Expect {
+        /// Unit quaternion x y z w.
+        rotation_xyzw: [f64; 4],
+        /// Translation.
+        translation_mm: [f64; 3],
+    },
+    /// Localization of the last frame's contact, from the pose before.
+    Follow,
 }
 
 impl Action {
@@ -59,6 +73,15 @@ impl Action {
             translation_mm: guess.translation_mm.to_array(),
         }
     }
+
+    /// The part expected there.
+    #[must_use]
+    pub fn expect(t_sensor_object: &Pose) -> Self {
+        Self::Expect {
+            rotation_xyzw: t_sensor_object.rotation.to_array(),
+            translation_mm: t_sensor_object.translation_mm.to_array(),
+        }
+    }
 }
 
 /// The sensing stages and what they keep from frame to frame.
@@ -66,6 +89,9 @@ impl Action {
 pub struct Sensing {
     pipeline: Pipeline,
     registrar: Registrar,
+    /// Follows the part from frame to frame, once it was said where to expect it.
+    localizer: Option<Localizer>,
+    standing: Option<Standing>,
     template: Template,
     frame: Frame,
     touch: Touch,
@@ -80,6 +106,8 @@ impl Sensing {
         Ok(Self {
             pipeline: Pipeline::new(rig, params).map_err(SensingError::Pipeline)?,
             registrar: Registrar::new(&params.register),
+            localizer: None,
+            standing: None,
             template,
             frame: Frame::default(),
             touch: Touch::default(),
@@ -90,6 +118,18 @@ impl Sensing {
     #[must_use]
     pub const fn frame(&self) -> &Frame {
         &self.frame
+    }
+
+    /// How the pose of the last [`Action::Follow`] was come by; `None` if it gave none.
+    #[must_use]
+    pub const fn standing(&self) -> Option<Standing> {
+        self.standing
+    }
+
+    /// The rest state, once there was a rest frame.
+    #[must_use]
+    pub fn rest_record(&self) -> Option<RestRecord> {
+        self.pipeline.rest_record()
     }
 
     /// Senses one stereo pair.
@@ -103,28 +143,50 @@ impl Sensing {
         Ok(&self.frame)
     }
 
-    /// Does what was asked; only a localisation has a result.
+    /// Does what was asked; only a localization has a result.
     ///
     /// # Errors
-    /// [`SensingError::Register`].
+    /// [`SensingError::Register`] or [`SensingError::NoExpectation`].
     pub fn act(&mut self, action: &Action) -> Result<Option<Registration>, SensingError> {
         match action {
             Action::Reset => self.pipeline.reset(),
             Action::MarkReference => self.pipeline.mark_reference(),
             Action::Localize { rotation_xyzw, translation_mm } => {
-                let guess = Pose {
-                    rotation: DQuat::from_array(*rotation_xyzw),
-                    translation_mm: DVec3::from_array(*translation_mm),
-                };
+                let guess = pose(rotation_xyzw, translation_mm);
                 return self
                     .registrar
                     .register(&self.touch.of(&self.frame), &self.template, &guess)
                     .map(Some)
                     .map_err(SensingError::Register);
             }
+            Action::Expect { rotation_xyzw, translation_mm } => {
+                let expected = pose(rotation_xyzw, translation_mm);
+                self.localizer = Some(Localizer::new(&self.pipeline.params().register, &expected));
+            }
+            Action::Follow => return self.follow().map(Some),
         }
         Ok(None)
     }
+
+    fn follow(&mut self) -> Result<Registration, SensingError> {
+        self.standing = None;
+        let localizer = self.localizer.as_mut().ok_or(SensingError::NoExpectation)?;
+        let located = localizer.run(&self.touch.of(&self.frame), &self.template);
+        let located = located.map_err(SensingError::Register)?;
+        self.standing = Some(located.standing);
+        Ok(located.registration)
+    }
+}
+
+fn pose(rotation_xyzw: &[f64; 4], translation_mm: &[f64; 3]) -> Pose {
+    Pose { rotation: DQuat::from_array(*rotation_xyzw), translation_mm: DVec3::from_array(*translation_mm) }
+}
+
+/// A covariance of [`covariance`] in metres and radians, as ROS wants it.
+#[must_use]
+pub fn in_metres(covariance_mm: &Symmetric<6>) -> Symmetric<6> {
+    let unit = |i: usize| if i < 3 { 1e-3 } else { 1.0 };
+    core::array::from_fn(|i| core::array::from_fn(|j| unit(i) * covariance_mm[i][j] * unit(j)))
 }
 
 /// Covariance of the part's position and rotation in ROS's order (x y z of its origin, then rotations about the axes

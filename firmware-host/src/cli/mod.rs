@@ -2,13 +2,16 @@
 
 mod check;
 mod gripper;
+mod health;
 mod replay;
 mod run;
+mod sense;
 mod simulate;
 
 use clap::{Parser, Subcommand};
 use gelstereo_host::config::{Config, ConfigError};
 use gelstereo_host::run::HostError;
+use gelstereo_host::sense::SenseError;
 use gelstereo_host::simulate::SimulateError;
 use std::fmt;
 use std::io::Write;
@@ -26,6 +29,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
     after_help = "Examples:\n  \
         gelstereo-host run                               the whole job with simulated sensor, gripper and robot\n  \
         gelstereo-host run --config cell.toml --json     your own cell; the summary as JSON\n  \
+        gelstereo-host sense --jsonl                     contact and pose of a simulated grasp, a line a frame\n  \
         gelstereo-host replay out/run.mcap               compute a recording again and compare every bit\n  \
         gelstereo-host simulate scene.toml out/pairs     image pairs and truth from a scene\n  \
         gelstereo-host check --print-default > cell.toml all settings to start from\n\n\
@@ -40,6 +44,10 @@ struct Arguments {
 enum Command {
     /// Do the job: open, rest frame, close, localize, align, insert.
     Run(run::Arguments),
+    /// Sense without a robot, for ever: points, contact and pose to a recording, standard output or the network.
+    Sense(sense::Arguments),
+    /// Say whether a running `sense --health-file` is well.
+    Health(health::Arguments),
     /// Compute a recording again from its images and compare every result.
     Replay(replay::Arguments),
     /// Make a folder of image pairs with truth from a scene.
@@ -54,6 +62,7 @@ enum Command {
 enum CliError {
     Host(HostError),
     Simulate(SimulateError),
+    Sense(SenseError),
     Signal(ctrlc::Error),
     Json(serde_json::Error),
     Output(std::io::Error),
@@ -64,6 +73,7 @@ impl fmt::Display for CliError {
         match self {
             Self::Host(error) => error.fmt(f),
             Self::Simulate(error) => error.fmt(f),
+            Self::Sense(error) => error.fmt(f),
             Self::Signal(error) => write!(f, "cannot listen for Ctrl-C: {error}"),
             Self::Output(error) => write!(f, "standard output cannot be written: {error}"),
             Self::Json(error) => write!(f, "the summary cannot be written as JSON: {error}"),
@@ -81,6 +91,8 @@ impl<E: Into<HostError>> From<E> for CliError {
 pub fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Run(arguments) => run::command(arguments),
+        Command::Sense(arguments) => sense::command(&arguments),
+        Command::Health(arguments) => health::command(&arguments),
         Command::Replay(arguments) => replay::command(&arguments),
         Command::Simulate(arguments) => simulate::command(&arguments),
         Command::Check(arguments) => check::command(&arguments),
@@ -110,6 +122,11 @@ fn say(line: impl fmt::Display) -> Result<(), CliError> {
 fn stop_flag() -> Result<Arc<AtomicBool>, CliError> {
     let stop = Arc::new(AtomicBool::new(false));
     let raised = Arc::clone(&stop);
-    ctrlc::set_handler(move || raised.store(true, Ordering::Relaxed)).map_err(CliError::Signal)?;
+    stop_on_signal(move || raised.store(true, Ordering::Relaxed))?;
     Ok(stop)
+}
+
+/// Calls `raise` on Ctrl-C, SIGTERM and SIGHUP.
+fn stop_on_signal(raise: impl Fn() + Send + 'static) -> Result<(), CliError> {
+    ctrlc::set_handler(raise).map_err(CliError::Signal)
 }

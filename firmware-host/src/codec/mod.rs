@@ -3,6 +3,7 @@
 pub mod blink1;
 pub mod dynamixel;
 pub mod feetech;
+pub mod frame_stream;
 pub mod modbus;
 pub mod robotiq;
 pub mod robotiq_urcap;

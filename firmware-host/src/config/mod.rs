@@ -9,14 +9,16 @@ mod light;
 mod range;
 mod recording;
 mod robot;
+mod sense;
 mod simulated;
 mod source;
 mod task;
 
 pub use error::ConfigError;
 pub use light::{CameraHidConfig, LightConfig, StreamModeConfig};
-pub use recording::RecordingConfig;
+pub use recording::{ImageFormat, RecordingConfig, RecordingMode};
 pub use robot::RobotConfig;
+pub use sense::{FoxgloveConfig, LocalizeWhen, SenseConfig, TypeHash, ZenohConfig};
 pub use simulated::SimulatedConfig;
 pub use source::SourceConfig;
 pub use task::{PoseConfig, TaskConfig};
@@ -57,6 +59,8 @@ pub struct Config {
     pub task: TaskConfig,
     /// Where the recording goes.
     pub recording: RecordingConfig,
+    /// Sensing alone, without a robot.
+    pub sense: SenseConfig,
     /// The simulated world behind simulated sensors, grippers and robots.
     pub simulated: SimulatedConfig,
     /// Where the sensor stands in the gripper. Default: in the middle of a Robotiq 2F-85's pad, looking across.
@@ -86,6 +90,7 @@ impl Default for Config {
             part: PartConfig::default(),
             task: TaskConfig::default(),
             recording: RecordingConfig::default(),
+            sense: SenseConfig::default(),
             simulated: SimulatedConfig::default(),
             mount: SensorMount::facing(FingerKinematics::robotiq_2f85(), gel_centre_mm),
             params: Params::preset(DEFAULT_PRESET).unwrap_or_default(),
@@ -116,8 +121,12 @@ impl Config {
                 .map_err(|error| ConfigError::Parse { origin: file.display().to_string(), error })?;
             config.rig = Some(rig);
         }
-        if let SourceConfig::Folder { path, .. } = &mut config.source {
-            *path = folder.join(&*path);
+        match &mut config.source {
+            SourceConfig::Folder { path, .. } => *path = folder.join(&*path),
+            SourceConfig::Stream(stream) if !stream.is_standard_input() => {
+                stream.path = folder.join(&stream.path);
+            }
+            _ => {}
         }
         if let Shape::Mesh { path, .. } = &mut config.part.shape {
             *path = folder.join(&*path).to_string_lossy().into_owned();
@@ -161,8 +170,8 @@ impl Config {
         match (&self.rig, &self.source) {
             (Some(rig), _) => Ok(rig.clone()),
             (None, SourceConfig::Simulated) => Ok(Scene::default_rig()),
-            (None, SourceConfig::Folder { .. }) => Err(ConfigError::RigSource {
-                message: "images from a folder need the rig that took them: add rig_file = \"rig.toml\", made by \
+            (None, SourceConfig::Folder { .. } | SourceConfig::Stream(_)) => Err(ConfigError::RigSource {
+                message: "real images need the rig that took them: add rig_file = \"rig.toml\", made by \
                           `gelstereo calibrate`",
             }),
             (None, SourceConfig::Camera(_)) => Err(ConfigError::RigSource {
@@ -197,6 +206,8 @@ impl Config {
         self.camera_hid.validate()?;
         LENGTH_MM.check("part.spacing_mm", self.part.spacing_mm)?;
         self.task.validate(&self.mount.kinematics)?;
+        self.recording.validate()?;
+        self.sense.validate(&self.mount.kinematics)?;
         self.simulated.validate()
     }
 }

@@ -1,18 +1,81 @@
 //! Where the recording goes, and what of the frames it keeps.
 
+use super::ConfigError;
+use super::range::{TIME_S, check};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
-/// Where the recording goes.
+/// Where the recording goes, and what of the frames it keeps.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RecordingConfig {
-    /// MCAP file; it is replaced. Default: `out/run.mcap`.
+    /// MCAP file; it is replaced. Further parts of a long recording stand beside it: `run_0001.mcap` and so on.
+    /// Default: `out/run.mcap`.
     pub path: PathBuf,
+    /// How plain images are stored; Motion JPEG of a camera is stored as it came. Default: `png`.
+    pub images: ImageFormat,
+    /// Images of every so many pairs are kept, results of all of them. Default: `1`.
+    pub every_nth: u32,
+    /// What is kept. Default: `all`.
+    pub mode: RecordingMode,
+    /// A file that has grown to this size is closed, and a new part begins. Default: `1024` MB.
+    pub split_mb: u32,
+    /// With the mode `ring`: the time before a trigger that is kept. Default: `60` s.
+    pub ring_s: f64,
+    /// With the mode `ring`: memory for that time; the oldest messages are forgotten beyond it. Default: `512` MB.
+    pub ring_mb: u32,
+    /// With the mode `ring`: the time after a trigger that is kept. Default: `5` s.
+    pub ring_after_s: f64,
+}
+
+/// How plain images are stored. Every format is lossless.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ImageFormat {
+    /// `sensor_msgs/CompressedImage` with the format `png`.
+    #[default]
+    Png,
+    /// `sensor_msgs/Image`, mono8.
+    Raw,
+}
+
+/// What a recording keeps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RecordingMode {
+    /// Everything.
+    #[default]
+    All,
+    /// The time around each trigger.
+    Ring,
 }
 
 impl Default for RecordingConfig {
     fn default() -> Self {
-        Self { path: PathBuf::from("out/run.mcap") }
+        Self {
+            path: PathBuf::from("out/run.mcap"),
+            images: ImageFormat::default(),
+            every_nth: 1,
+            mode: RecordingMode::default(),
+            split_mb: 1024,
+            ring_s: 60.0,
+            ring_mb: 512,
+            ring_after_s: 5.0,
+        }
+    }
+}
+
+impl RecordingConfig {
+    pub(super) fn validate(&self) -> Result<(), ConfigError> {
+        let counts = [
+            ("recording.every_nth", self.every_nth, 1..=100_000, "1 to 100000 pairs"),
+            ("recording.split_mb", self.split_mb, 1..=1_000_000, "1 to 1000000 MB"),
+            ("recording.ring_mb", self.ring_mb, 1..=100_000, "1 to 100000 MB"),
+        ];
+        for (name, found, valid, words) in counts {
+            check(valid.contains(&found), name, f64::from(found), words)?;
+        }
+        TIME_S.check("recording.ring_s", self.ring_s)?;
+        TIME_S.check("recording.ring_after_s", self.ring_after_s)
     }
 }

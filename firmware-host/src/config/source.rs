@@ -1,8 +1,10 @@
 //! Where stereo pairs come from.
 
 use super::ConfigError;
-use super::range::RATE_HZ;
+use super::range::{RATE_HZ, check};
 use crate::camera::CameraConfig;
+use crate::codec::frame_stream::{MAX_PAYLOAD_BYTES, MAX_SIDE_PX};
+use crate::source::stream::{StreamConfig, StreamMode};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -22,6 +24,8 @@ pub enum SourceConfig {
     },
     /// A stereo camera by Video4Linux2: one device with both views, or two devices.
     Camera(CameraConfig),
+    /// Frames through a pipe, as `docs/frame-stream.md` describes them.
+    Stream(StreamConfig),
 }
 
 impl SourceConfig {
@@ -30,6 +34,39 @@ impl SourceConfig {
             Self::Simulated => Ok(()),
             Self::Folder { frame_rate_hz, .. } => RATE_HZ.check("source.frame_rate_hz", *frame_rate_hz),
             Self::Camera(camera) => camera.validate().map_err(ConfigError::Camera),
+            Self::Stream(stream) => validate_stream(stream),
         }
     }
+
+    /// Whether its frames come when they are taken, on a real clock, and are lost if nobody fetches them.
+    #[must_use]
+    pub fn is_live(&self) -> bool {
+        match self {
+            Self::Simulated | Self::Folder { .. } => false,
+            Self::Camera(_) => true,
+            Self::Stream(stream) => stream.mode == StreamMode::Latest,
+        }
+    }
+}
+
+fn validate_stream(stream: &StreamConfig) -> Result<(), ConfigError> {
+    if let Some(rate_hz) = stream.frame_rate_hz {
+        RATE_HZ.check("source.frame_rate_hz", rate_hz)?;
+    }
+    if let Some(size) = stream.raw_size_px {
+        let words = "an even width and 1 to 16384 pixels each";
+        for side in size {
+            check((1..=MAX_SIDE_PX).contains(&side), "source.raw_size_px", f64::from(side), words)?;
+        }
+        check(size[0] % 2 == 0, "source.raw_size_px", f64::from(size[0]), words)?;
+        let bytes = size[0] * size[1];
+        check(bytes <= MAX_PAYLOAD_BYTES, "source.raw_size_px", f64::from(bytes), "at most 67108864 pixels")?;
+    }
+    let timeout_ms = stream.stall_timeout_ms;
+    check(
+        (10..=3_600_000).contains(&timeout_ms),
+        "source.stall_timeout_ms",
+        timeout_ms as f64,
+        "10 to 3600000 ms",
+    )
 }

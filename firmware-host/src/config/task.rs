@@ -27,7 +27,7 @@ impl PoseConfig {
         }
     }
 
-    fn validate(&self, name: &'static str) -> Result<(), ConfigError> {
+    pub(super) fn validate(&self, name: &'static str) -> Result<(), ConfigError> {
         for found in self.position_mm {
             check(found.abs() <= FAR_MM, name, found, "positions up to 10000 mm")?;
         }

@@ -2,16 +2,26 @@
 
 mod camera;
 #[cfg(feature = "host")]
+mod clock;
+#[cfg(feature = "host")]
 mod folder;
 mod huffman;
 pub mod jpeg;
 mod layout;
 pub mod pairing;
+#[cfg(feature = "host")]
+pub mod stream;
+#[cfg(feature = "host")]
+mod stream_reader;
 
 pub use camera::CameraSource;
 #[cfg(feature = "host")]
+pub(crate) use clock::monotonic_ns;
+#[cfg(feature = "host")]
 pub use folder::FolderSource;
 pub use layout::OddWidth;
+#[cfg(feature = "host")]
+pub use stream::StreamSource;
 
 use crate::camera::CaptureError;
 use gelstereo_core::image::{GrayView, ImageError};

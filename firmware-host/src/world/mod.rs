@@ -6,10 +6,12 @@
 mod bench;
 mod devices;
 mod hole;
+mod rehearsal;
 
 pub use bench::{Bench, BenchTruth};
 pub use devices::{PacedSource, SimulatedCamera, SimulatedGripper, SimulatedRobot, TimedSource};
 pub use hole::{Fit, Hole, Peg};
+pub use rehearsal::Rehearsal;
 
 use crate::config::{Config, SourceConfig};
 use crate::part::PartError;
@@ -108,6 +110,9 @@ impl World {
             SourceConfig::Simulated => (Some(Bench::new(config)?), config.simulated.frame_rate_hz),
             SourceConfig::Folder { frame_rate_hz, .. } => (None, frame_rate_hz),
             SourceConfig::Camera(ref camera) => (None, camera.frame_rate_hz),
+            SourceConfig::Stream(ref stream) => {
+                (None, stream.frame_rate_hz.unwrap_or(config.simulated.frame_rate_hz))
+            }
         };
         let (_, max_width_mm) = config.mount.kinematics.width_range_mm();
         Ok(Rc::new(RefCell::new(Self {

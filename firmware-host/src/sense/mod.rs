@@ -1,0 +1,369 @@
+//! Sensing alone, for ever: points, contact and pose from stereo pairs, without a robot.
+//!
+//! Frames are sensed one after the other on one thread; recording, publishing and printing wait elsewhere. What the
+//! pipeline is asked besides frames is recorded as the robot task records it, so that a recording replays to the same
+//! bits.
+
+mod contact;
+mod follow;
+mod histogram;
+mod line;
+mod outputs;
+mod report;
+mod rest;
+mod setup;
+pub mod supervisor;
+
+pub use contact::{Contact, ContactMeter, Crossing, Trigger};
+pub use follow::Follower;
+pub use histogram::Histogram;
+pub use line::{FrameLine, PoseLine};
+pub use outputs::{Closed, Lines, Outputs};
+pub use report::{Meter, PairCost, Quantiles, Report, Status, Totals};
+pub use rest::{RestState, RestStep};
+pub use setup::{Listeners, NamedSource, SenseError, named_source, open_outputs, recording_path};
+
+use crate::config::Config;
+use crate::notes::{action_note, frame_note};
+use crate::recording::{Recording, Topic, messages};
+use crate::report::Stage;
+use crate::sensing::{self, Action, Sensing};
+use crate::source::{Next, SourceError, SourceEvent, StereoPair, monotonic_ns};
+use gelstereo_core::register::{Registration, Standing};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+use supervisor::Supervisor;
+
+/// Longest wait for a pair before the flags are looked at again.
+const STEP: Duration = Duration::from_millis(200);
+/// How often it says how it goes.
+const STATUS_EVERY: Duration = Duration::from_secs(1);
+
+/// Flags that others raise.
+#[derive(Debug, Default)]
+pub struct Control {
+    /// Ends sensing.
+    pub stop: AtomicBool,
+    /// The next good frames make a new rest state: nothing must touch the gel. Lowered once it is heard.
+    pub relearn: AtomicBool,
+}
+
+/// What sensing works with.
+pub struct Parts<'a> {
+    /// Settings.
+    pub config: &'a Config,
+    /// Stereo pairs.
+    pub source: NamedSource,
+    /// Pipeline and template.
+    pub sensing: Sensing,
+    /// Where results go.
+    pub outputs: Outputs,
+    /// Who watches.
+    pub supervisor: Supervisor,
+    /// Ends after so many pairs; `None` for ever.
+    pub max_frames: Option<u64>,
+}
+
+/// How sensing ended.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Ended {
+    /// Why.
+    pub reason: &'static str,
+    /// How it went.
+    pub status: Status,
+    /// What became of the outputs.
+    pub closed: Closed,
+}
+
+/// Sensing, until it is stopped or its source ends.
+pub struct Sense<'a> {
+    parts: Parts<'a>,
+    control: &'a Control,
+    say: &'a mut dyn FnMut(&Report),
+    pair: StereoPair,
+    rest: RestState,
+    contact: ContactMeter,
+    follower: Follower,
+    meter: Meter,
+    touching: bool,
+    /// The last frame was bad, which is said once.
+    last_was_bad: bool,
+    /// The gel was not at rest while the rest state was learned, which is said once.
+    is_restless: bool,
+    last_good: Instant,
+    begun: Instant,
+    last_status: Instant,
+    last_alive: Instant,
+    /// Outputs that failed, and why.
+    lost_outputs: Vec<String>,
+    outputs_at_start: usize,
+}
+
+impl<'a> Sense<'a> {
+    /// Ready to run; `say` hears all that there is to tell.
+    ///
+    /// # Errors
+    /// [`SenseError::Width`] when the mount has no such grasp.
+    pub fn new(
+        parts: Parts<'a>,
+        control: &'a Control,
+        say: &'a mut dyn FnMut(&Report),
+    ) -> Result<Self, SenseError> {
+        let now = Instant::now();
+        Ok(Self {
+            contact: ContactMeter::new(parts.config),
+            follower: Follower::new(parts.config).map_err(SenseError::Width)?,
+            outputs_at_start: parts.outputs.names().len(),
+            parts,
+            control,
+            say,
+            pair: StereoPair::default(),
+            rest: RestState::default(),
+            meter: Meter::default(),
+            touching: false,
+            last_was_bad: false,
+            is_restless: false,
+            last_good: now,
+            begun: now,
+            last_status: now,
+            last_alive: now,
+            lost_outputs: Vec::new(),
+        })
+    }
+
+    /// Senses until the source ends, somebody stops it, or no output is left. Closes the outputs whatever happens.
+    ///
+    /// # Errors
+    /// [`SenseError::Source`] when the source breaks.
+    pub fn run(mut self) -> Result<Ended, SenseError> {
+        let started =
+            Report::Started { source: self.parts.source.name.clone(), outputs: self.parts.outputs.names() };
+        (self.say)(&started);
+        self.parts.supervisor.ready();
+        self.reset();
+        let result = self.until_end();
+        self.parts.supervisor.stopping();
+        let closed = self.parts.outputs.finish();
+        let mut status = self.meter.whole(self.begun.elapsed());
+        self.complete(&mut status);
+        let reason = match &result {
+            Ok(reason) => reason,
+            Err(_) => "the source broke",
+        };
+        (self.say)(&Report::Ended { reason, status: status.clone() });
+        result.map(|reason| Ended { reason, status, closed }).map_err(SenseError::Source)
+    }
+
+    fn until_end(&mut self) -> Result<&'static str, SourceError> {
+        loop {
+            if self.control.stop.load(Ordering::Relaxed) {
+                return Ok("stopped");
+            }
+            if self.parts.max_frames.is_some_and(|max| self.meter.totals.frames >= max) {
+                return Ok("as many frames as asked for");
+            }
+            if self.outputs_at_start > 0 && self.parts.outputs.names().is_empty() {
+                return Ok("no output is left");
+            }
+            if self.control.relearn.swap(false, Ordering::Relaxed) {
+                self.forget_rest("asked for");
+            }
+            match self.parts.source.source.next_pair(STEP, &mut self.pair) {
+                Ok(Next::Pair) => self.frame(),
+                Ok(Next::Event(event)) => self.event(event),
+                Ok(Next::End) => return Ok("the source ended"),
+                Err(SourceError::Timeout { .. }) => {}
+                Err(error) => return Err(error),
+            }
+            self.supervise();
+        }
+    }
+
+    fn event(&mut self, event: SourceEvent) {
+        self.meter.totals.source_events += 1;
+        self.parts.outputs.event(self.pair.time_ns, &event);
+        (self.say)(&Report::Source(event));
+    }
+
+    /// Senses the pair and hands out what it gave, or why it gave nothing.
+    fn frame(&mut self) {
+        let begun = Instant::now();
+        let (time_ns, capture) = (self.pair.time_ns, self.pair.capture);
+        self.parts.outputs.pair(&self.pair);
+        let sensed = self.parts.sensing.process(&self.pair).map(|_| ());
+        let note = || frame_note(&sensed, &self.parts.sensing).to_string();
+        self.parts.outputs.text(Topic::Frame, time_ns, note);
+        let mut line = FrameLine { time_ns, capture, ..FrameLine::default() };
+        match &sensed {
+            Ok(()) => self.good_frame(&mut line),
+            Err(error) => {
+                let reason = error.to_string();
+                if !std::mem::replace(&mut self.last_was_bad, true) {
+                    (self.say)(&Report::BadFrame { reason: reason.clone(), time_ns });
+                }
+                line.error = Some(reason);
+            }
+        }
+        self.parts.outputs.line(&line, &self.control.stop);
+        let latency = capture.driver_ns.map(|ns| Duration::from_nanos(monotonic_ns().saturating_sub(ns)));
+        self.meter.pair(&PairCost {
+            latency,
+            compute: begun.elapsed(),
+            dropped: capture.dropped,
+            good: sensed.is_ok(),
+        });
+    }
+
+    fn good_frame(&mut self, line: &mut FrameLine) {
+        let time_ns = self.pair.time_ns;
+        self.last_good = Instant::now();
+        self.last_was_bad = false;
+        let frame = self.parts.sensing.frame();
+        let with_points = self.parts.outputs.lines.as_ref().is_some_and(|lines| lines.with_points);
+        line.add_frame(frame, with_points);
+        self.parts.outputs.message(Topic::Points, time_ns, &messages::points(time_ns, frame));
+        match self.rest.step(frame, &self.parts.config.sense) {
+            RestStep::Learning => return,
+            RestStep::Restart => {
+                if !std::mem::replace(&mut self.is_restless, true) {
+                    (self.say)(&Report::RestForgotten { reason: "the gel moved or was touched" });
+                }
+                self.reset();
+                return;
+            }
+            RestStep::Learned => {
+                self.is_restless = false;
+                let markers = frame.state.len();
+                self.keep_rest();
+                (self.say)(&Report::RestLearned { markers });
+            }
+            RestStep::Known => {}
+        }
+        self.touch(line);
+        self.localize(line);
+    }
+
+    /// Contact and triggers of the last frame.
+    fn touch(&mut self, line: &mut FrameLine) {
+        let time_ns = self.pair.time_ns;
+        let contact = self.contact.next(self.parts.sensing.frame());
+        let note = || serde_json::json!(contact).to_string();
+        self.parts.outputs.text(Topic::Contact, time_ns, note);
+        if contact.touching != std::mem::replace(&mut self.touching, contact.touching) {
+            (self.say)(&Report::Touch { touching: contact.touching, time_ns });
+        }
+        for &crossing in &contact.crossings {
+            (self.say)(&Report::Trigger { crossing, time_ns });
+            if let (true, Some(recording)) = (crossing.above, &mut self.parts.outputs.recording) {
+                let cause = format!("{:?} trigger", crossing.trigger).to_lowercase();
+                recording.trigger(time_ns, &cause);
+            }
+        }
+        line.contact = Some(contact);
+    }
+
+    /// The part in the last frame, if it is to be localized.
+    fn localize(&mut self, line: &mut FrameLine) {
+        let time_ns = self.pair.time_ns;
+        for action in self.follower.actions(self.touching, time_ns) {
+            let result = self.act(&action);
+            if action != Action::Follow {
+                continue;
+            }
+            let standing = self.parts.sensing.standing();
+            if self.follower.take(standing, time_ns) {
+                (self.say)(&Report::pose(standing.unwrap_or(Standing::Lost), time_ns));
+            }
+            match (result, standing) {
+                (Ok(Some(found)), Some(standing)) => self.pose(&found, standing, line),
+                (Ok(_), _) => {}
+                (Err(error), _) => line.error = Some(error),
+            }
+        }
+    }
+
+    fn pose(&mut self, found: &Registration, standing: Standing, line: &mut FrameLine) {
+        let (time_ns, task) = (self.pair.time_ns, &self.parts.config.task);
+        let covariance = sensing::covariance(
+            &found.information,
+            &found.t_sensor_object,
+            task.part_sigma_mm,
+            task.part_sigma_rad,
+        );
+        if standing != Standing::Lost {
+            let metres = sensing::in_metres(&covariance);
+            let message = messages::pose_with_covariance(time_ns, &found.t_sensor_object, &metres);
+            self.parts.outputs.message(Topic::Pose, time_ns, &message);
+        }
+        line.pose = Some(PoseLine::new(found, standing, &covariance));
+    }
+
+    /// Asks something of the pipeline, and records that it was asked and what came of it.
+    fn act(&mut self, action: &Action) -> Result<Option<Registration>, String> {
+        let result = self.parts.sensing.act(action);
+        let standing = self.parts.sensing.standing();
+        let note = || action_note(Stage::Sense, action, &result, standing).to_string();
+        self.parts.outputs.text(Topic::Stage, self.pair.time_ns, note);
+        result.map_err(|error| error.to_string())
+    }
+
+    /// The next good frame is the rest frame.
+    fn reset(&mut self) {
+        // Only localizations can be refused.
+        let _ = self.act(&Action::Reset);
+    }
+
+    fn forget_rest(&mut self, reason: &'static str) {
+        self.rest.forget();
+        self.contact = ContactMeter::new(self.parts.config);
+        self.follower.let_go();
+        self.touching = false;
+        (self.say)(&Report::RestForgotten { reason });
+        self.reset();
+    }
+
+    fn keep_rest(&mut self) {
+        let record = self.parts.sensing.rest_record();
+        if let (Some(recording), Some(record)) = (&mut self.parts.outputs.recording, record) {
+            Recording::rest(recording, &record);
+        }
+    }
+
+    /// Says how it goes, to whom it concerns.
+    fn supervise(&mut self) {
+        let alive_every =
+            self.parts.supervisor.alive_within().map_or(STATUS_EVERY, |within| STATUS_EVERY.min(within / 3));
+        if self.last_alive.elapsed() >= alive_every {
+            self.last_alive = Instant::now();
+            self.parts.supervisor.alive();
+        }
+        let over = self.last_status.elapsed();
+        if over < STATUS_EVERY {
+            return;
+        }
+        self.last_status = Instant::now();
+        for failed in self.parts.outputs.take_failed() {
+            self.lost_outputs.push(failed.to_string());
+            (self.say)(&failed);
+        }
+        let mut status = self.meter.interval(over);
+        self.complete(&mut status);
+        if let Err(error) = self.parts.supervisor.status(&status) {
+            let reason = error.to_string();
+            (self.say)(&Report::OutputLost { output: "the health file".to_owned(), reason });
+        }
+        (self.say)(&Report::Status(status));
+    }
+
+    fn complete(&self, status: &mut Status) {
+        status.unpublished = self.parts.outputs.dropped();
+        status.rest_known = self.rest.is_known();
+        status.touching = self.touching;
+        status.pose = self.follower.standing().map(crate::notes::standing_name);
+        let silent_s = self.last_good.elapsed().as_secs_f64();
+        let is_silent = silent_s > self.parts.config.sense.max_silence_s;
+        let silence = is_silent.then(|| format!("no good frame for {silent_s:.1} s"));
+        let troubles: Vec<String> = silence.into_iter().chain(self.lost_outputs.iter().cloned()).collect();
+        status.trouble = (!troubles.is_empty()).then(|| troubles.join("; "));
+    }
+}

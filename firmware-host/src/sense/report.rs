@@ -1,0 +1,305 @@
+//! What sensing says while it runs.
+
+use super::contact::Crossing;
+use super::histogram::Histogram;
+use crate::notes::standing_name;
+use crate::source::SourceEvent;
+use gelstereo_core::register::Standing;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+/// Median, 99th percentile and longest of some durations.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Quantiles {
+    /// Half of them take at most so long, to 4.4 %; absent where none was measured.
+    pub p50_ms: Option<f64>,
+    /// 99 % of them take at most so long, to 4.4 %.
+    pub p99_ms: Option<f64>,
+    /// The longest.
+    pub max_ms: Option<f64>,
+}
+
+impl Quantiles {
+    fn of(histogram: &Histogram) -> Self {
+        let ms = |duration: Duration| duration.as_secs_f64() * 1e3;
+        Self {
+            p50_ms: histogram.quantile(0.5).map(ms),
+            p99_ms: histogram.quantile(0.99).map(ms),
+            max_ms: (histogram.total() > 0).then(|| ms(histogram.max())),
+        }
+    }
+}
+
+impl std::fmt::Display for Quantiles {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match (self.p50_ms, self.p99_ms) {
+            (Some(p50), Some(p99)) => write!(f, "{p50:.1} / {p99:.1} ms"),
+            _ => write!(f, "not measured"),
+        }
+    }
+}
+
+/// Counts since the start.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Totals {
+    /// Stereo pairs taken.
+    pub frames: u64,
+    /// How many of them could not be sensed.
+    pub bad_frames: u64,
+    /// Pairs that the source lost or passed over.
+    pub dropped: u64,
+    /// Events of the source: losses of connection, stalls, corrupt frames and others.
+    pub source_events: u64,
+}
+
+/// How it goes: once a second, and at the end for the whole time.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Status {
+    /// Seconds that it is about.
+    pub over_s: f64,
+    /// Stereo pairs in that time.
+    pub frames: u64,
+    /// Pairs a second in that time.
+    pub rate_hz: f64,
+    /// Pairs that the source lost or passed over in that time.
+    pub dropped: u64,
+    /// From the driver's timestamp to the result; absent where the source has no driver.
+    pub latency: Quantiles,
+    /// From the decoded pair to the result.
+    pub compute: Quantiles,
+    /// Counts since the start.
+    pub totals: Totals,
+    /// Messages that publishers dropped since the start, since their listeners were too slow.
+    pub unpublished: BTreeMap<String, u64>,
+    /// Whether the rest state is known.
+    pub rest_known: bool,
+    /// Whether something touches the gel.
+    pub touching: bool,
+    /// How the last pose was come by.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pose: Option<&'static str>,
+    /// Why it is not well, if it is not.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub trouble: Option<String>,
+}
+
+impl std::fmt::Display for Status {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { frames, rate_hz, dropped, latency, compute, totals, .. } = self;
+        write!(
+            f,
+            "{frames} frames, {rate_hz:.1} Hz, latency {latency}, compute {compute} (p50 / p99), {dropped} dropped \
+             ({} in all), {} bad in all",
+            totals.dropped, totals.bad_frames
+        )?;
+        let contact = match (self.rest_known, self.touching) {
+            (false, _) => "learning the rest state",
+            (true, false) => "no contact",
+            (true, true) => "contact",
+        };
+        write!(f, ", {contact}")?;
+        if let Some(pose) = self.pose {
+            write!(f, ", pose {pose}")?;
+        }
+        for (name, count) in self.unpublished.iter().filter(|&(_, &count)| count > 0) {
+            write!(f, ", {count} messages not published by {name}")?;
+        }
+        self.trouble.iter().try_for_each(|trouble| write!(f, ", TROUBLE: {trouble}"))
+    }
+}
+
+/// One thing that sensing says.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case", tag = "report")]
+pub enum Report {
+    /// It has begun.
+    Started {
+        /// What stereo pairs come from.
+        source: String,
+        /// Where results go.
+        outputs: Vec<String>,
+    },
+    /// Something happened to the source.
+    Source(SourceEvent),
+    /// The rest state is known.
+    RestLearned {
+        /// Markers of the lattice.
+        markers: usize,
+    },
+    /// The rest state is learned anew.
+    RestForgotten {
+        /// Why.
+        reason: &'static str,
+    },
+    /// Contact began or ended.
+    Touch {
+        /// Whether something touches the gel now.
+        touching: bool,
+        /// The frame source's time.
+        time_ns: u64,
+    },
+    /// A trigger was crossed.
+    Trigger {
+        /// Which, and whether the motion is above it now.
+        #[serde(flatten)]
+        crossing: Crossing,
+        /// The frame source's time.
+        time_ns: u64,
+    },
+    /// A pose was found, or the part was lost.
+    Pose {
+        /// How the pose was come by.
+        standing: &'static str,
+        /// The frame source's time.
+        time_ns: u64,
+    },
+    /// A frame could not be sensed, the first one in a row of such.
+    BadFrame {
+        /// Why.
+        reason: String,
+        /// The frame source's time.
+        time_ns: u64,
+    },
+    /// An output takes no more; sensing goes on.
+    OutputLost {
+        /// Which output.
+        output: String,
+        /// Why.
+        reason: String,
+    },
+    /// Once a second.
+    Status(Status),
+    /// The end.
+    Ended {
+        /// Why it ended.
+        reason: &'static str,
+        /// How it went.
+        #[serde(flatten)]
+        status: Status,
+    },
+}
+
+impl Report {
+    /// A pose's standing.
+    #[must_use]
+    pub const fn pose(standing: Standing, time_ns: u64) -> Self {
+        Self::Pose { standing: standing_name(standing), time_ns }
+    }
+
+    /// `error`, `warning` or `info`.
+    #[must_use]
+    pub fn level(&self) -> &'static str {
+        match self {
+            Self::OutputLost { .. } => "error",
+            Self::Source(SourceEvent::Connected { .. }) => "info",
+            Self::Source(_) | Self::BadFrame { .. } => "warning",
+            Self::Status(status) if status.trouble.is_some() => "warning",
+            _ => "info",
+        }
+    }
+}
+
+impl std::fmt::Display for Report {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Started { source, outputs } if outputs.is_empty() => {
+                write!(f, "sensing on {source}; results go nowhere but to this log")
+            }
+            Self::Started { source, outputs } => {
+                write!(f, "sensing on {source}; results go to {}", outputs.join(", "))
+            }
+            Self::Source(event) => event.fmt(f),
+            Self::RestLearned { markers } => write!(f, "rest state learned: {markers} markers"),
+            Self::RestForgotten { reason } => write!(f, "the rest state is learned anew: {reason}"),
+            Self::Touch { touching: true, .. } => write!(f, "contact begins"),
+            Self::Touch { touching: false, .. } => write!(f, "contact ends"),
+            Self::Trigger { crossing, .. } => {
+                let side = if crossing.above { "above" } else { "below" };
+                write!(f, "motion is {side} the {:?} trigger", crossing.trigger)
+            }
+            Self::Pose { standing, .. } => write!(f, "pose {standing}"),
+            Self::BadFrame { reason, .. } => write!(f, "a frame cannot be sensed: {reason}"),
+            Self::OutputLost { output, reason } => write!(f, "{output} takes no more: {reason}"),
+            Self::Status(status) => status.fmt(f),
+            Self::Ended { reason, status } => write!(f, "ended ({reason}): {status}"),
+        }
+    }
+}
+
+/// Collects what [`Status`] says.
+#[derive(Clone, Debug, Default)]
+pub struct Meter {
+    latency: [Histogram; 2],
+    compute: [Histogram; 2],
+    frames: u64,
+    dropped: u64,
+    /// Counts since the start.
+    pub totals: Totals,
+}
+
+/// What one pair adds.
+#[derive(Clone, Copy, Debug)]
+pub struct PairCost {
+    /// From the driver's timestamp to the result.
+    pub latency: Option<Duration>,
+    /// From the decoded pair to the result.
+    pub compute: Duration,
+    /// Pairs lost before it.
+    pub dropped: u64,
+    /// Whether it could be sensed.
+    pub good: bool,
+}
+
+impl Meter {
+    /// Counts a pair.
+    pub fn pair(&mut self, cost: &PairCost) {
+        if let Some(latency) = cost.latency {
+            self.latency[0].add(latency);
+        }
+        self.compute[0].add(cost.compute);
+        self.frames += 1;
+        self.dropped += cost.dropped;
+        self.totals.frames += 1;
+        self.totals.dropped += cost.dropped;
+        self.totals.bad_frames += u64::from(!cost.good);
+    }
+
+    /// What there is to say of the time since the last call, `over` long.
+    pub fn interval(&mut self, over: Duration) -> Status {
+        let status = Status {
+            dropped: self.dropped,
+            ..self.status(over, self.frames, &self.latency[0], &self.compute[0])
+        };
+        self.close_interval();
+        status
+    }
+
+    /// What there is to say of the whole time, `over` long.
+    pub fn whole(&mut self, over: Duration) -> Status {
+        self.close_interval();
+        let Totals { frames, dropped, .. } = self.totals;
+        Status { dropped, ..self.status(over, frames, &self.latency[1], &self.compute[1]) }
+    }
+
+    fn status(&self, over: Duration, frames: u64, latency: &Histogram, compute: &Histogram) -> Status {
+        let over_s = over.as_secs_f64();
+        Status {
+            over_s,
+            frames,
+            rate_hz: if over_s > 0.0 { frames as f64 / over_s } else { 0.0 },
+            latency: Quantiles::of(latency),
+            compute: Quantiles::of(compute),
+            totals: self.totals,
+            ..Status::default()
+        }
+    }
+
+    fn close_interval(&mut self) {
+        for [now, all] in [&mut self.latency, &mut self.compute] {
+            all.merge(now);
+            now.clear();
+        }
+        (self.frames, self.dropped) = (0, 0);
+    }
+}

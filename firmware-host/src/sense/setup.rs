@@ -1,0 +1,138 @@
+//! From a configuration to what sensing works with.
+
+use super::outputs::{Lines, Outputs};
+use crate::config::{Config, SourceConfig};
+use crate::job::Devices;
+use crate::publish::{Outlet, Protocol, PublishError, Publisher};
+use crate::recording::{Content, LogClock, Recording};
+use crate::run::{HostError, recorded_config};
+use crate::source::{FrameSource, SourceError};
+use crate::world::Rehearsal;
+use gelstereo_core::frames::WidthError;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// Why sensing could not begin, or broke off.
+#[derive(Debug)]
+pub enum SenseError {
+    /// Something that the robot task needs too.
+    Host(HostError),
+    /// A publisher.
+    Publish(PublishError),
+    /// The mount has no such grasp.
+    Width(WidthError),
+    /// The source broke.
+    Source(SourceError),
+    /// The system has no more threads.
+    Thread(std::io::Error),
+}
+
+impl std::fmt::Display for SenseError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Host(error) => error.fmt(f),
+            Self::Publish(error) => error.fmt(f),
+            Self::Width(error) => write!(f, "sense.grasp_width_mm: {error}"),
+            Self::Source(error) => error.fmt(f),
+            Self::Thread(error) => write!(f, "no thread for standard output: {error}"),
+        }
+    }
+}
+
+impl std::error::Error for SenseError {}
+
+impl<E: Into<HostError>> From<E> for SenseError {
+    fn from(error: E) -> Self {
+        Self::Host(error.into())
+    }
+}
+
+/// Who listens.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Listeners {
+    /// Where to record.
+    pub recording: Option<PathBuf>,
+    /// Publishers.
+    pub protocols: Vec<Protocol>,
+    /// Whether standard output gets a line for each frame.
+    pub lines: bool,
+    /// Whether these lines have the points of all markers.
+    pub points: bool,
+}
+
+/// A source as sensing uses it.
+pub struct NamedSource {
+    /// Stereo pairs.
+    pub source: Box<dyn FrameSource>,
+    /// What it is called.
+    pub name: String,
+}
+
+/// The source among a configuration's devices. The simulated sensor has a gripper that grasps the part over and over.
+#[must_use]
+pub fn named_source(config: &Config, devices: Devices) -> NamedSource {
+    match &config.source {
+        SourceConfig::Simulated => NamedSource {
+            source: Box::new(Rehearsal::new(devices.source, devices.gripper, config)),
+            name: "the simulated sensor".to_owned(),
+        },
+        SourceConfig::Folder { path, .. } => {
+            NamedSource { source: devices.source, name: format!("the folder {}", path.display()) }
+        }
+        SourceConfig::Camera(camera) => {
+            let right = camera.right_device.iter().map(|right| format!(" and {right}"));
+            let name = format!("camera {}{}", camera.device, right.collect::<String>());
+            NamedSource { source: devices.source, name }
+        }
+        SourceConfig::Stream(stream) => NamedSource { source: devices.source, name: stream.name() },
+    }
+}
+
+/// The path itself, or, where there is a file already, the first of `name-2.mcap`, `name-3.mcap` and so on that is free: a
+/// host that is started again keeps what it recorded before.
+#[must_use]
+pub fn recording_path(path: &Path) -> PathBuf {
+    if !path.exists() {
+        return path.to_owned();
+    }
+    let part = |text: Option<&std::ffi::OsStr>| text.unwrap_or_default().to_string_lossy().into_owned();
+    let (stem, extension) = (part(path.file_stem()), part(path.extension()));
+    (2_u64..)
+        .map(|n| path.with_file_name(format!("{stem}-{n}")).with_extension(&extension))
+        .find(|path| !path.exists())
+        .unwrap_or_else(|| path.to_owned())
+}
+
+/// Opens all outputs.
+///
+/// # Errors
+/// [`SenseError`].
+pub fn open_outputs(
+    config: &Config,
+    listeners: &Listeners,
+    attachments: Vec<(String, Vec<u8>)>,
+) -> Result<Outputs, SenseError> {
+    let mut outputs = Outputs::default();
+    for &protocol in &listeners.protocols {
+        let publisher = Publisher::open(protocol, &config.sense).map_err(SenseError::Publish)?;
+        outputs.publishers.push(publisher);
+    }
+    if let Some(path) = &listeners.recording {
+        let settings =
+            crate::config::RecordingConfig { path: recording_path(path), ..config.recording.clone() };
+        let content = Content { config_toml: recorded_config(config)?, attachments };
+        let clock = if config.source.is_live() { LogClock::Wall } else { LogClock::Source };
+        outputs.recording = Some(Recording::create(&settings, content, clock)?);
+    }
+    if listeners.lines {
+        let outlet = Outlet::spawn("standard output", |line: String| {
+            writeln!(std::io::stdout().lock(), "{line}").map_err(|error| error.to_string())
+        });
+        outputs.lines = Some(Lines {
+            outlet: outlet.map_err(SenseError::Thread)?,
+            with_points: listeners.points,
+            may_drop: config.source.is_live(),
+        });
+    }
+    Ok(outputs)
+}
