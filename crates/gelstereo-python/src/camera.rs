@@ -26,7 +26,8 @@ pub struct CameraInfo {
     path: String,
     /// The driver's name for it.
     name: String,
-    /// "capture" (it gives frames), "metadata", "multiplanar", "other", or "unknown" where it cannot be opened.
+    /// "capture" (it gives frames), "metadata", "multiplanar", "other", or "unknown" where it cannot be
+    /// opened.
     kind: String,
     /// USB serial number.
     serial: Option<String>,
@@ -142,8 +143,8 @@ pub struct CameraFrame {
     left: GrayArray,
     right: GrayArray,
     capture: source::Capture,
-    /// Whether the images are those of an earlier frame, because no newer ones came. Before the first pair they are
-    /// black.
+    /// Whether the images are those of an earlier frame, because no newer ones came. Before the first pair
+    /// they are black.
     #[pyo3(get)]
     stale: bool,
     event: Option<SourceEvent>,
@@ -170,7 +171,8 @@ impl CameraFrame {
         self.capture.sequence
     }
 
-    /// When the driver had the later of both images, nanoseconds of ``time.monotonic_ns()``; None before the first pair.
+    /// When the driver had the later of both images, nanoseconds of ``time.monotonic_ns()``; None before the
+    /// first pair.
     #[getter]
     fn driver_ns(&self) -> Option<u64> {
         self.capture.driver_ns
@@ -194,9 +196,9 @@ impl CameraFrame {
         self.capture.skew_ns
     }
 
-    /// What happened in place of a new pair: a dictionary with ``"event"`` (``"connected"``, ``"disconnected"``,
-    /// ``"stalled"``, ``"corrupt"``, ``"sequence"``, ``"timestamp"``, ``"skewed"``), details and ``"text"``. None for a
-    /// pair, and when nothing happened at all.
+    /// What happened in place of a new pair: a dictionary with ``"event"`` (``"connected"``,
+    /// ``"disconnected"``, ``"stalled"``, ``"corrupt"``, ``"sequence"``, ``"timestamp"``, ``"skewed"``),
+    /// details and ``"text"``. None for a pair, and when nothing happened at all.
     #[getter]
     fn event<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
         let Some(event) = &self.event else { return Ok(None) };
@@ -205,8 +207,8 @@ impl CameraFrame {
         Ok(Some(dict))
     }
 
-    /// The JPEG files of the images as the camera sent them: one that holds both views, or the left and the right one;
-    /// empty where the camera sends plain pixels or ``keep_encoded`` is off.
+    /// The JPEG files of the images as the camera sent them: one that holds both views, or the left and the
+    /// right one; empty where the camera sends plain pixels or ``keep_encoded`` is off.
     #[getter]
     fn encoded<'py>(&self, py: Python<'py>) -> Vec<Bound<'py, PyBytes>> {
         match &*self.encoded {
@@ -240,9 +242,9 @@ struct Last {
 
 /// A stereo camera that streams; made by `gelstereo.cameras.open`.
 ///
-/// Iterating over it gives a `CameraFrame` for each pair, for each event, and for each time that nothing came within
-/// ``timeout_s``: the loop never hangs. What is unplugged, reset or silent is opened again by itself. Used as a context
-/// manager it is closed at the end.
+/// Iterating over it gives a `CameraFrame` for each pair, for each event, and for each time that nothing came
+/// within ``timeout_s``: the loop never hangs. What is unplugged, reset or silent is opened again by itself.
+/// Used as a context manager it is closed at the end.
 #[pyclass(frozen, module = "gelstereo.cameras")]
 pub struct Camera {
     source: Mutex<Option<CameraSource>>,
@@ -386,9 +388,10 @@ impl Camera {
     }
 
     /// Counts since it was opened (``pairs``, ``dropped``, ``corrupt``, ``skewed``, ``sequence_faults``,
-    /// ``timestamp_faults``, ``stalls``, ``disconnects``, ``connects``, ``lost_events``); over the last 1024 pairs
-    /// ``rate_hz``, ``camera_rate_hz`` (lost pairs included) and the time from the driver's timestamp to the decoded pair:
-    /// ``latency_p50_ms``, ``latency_p99_ms``, ``latency_max_ms``. What is not known yet is left out.
+    /// ``timestamp_faults``, ``stalls``, ``disconnects``, ``connects``, ``lost_events``); over the last 1024
+    /// pairs ``rate_hz``, ``camera_rate_hz`` (lost pairs included) and the time from the driver's timestamp
+    /// to the decoded pair: ``latency_p50_ms``, ``latency_p99_ms``, ``latency_max_ms``. What is not known yet
+    /// is left out.
     #[getter]
     fn statistics<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let statistics = self.with(py, |source| source.statistics())?;
@@ -413,8 +416,8 @@ impl Camera {
     /// ----------
     /// **controls
     ///     ``exposure_us`` (a multiple of 100 µs; turns automatic exposure off), ``auto_exposure``, ``gain``,
-    ///     ``white_balance_k`` (turns automatic white balance off), ``auto_white_balance``, or any other control by its name
-    ///     in `controls`.
+    ///     ``white_balance_k`` (turns automatic white balance off), ``auto_white_balance``, or any other
+    ///     control by its name in `controls`.
     ///
     /// Raises
     /// ------
