@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from gelstereo import Error, Scene, simulate
+from gelstereo import CameraError, Error, Scene, simulate
 
 Image = npt.NDArray[np.uint8]
 
@@ -140,9 +140,17 @@ class CameraSource:
         self._camera = cameras.open(device, **settings)
         self.name = f"camera {device}"
         self.rate_hz: float | None = float(self._camera.settings["frame_rate_hz"])
+        self._closed = False
 
     def __iter__(self) -> Iterator[LiveFrame]:
-        for frame in self._camera:
+        while not self._closed:
+            try:
+                frame = self._camera.read()
+            except CameraError:
+                # It may be closed while a frame is waited for.
+                if self._closed:
+                    return
+                raise
             time_ns = frame.driver_ns or frame.received_ns or time.monotonic_ns()
             fields = None if frame.event is None else dict(frame.event)
             yield LiveFrame(
@@ -161,6 +169,7 @@ class CameraSource:
 
     def close(self) -> None:
         """Release the camera; the iteration ends."""
+        self._closed = True
         self._camera.close()
 
 
