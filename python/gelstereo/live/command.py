@@ -74,6 +74,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_guess(parser)
     parser.add_argument("--record", type=Path, metavar="FILE", help="MCAP file to write while sensing")
     parser.add_argument(
+        "--images",
+        choices=["png", "raw"],
+        default="png",
+        help="how plain images are recorded; Motion JPEG of a camera is kept as it came (%(default)s)",
+    )
+    parser.add_argument(
         "--frames", type=count, metavar="N", help="end after so many frames; for ever if left out"
     )
     parser.add_argument(
@@ -126,7 +132,14 @@ def run(arguments: argparse.Namespace) -> int:
         # The viewer first: where there can be none, no file is left behind.
         with _viewer(arguments, setup, live, draw) as show:
             if arguments.record is not None:
-                live.recorder = LiveRecorder(arguments.record, setup.rig, sensor.params, setup.shape)
+                live.recorder = LiveRecorder(
+                    arguments.record,
+                    setup.rig,
+                    sensor.params,
+                    setup.shape,
+                    png=arguments.images == "png",
+                    wall_clock=arguments.camera is not None,
+                )
             with live:
                 show()
             live.wait(0.0)
