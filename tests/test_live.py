@@ -301,6 +301,16 @@ def test_a_browser_that_takes_nothing_delays_nobody(
     stuck.close()
 
 
+def test_what_is_no_camera_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    gs.simulate(SCENE).scene.rig.save(tmp_path / "rig.toml")
+    words = ["live", "--camera", "/dev/null", "--show", "none"]
+    assert main(words) == 2
+    assert "--rig" in capsys.readouterr().err
+    assert main([*words, "--rig", str(tmp_path / "rig.toml"), "--record", str(tmp_path / "run.mcap")]) == 2
+    assert "/dev/null" in capsys.readouterr().err
+    assert not (tmp_path / "run.mcap").exists()
+
+
 def test_a_port_in_use_is_an_error(web: tuple[WebViewer, Latest[Shown]]) -> None:
     with pytest.raises(gs.Error, match=r"port \d+ of 127\.0\.0\.1 cannot be used"):
         WebViewer(Latest(), lambda shown: np.zeros((2, 2, 3), np.uint8), connection(web[0]).port)

@@ -135,6 +135,22 @@ def test_only_a_connected_camera_is_read() -> None:
     camera.disconnect()
 
 
+def test_settings_of_a_camera_reach_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[tuple[str, dict[str, object]]] = []
+    monkeypatch.setattr(plugin, "CameraSource", lambda device, **settings: opened.append((device, settings)))
+    words = {"source": "camera", "path": None, "device": "serial:GS1", "fps": 60, "width": 640, "height": 480}
+    for more in ({}, {"picture": "pair", "width": 1280}, {"right_device": "serial:GS2"}):
+        plugin._source_of(camera_of(**{**words, **more}, settings={"exposure_us": 8000.0}).config)
+    assert [settings["size_px"] for _, settings in opened] == [(1280, 480), (1280, 480), (640, 480)]
+    assert all(device == "serial:GS1" and settings["exposure_us"] == 8000.0 for device, settings in opened)
+    assert opened[0][1]["frame_rate_hz"] == 60 and opened[2][1]["right_device"] == "serial:GS2"
+
+
+def test_cameras_that_are_found_have_an_id_to_open_them_by() -> None:
+    for found in GelStereoCamera.find_cameras():
+        assert found["type"] == "gelstereo" and found["id"]
+
+
 class Silent:
     """A source whose camera is unplugged after three frames, or breaks."""
 

@@ -54,14 +54,15 @@ class GelStereoCamera(Camera):
         """Cameras of this computer that may be sensors: what `gelstereo.cameras.list` finds."""
         from gelstereo import cameras
 
+        found = [camera for camera in cameras.list() if camera.kind == "capture"]
         return [
             {
                 "name": camera.name,
                 "type": "gelstereo",
-                "id": camera.serial or camera.path,
+                "id": camera.path if camera.serial is None else f"serial:{camera.serial}",
                 "path": camera.path,
             }
-            for camera in cameras.list()
+            for camera in found
         ]
 
     def connect(self, warmup: bool = True) -> None:
@@ -231,8 +232,21 @@ def _source_of(config: GelStereoCameraConfig) -> LiveSource:
     if config.source == "folder":
         assert config.path is not None  # checked by the configuration
         return FolderSource(config.path, **({} if config.fps is None else {"rate_hz": float(config.fps)}))
+    return _camera_of(config)
+
+
+def _camera_of(config: GelStereoCameraConfig) -> CameraSource:
     assert config.device is not None  # checked by the configuration
-    settings = {} if config.right_device is None else {"right": config.right_device}
+    settings: dict[str, Any] = {
+        "right_device": config.right_device,
+        "frame_rate_hz": config.fps,
+        **config.settings,
+    }
+    if config.picture != "motion" and config.width is not None and config.height is not None:
+        # The picture shows one view or both; a stereo device's frames have both side by side.
+        beside = config.right_device is None and not str(settings.get("layout", "")).startswith("interleaved")
+        view_width = config.width // 2 if config.picture == "pair" else config.width
+        settings.setdefault("size_px", (2 * view_width if beside else view_width, config.height))
     return CameraSource(config.device, **settings)
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from lerobot.cameras import CameraConfig
 
@@ -24,7 +25,10 @@ class GelStereoCameraConfig(CameraConfig):
     source : str
         ``camera``, ``scene`` (a simulated sensor) or ``folder`` (images ``left/NAME.png`` and ``right/NAME.png``).
     device, right_device : str, optional
-        The camera: its path or serial number; the second one if each view has a device of its own.
+        The camera: its path, or ``serial:`` and its USB serial number; the second one if each view has a device of its
+        own.
+    settings : dict
+        Anything else that `gelstereo.cameras.open` takes, for example ``{layout: interleaved, exposure_us: 8000}``.
     path : Path, optional
         The scene's file or the folder.
     picture : str
@@ -45,6 +49,7 @@ class GelStereoCameraConfig(CameraConfig):
     source: str = "camera"
     device: str | None = None
     right_device: str | None = None
+    settings: dict[str, Any] = field(default_factory=dict)
     path: Path | None = None
     picture: str = "left"
     rig: Path | None = None
@@ -57,7 +62,9 @@ class GelStereoCameraConfig(CameraConfig):
         _check(self.source in SOURCES, "source", self.source, f"one of {SOURCES}")
         _check(self.picture in PICTURES, "picture", self.picture, f"one of {PICTURES}")
         if self.source == "camera":
-            _check(self.device is not None, "device", self.device, "the camera's path or serial number")
+            _check(
+                self.device is not None, "device", self.device, "the camera's path, or serial: and its number"
+            )
             needs_rig = self.picture == "motion" and self.rig is None
             _check(not needs_rig, "rig", self.rig, "the camera's rig file, for picture: motion")
         else:

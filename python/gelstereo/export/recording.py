@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gelstereo import Error
+from gelstereo.view.compressed import decoded, views_of
 
 Image = npt.NDArray[np.uint8]
 
@@ -18,8 +20,15 @@ _MAGIC = b"\x89MCAP0\r\n"
 _NS_PER_S = 1_000_000_000
 _MM_PER_M = 1000.0
 _POINTS = "/gelstereo/points"
-_IMAGES = {"/gelstereo/left/image": "left", "/gelstereo/right/image": "right"}
-_TOPICS = {_POINTS, *_IMAGES}
+_CAPTURE = "/gelstereo/capture"
+_STEREO = "/gelstereo/stereo/image/compressed"
+_IMAGES = {
+    "/gelstereo/left/image": "left",
+    "/gelstereo/right/image": "right",
+    "/gelstereo/left/image/compressed": "left",
+    "/gelstereo/right/image/compressed": "right",
+}
+_TOPICS = {_POINTS, _CAPTURE, _STEREO, *_IMAGES}
 
 
 class ExportError(Error):
@@ -66,8 +75,19 @@ def recorded_frames(path: Path) -> Iterator[RecordedFrame]:
         If it is no recording of a sensor.
     """
     images: dict[str, tuple[int, Image]] = {}
+    layout = "side_by_side"
     for topic, message in _messages(path, _TOPICS):
-        if topic in _IMAGES:
+        if topic == _CAPTURE:
+            layout = json.loads(message.data).get("layout", layout)
+        elif topic == _STEREO:
+            views = views_of(decoded(message.data), layout)
+            images.update(
+                {
+                    view: (_stamp_ns(message), image)
+                    for view, image in zip(("left", "right"), views, strict=True)
+                }
+            )
+        elif topic in _IMAGES:
             images[_IMAGES[topic]] = (_stamp_ns(message), _image(path, message))
         else:
             time_ns = _stamp_ns(message)
@@ -112,12 +132,7 @@ def _stamp_ns(message: Any) -> int:
 
 def _image(path: Path, message: Any) -> Image:
     if hasattr(message, "format"):
-        import cv2
-
-        image = cv2.imdecode(message.data, cv2.IMREAD_GRAYSCALE)
-        if image is None:
-            raise ExportError(f"{path} has an image as {message.format!r} that cannot be decoded")
-        return np.asarray(image, dtype=np.uint8)
+        return decoded(message.data)
     if message.encoding != "mono8":
         raise ExportError(f"{path} has an image as {message.encoding!r}; valid is 'mono8'")
     pixels: Image = message.data.reshape(message.height, message.step)[:, : message.width]

@@ -33,7 +33,7 @@ class Timeline:
 
         Examples
         --------
-        >>> Timeline.of([0, 33_300_000, 66_700_000, 133_300_000]).taken
+        >>> Timeline.of([0, 33_300_000, 66_700_000, 133_400_000]).taken
         [0, 1, 2, 2, 3]
         """
         times_s = (np.array(times_ns, dtype=np.int64) - times_ns[0]) / _NS_PER_S

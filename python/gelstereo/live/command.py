@@ -12,6 +12,7 @@ from typing import Any
 
 from gelstereo import Error, Rig, Template
 from gelstereo.cli.extras import module_of
+from gelstereo.cli.files import write_image
 from gelstereo.cli.options import add_guess, add_params, count, guess_of, params_of
 from gelstereo.geometry import shape_mesh
 from gelstereo.live.meter import Reading
@@ -28,7 +29,7 @@ from gelstereo.view.canvas import Image
 
 EXAMPLES = """examples:
   gelstereo live --scene scenes/grasp_cylinder.toml --frames 60         a simulated sensor
-  gelstereo live --folder out/press --frames 6 --show none              images, there and back
+  gelstereo live --folder out/press --frames 6 --show none --picture last.png     images, there and back
   gelstereo live --scene scenes/grasp_cylinder.toml --frames 30 --show none --record out/live.mcap
 
 With a camera: gelstereo live --camera /dev/video0 --rig rig.toml --record run.mcap
@@ -73,6 +74,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_guess(parser)
     parser.add_argument("--record", type=Path, metavar="FILE", help="MCAP file to write while sensing")
     parser.add_argument(
+        "--images",
+        choices=["png", "raw"],
+        default="png",
+        help="how plain images are recorded; Motion JPEG of a camera is kept as it came (%(default)s)",
+    )
+    parser.add_argument(
         "--frames", type=count, metavar="N", help="end after so many frames; for ever if left out"
     )
     parser.add_argument(
@@ -86,6 +93,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=DEFAULT_PORT,
         help="port of the web page, 0 for any free one (%(default)s)",
+    )
+    parser.add_argument(
+        "--picture", type=Path, metavar="FILE", help="write the last picture at the end (.png, ...)"
     )
     parser.add_argument(
         "--rrd", type=Path, metavar="FILE", help="with --show rerun: write a file for Rerun instead"
@@ -113,17 +123,32 @@ def run(arguments: argparse.Namespace) -> int:
     setup = _setup(arguments)
     sensor = LiveSensor(setup.rig, params_of(arguments), setup.part)
     live = LiveRun(setup.source, sensor, arguments.frames)
+    picture = LivePicture(setup.rig, setup.part, f"gelstereo live: {setup.source.name}")
+
+    def draw(shown: Shown) -> Image:
+        return picture.draw(shown.result, shown.reading, shown.recording)
+
     try:
         # The viewer first: where there can be none, no file is left behind.
-        with _viewer(arguments, setup, live) as show:
+        with _viewer(arguments, setup, live, draw) as show:
             if arguments.record is not None:
-                live.recorder = LiveRecorder(arguments.record, setup.rig, sensor.params, setup.shape)
+                live.recorder = LiveRecorder(
+                    arguments.record,
+                    setup.rig,
+                    sensor.params,
+                    setup.shape,
+                    png=arguments.images == "png",
+                    wall_clock=arguments.camera is not None,
+                )
             with live:
                 show()
             live.wait(0.0)
     except KeyboardInterrupt:
         # The usual end of a run: the recording is complete by now.
         sys.stderr.write("\n")
+    last = live.newest.newer_than(0, 0.0)
+    if arguments.picture is not None and last is not None:
+        write_image(arguments.picture, draw(last[1]))
     return _report(live, arguments.record)
 
 
@@ -190,13 +215,10 @@ def _part_of(scene: SceneSource, shape: dict[str, Any] | None) -> ExpectedPart |
 
 
 @contextmanager
-def _viewer(arguments: argparse.Namespace, setup: _Setup, live: LiveRun) -> Iterator[Callable[[], None]]:
+def _viewer(
+    arguments: argparse.Namespace, setup: _Setup, live: LiveRun, draw: Callable[[Shown], Image]
+) -> Iterator[Callable[[], None]]:
     """The viewer that was asked for, made ready: what is yielded shows the run until it ends."""
-    picture = LivePicture(setup.rig, setup.part, f"gelstereo live: {setup.source.name}")
-
-    def draw(shown: Shown) -> Image:
-        return picture.draw(shown.result, shown.reading, shown.recording)
-
     kind, problem = arguments.show, window_problem()
     if kind == "auto":
         kind = "web" if problem else "window"

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-import re
-import zlib
+import time
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -18,8 +17,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gelstereo import Error, Frame, Localization, MarkerState, Params, Rig, __version__
+from gelstereo import Error, Frame, Localization, Params, Rig, __version__
 from gelstereo.geometry import so3_from_matrix
+from gelstereo.live.notes import capture_note, config_toml, frame_note, pose_note, ros_covariance
 from gelstereo.live.sensing import LiveResult
 from gelstereo.live.source import LiveFrame
 
@@ -32,9 +32,13 @@ _STRING = "std_msgs/msg/String"
 _IMAGE = "sensor_msgs/msg/Image"
 _CLOUD = "sensor_msgs/msg/PointCloud2"
 _POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+_COMPRESSED = "sensor_msgs/msg/CompressedImage"
 _TOPICS = {
     "/gelstereo/left/image": _IMAGE,
     "/gelstereo/right/image": _IMAGE,
+    "/gelstereo/left/image/compressed": _COMPRESSED,
+    "/gelstereo/right/image/compressed": _COMPRESSED,
+    "/gelstereo/stereo/image/compressed": _COMPRESSED,
     "/gelstereo/points": _CLOUD,
     "/gelstereo/frame": _STRING,
     "/gelstereo/pose": _POSE,
@@ -45,10 +49,6 @@ _MM_PER_M = 1000.0
 _NS_PER_S = 1_000_000_000
 _MAX_CHUNK = 1 << 30  # bytes
 _FLOAT32, _UINT8 = 7, 2  # sensor_msgs/PointField
-
-#: What is expected of a held part where its contact says nothing: the defaults of the host's ``task.part_sigma_mm``
-#: and ``task.part_sigma_rad``.
-_PART_SIGMA_MM, _PART_SIGMA_RAD = 0.6, 0.03
 
 _POINT = np.dtype(
     {
@@ -71,30 +71,58 @@ class LiveRecorder:
         Those of the pipeline.
     shape : dict, optional
         The part's shape, as a scene's ``indenter`` has it, so that `gelstereo view` can draw it.
+    png
+        Whether plain images are compressed without loss. Motion JPEG of a camera is kept as it came.
+    wall_clock
+        Whether messages are also stamped with this computer's time of day, as those of a camera should be. Otherwise a
+        run gives the same file whenever it is made.
     """
 
-    def __init__(self, path: Path, rig: Rig, params: Params, shape: dict[str, Any] | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        rig: Rig,
+        params: Params,
+        shape: dict[str, Any] | None = None,
+        *,
+        png: bool = True,
+        wall_clock: bool = False,
+    ) -> None:
         import lz4  # noqa: F401 (mcap imports it with the first chunk)
         from mcap.writer import CompressionType, Writer
         from rosbags.typesys import Stores, get_typestore
 
         path.parent.mkdir(parents=True, exist_ok=True)
         self.path = path
+        self._png = png
+        self._wall_clock = wall_clock
         self._store: Any = get_typestore(Stores.ROS2_HUMBLE)
         self._file = path.open("wb")
         # Only `flush` ends a chunk, after each frame.
         self._writer: Any = Writer(self._file, chunk_size=_MAX_CHUNK, compression=CompressionType.LZ4)
         self._writer.start(profile="ros2", library=f"gelstereo {__version__}")
-        config = {"config_toml": config_toml(rig, params, shape), "version": __version__}
-        self._writer.add_metadata("gelstereo", config)
-        self._channels = {topic: self._channel(topic, name) for topic, name in _TOPICS.items()}
+        clock = "wall" if wall_clock else "source"
+        config = config_toml(rig, params, shape)
+        self._writer.add_metadata(
+            "gelstereo", {"config_toml": config, "version": __version__, "log_clock": clock}
+        )
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
         self._sequences = dict.fromkeys(_TOPICS, 0)
         self._writer.flush()
 
     def _channel(self, topic: str, name: str) -> int:
-        text, _ = self._store.generate_msgdef(name, ros_version=2)
-        schema = self._writer.register_schema(name=name, encoding="ros2msg", data=text.encode())
-        return int(self._writer.register_channel(topic=topic, message_encoding="cdr", schema_id=schema))
+        """The topic's channel, which begins with its first message."""
+        if topic in self._channels:
+            return self._channels[topic]
+        if name not in self._schemas:
+            text, _ = self._store.generate_msgdef(name, ros_version=2)
+            schema = self._writer.register_schema(name=name, encoding="ros2msg", data=text.encode())
+            self._schemas[name] = int(schema)
+        schema = self._schemas[name]
+        channel = int(self._writer.register_channel(topic=topic, message_encoding="cdr", schema_id=schema))
+        self._channels[topic] = channel
+        return channel
 
     @property
     def size_bytes(self) -> int:
@@ -113,9 +141,8 @@ class LiveRecorder:
         if frame.event is not None:
             self._text("/gelstereo/capture", time_ns, frame.event_fields or {"event": frame.event})
         if not frame.stale:
-            self._image("/gelstereo/left/image", time_ns, SENSOR_FRAME, frame.left)
-            self._image("/gelstereo/right/image", time_ns, RIGHT_FRAME, frame.right)
             self._text("/gelstereo/capture", time_ns, capture_note(frame))
+            self._pair(frame)
             self._text("/gelstereo/frame", time_ns, frame_note(result))
         if result.sensed is not None:
             self._cloud(time_ns, result.sensed)
@@ -147,8 +174,8 @@ class LiveRecorder:
         name = _TOPICS[topic]
         message = self._store.types[name](**fields)
         self._writer.add_message(
-            channel_id=self._channels[topic],
-            log_time=time_ns,
+            channel_id=self._channel(topic, name),
+            log_time=time.time_ns() if self._wall_clock else time_ns,
             publish_time=time_ns,
             sequence=self._sequences[topic],
             data=bytes(self._store.serialize_cdr(message, name)),
@@ -164,6 +191,30 @@ class LiveRecorder:
         seconds, nanoseconds = divmod(time_ns, _NS_PER_S)
         stamp = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
         return types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id)
+
+    def _pair(self, frame: LiveFrame) -> None:
+        """Both images: as the camera sent them, or else without loss."""
+        time_ns, sides = (
+            frame.time_ns,
+            (("left", SENSOR_FRAME, frame.left), ("right", RIGHT_FRAME, frame.right)),
+        )
+        if len(frame.encoded) == 1:
+            self._compressed(
+                "/gelstereo/stereo/image/compressed", time_ns, SENSOR_FRAME, "jpeg", frame.encoded[0]
+            )
+        elif len(frame.encoded) == 2:
+            for (side, frame_id, _), file in zip(sides, frame.encoded, strict=True):
+                self._compressed(f"/gelstereo/{side}/image/compressed", time_ns, frame_id, "jpeg", file)
+        elif self._png:
+            for side, frame_id, image in sides:
+                self._compressed(f"/gelstereo/{side}/image/compressed", time_ns, frame_id, "png", _png(image))
+        else:
+            for side, frame_id, image in sides:
+                self._image(f"/gelstereo/{side}/image", time_ns, frame_id, image)
+
+    def _compressed(self, topic: str, time_ns: int, frame_id: str, kind: str, file: bytes) -> None:
+        data = np.frombuffer(file, dtype=np.uint8)
+        self._add(topic, time_ns, header=self._header(time_ns, frame_id), format=kind, data=data)
 
     def _image(self, topic: str, time_ns: int, frame_id: str, image: npt.NDArray[np.uint8]) -> None:
         height, width = image.shape
@@ -217,100 +268,10 @@ class LiveRecorder:
         self._add("/gelstereo/pose", time_ns, header=self._header(time_ns, SENSOR_FRAME), pose=inner)
 
 
-def ros_covariance(information: Floats, t_sensor_object: Floats) -> Floats:
-    """Covariance of the part's origin and of its turn about the sensor's axes, as ROS has it.
+def _png(image: npt.NDArray[np.uint8]) -> bytes:
+    import cv2
 
-    Parameters
-    ----------
-    information : (6, 6)
-        Of a left perturbation (ω, v) in the sensor frame, as in `Localization.information`.
-    t_sensor_object : (4, 4)
-
-    Returns
-    -------
-    (6, 6) float64
-        x y z, then rotations about them; metres and radians. What the contact leaves free has the variance that is
-        expected of a held part: large but finite, as filters want it.
-    """
-    x, y, z = t_sensor_object[:3, 3]
-    # The perturbation moves the origin p by v + ω x p; so v = δp + p x ω.
-    jacobian = np.zeros((6, 6))
-    jacobian[:3, 3:] = np.eye(3)
-    jacobian[3:, :3] = np.eye(3)
-    jacobian[3:, 3:] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
-    sigma = np.array([_PART_SIGMA_MM] * 3 + [_PART_SIGMA_RAD] * 3)
-    scaled = jacobian * sigma
-    covariance = np.linalg.inv(scaled.T @ information @ scaled + np.eye(6)) * np.outer(sigma, sigma)
-    units = np.array([1.0 / _MM_PER_M] * 3 + [1.0] * 3)
-    out: Floats = covariance * np.outer(units, units)
-    return out
-
-
-def frame_note(result: LiveResult) -> dict[str, Any]:
-    """What the host says of a frame on ``/gelstereo/frame``: counts and the digest of all results, or the error."""
-    sensed = result.sensed
-    if sensed is None:
-        return {"error": result.problem}
-    return {
-        "index": sensed.index,
-        "motion_px": sensed.motion_px,
-        "seen": int(np.count_nonzero(sensed.state == MarkerState.SEEN)),
-        "salient": int(np.count_nonzero(sensed.salient)),
-        "detected": [sensed.left.detected, sensed.right.detected],
-        "mismatched": sensed.mismatched,
-        "digest": f"{sensed.digest:016x}",
-    }
-
-
-def pose_note(located: Localization) -> dict[str, Any]:
-    """What is known of a pose, for ``/gelstereo/stage``: how it was come by, what is free, and the digest."""
-    return {
-        "stage": "live",
-        "standing": located.standing,
-        "converged": located.converged,
-        "free": [str(direction) for direction in located.free],
-        "digest": f"{located.digest:016x}",
-    }
-
-
-def capture_note(frame: LiveFrame) -> dict[str, Any]:
-    """How a frame was captured, for ``/gelstereo/capture``; clocks are the system's monotonic one.
-
-    The CRC-32 of the pixels is what a replay compares its decoded images with.
-    """
-    return {
-        "sequence": frame.sequence,
-        "driver_ns": frame.driver_ns,
-        "received_ns": frame.received_ns,
-        "dropped": frame.dropped,
-        "skew_ns": frame.skew_ns,
-        "stale": frame.stale,
-        "left_crc32": _pixel_crc(frame.left),
-        "right_crc32": _pixel_crc(frame.right),
-    }
-
-
-def _pixel_crc(image: npt.NDArray[np.uint8]) -> str:
-    return f"{zlib.crc32(image.tobytes()):08x}"
-
-
-def config_toml(rig: Rig, params: Params, shape: dict[str, Any] | None = None) -> str:
-    """A configuration of the host with this rig, these settings and this part."""
-    parts = [_under("params", params.to_toml()), _under("rig", rig.to_toml())]
-    if shape is not None:
-        parts.append(f"[part]\nshape = {_inline(shape)}\n")
-    return "\n".join(parts)
-
-
-def _under(table: str, text: str) -> str:
-    """A TOML text as a table of a larger one."""
-    return f"[{table}]\n" + re.sub(r"^(\[+)(?=[a-zA-Z_])", rf"\1{table}.", text, flags=re.MULTILINE)
-
-
-def _inline(value: Any) -> str:
-    """A value in one line of TOML."""
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{key} = {_inline(inner)}" for key, inner in value.items()) + " }"
-    if isinstance(value, str | bool | int | float | list):
-        return json.dumps(value)
-    raise Error(f"a {type(value).__name__} has no place in a configuration")
+    done, data = cv2.imencode(".png", image)
+    if not done:
+        raise Error("an image cannot be encoded as PNG")
+    return bytes(data)

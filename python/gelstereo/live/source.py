@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from gelstereo import Error, Scene, simulate
+from gelstereo import CameraError, Error, Scene, simulate
 
 Image = npt.NDArray[np.uint8]
 
@@ -48,6 +48,10 @@ class LiveFrame:
         Whether no new images came.
     event : str or None
         What happened to the source, for people.
+    encoded : tuple of bytes
+        The camera's JPEG files: one of both views, or left and right; empty without.
+    layout : str or None
+        Where the views stand in a file of both, as `gelstereo.cameras` names it.
     event_fields : dict or None
         The same for programs, as the host writes it: ``event`` names it, the others are its figures.
     """
@@ -63,6 +67,8 @@ class LiveFrame:
     stale: bool = False
     event: str | None = None
     event_fields: dict[str, Any] | None = None
+    encoded: tuple[bytes, ...] = ()
+    layout: str | None = None
 
 
 class LiveSource(Protocol):
@@ -140,10 +146,20 @@ class CameraSource:
         self._camera = cameras.open(device, **settings)
         self.name = f"camera {device}"
         self.rate_hz: float | None = float(self._camera.settings["frame_rate_hz"])
+        self._layout = str(self._camera.settings["layout"])
+        self._closed = False
 
     def __iter__(self) -> Iterator[LiveFrame]:
-        for frame in self._camera:
+        while not self._closed:
+            try:
+                frame = self._camera.read()
+            except CameraError:
+                # It may be closed while a frame is waited for.
+                if self._closed:
+                    return
+                raise
             time_ns = frame.driver_ns or frame.received_ns or time.monotonic_ns()
+            encoded = tuple(frame.encoded)
             fields = None if frame.event is None else dict(frame.event)
             yield LiveFrame(
                 left=frame.left,
@@ -157,10 +173,13 @@ class CameraSource:
                 stale=frame.stale,
                 event=None if fields is None else str(fields.pop("text")),
                 event_fields=fields,
+                encoded=encoded,
+                layout=self._layout if len(encoded) == 1 else None,
             )
 
     def close(self) -> None:
         """Release the camera; the iteration ends."""
+        self._closed = True
         self._camera.close()
 
 

@@ -106,7 +106,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Answer the page, its stream, one picture or the status."""
-        if self.headers.get("Host", "").rpartition(":")[0] not in _OWN_NAMES:
+        name = self.headers.get("Host", "")
+        if (name.rpartition(":")[0] or name) not in _OWN_NAMES:
             self.send_error(403, f"This page is served under http://{HOST} alone")
             return
         answers = {

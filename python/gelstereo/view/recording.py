@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gelstereo._native import Error, Rig, Scene, parse_toml, se3_exp, shape_mesh, so3_log
+from gelstereo.view.compressed import decoded, views_of
 from gelstereo.view.moment import Moment, Part, pose_in_words
 
 Floats = npt.NDArray[np.float64]
@@ -53,6 +54,7 @@ class _Recorded:
     pose: Floats | None = None
     at_pose: tuple[_Cloud, npt.NDArray[np.uint8], dict[str, Any]] | None = None
     notes: dict[str, Any] = field(default_factory=dict)
+    layout: str = "side_by_side"
 
 
 def moment_of_recording(path: str | Path) -> Moment:
@@ -147,6 +149,12 @@ def _read_header(stream: Any, recorded: _Recorded) -> None:
 def _take(recorded: _Recorded, topic: str, data: bytes) -> None:
     if topic == "/gelstereo/left/image":
         recorded.left = _image(data)
+    elif topic == "/gelstereo/left/image/compressed":
+        recorded.left = decoded(_compressed(data))
+    elif topic == "/gelstereo/stereo/image/compressed":
+        recorded.left, _ = views_of(decoded(_compressed(data)), recorded.layout)
+    elif topic == "/gelstereo/capture":
+        recorded.layout = json.loads(_Cdr(data).string()).get("layout", recorded.layout)
     elif topic == "/gelstereo/points":
         recorded.cloud = _cloud(data)
         recorded.rest = recorded.rest or recorded.cloud
@@ -232,6 +240,13 @@ def _image(data: bytes) -> npt.NDArray[np.uint8]:
     step = cdr.u32()
     pixels = np.frombuffer(cdr.bytes(), dtype=np.uint8)
     return pixels.reshape(height, step)[:, :width]
+
+
+def _compressed(data: bytes) -> memoryview:
+    cdr = _Cdr(data)
+    cdr.header()
+    cdr.string()  # png or jpeg: the file says so itself
+    return cdr.bytes()
 
 
 def _cloud(data: bytes) -> _Cloud:

@@ -1,0 +1,124 @@
+"""What a live recording says besides images and clouds, as the host says it: notes in JSON, and the configuration."""
+
+from __future__ import annotations
+
+import json
+import re
+import zlib
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gelstereo import Error, Localization, MarkerState, Params, Rig
+from gelstereo.live.sensing import LiveResult
+from gelstereo.live.source import LiveFrame
+
+Floats = npt.NDArray[np.float64]
+
+_MM_PER_M = 1000.0
+
+#: What is expected of a held part where its contact says nothing: the defaults of the host's ``task.part_sigma_mm``
+#: and ``task.part_sigma_rad``.
+_PART_SIGMA_MM, _PART_SIGMA_RAD = 0.6, 0.03
+
+
+def ros_covariance(information: Floats, t_sensor_object: Floats) -> Floats:
+    """Covariance of the part's origin and of its turn about the sensor's axes, as ROS has it.
+
+    Parameters
+    ----------
+    information : (6, 6)
+        Of a left perturbation (ω, v) in the sensor frame, as in `Localization.information`.
+    t_sensor_object : (4, 4)
+
+    Returns
+    -------
+    (6, 6) float64
+        x y z, then rotations about them; metres and radians. What the contact leaves free has the variance that is
+        expected of a held part: large but finite, as filters want it.
+    """
+    x, y, z = t_sensor_object[:3, 3]
+    # The perturbation moves the origin p by v + ω x p; so v = δp + p x ω.
+    jacobian = np.zeros((6, 6))
+    jacobian[:3, 3:] = np.eye(3)
+    jacobian[3:, :3] = np.eye(3)
+    jacobian[3:, 3:] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+    sigma = np.array([_PART_SIGMA_MM] * 3 + [_PART_SIGMA_RAD] * 3)
+    scaled = jacobian * sigma
+    covariance = np.linalg.inv(scaled.T @ information @ scaled + np.eye(6)) * np.outer(sigma, sigma)
+    units = np.array([1.0 / _MM_PER_M] * 3 + [1.0] * 3)
+    out: Floats = covariance * np.outer(units, units)
+    return out
+
+
+def frame_note(result: LiveResult) -> dict[str, Any]:
+    """What the host says of a frame on ``/gelstereo/frame``: counts and the digest of all results, or the error."""
+    sensed = result.sensed
+    if sensed is None:
+        return {"error": result.problem}
+    return {
+        "index": sensed.index,
+        "motion_px": sensed.motion_px,
+        "seen": int(np.count_nonzero(sensed.state == MarkerState.SEEN)),
+        "salient": int(np.count_nonzero(sensed.salient)),
+        "detected": [sensed.left.detected, sensed.right.detected],
+        "mismatched": sensed.mismatched,
+        "digest": f"{sensed.digest:016x}",
+    }
+
+
+def pose_note(located: Localization) -> dict[str, Any]:
+    """What is known of a pose, for ``/gelstereo/stage``: how it was come by, what is free, and the digest."""
+    return {
+        "stage": "live",
+        "standing": located.standing,
+        "converged": located.converged,
+        "free": [str(direction) for direction in located.free],
+        "digest": f"{located.digest:016x}",
+    }
+
+
+def capture_note(frame: LiveFrame) -> dict[str, Any]:
+    """How a frame was captured, for ``/gelstereo/capture``; clocks are the system's monotonic one.
+
+    The CRC-32 of the pixels is what a replay compares its decoded images with.
+    """
+    return {
+        "sequence": frame.sequence,
+        "driver_ns": frame.driver_ns,
+        "received_ns": frame.received_ns,
+        "dropped": frame.dropped,
+        "skew_ns": frame.skew_ns,
+        "stale": frame.stale,
+        "images": True,
+        **({} if frame.layout is None else {"layout": frame.layout}),
+        "left_crc32": _pixel_crc(frame.left),
+        "right_crc32": _pixel_crc(frame.right),
+    }
+
+
+def _pixel_crc(image: npt.NDArray[np.uint8]) -> str:
+    return f"{zlib.crc32(image.tobytes()):08x}"
+
+
+def config_toml(rig: Rig, params: Params, shape: dict[str, Any] | None = None) -> str:
+    """A configuration of the host with this rig, these settings and this part."""
+    parts = [_under("params", params.to_toml()), _under("rig", rig.to_toml())]
+    if shape is not None:
+        parts.append(f"[part]\nshape = {_inline(shape)}\n")
+    return "\n".join(parts)
+
+
+def _under(table: str, text: str) -> str:
+    """A TOML text as a table of a larger one."""
+    return f"[{table}]\n" + re.sub(r"^(\[+)(?=[a-zA-Z_])", rf"\1{table}.", text, flags=re.MULTILINE)
+
+
+def _inline(value: Any) -> str:
+    """A value in one line of TOML."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {_inline(inner)}" for key, inner in value.items()) + " }"
+    if isinstance(value, str | bool | int | float | list):
+        return json.dumps(value)
+    raise Error(f"a {type(value).__name__} has no place in a configuration")
