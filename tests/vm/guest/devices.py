@@ -1,8 +1,7 @@
-"""The devices of the checks, with settings that suit them, and loading of kernel modules."""
+"""The devices of the checks, with settings that suit them."""
 
 from __future__ import annotations
 
-import subprocess
 from pathlib import Path
 
 from guest.usb.camera import Camera
@@ -12,12 +11,6 @@ OUT = Path("/out")
 # As one lens pair of an ELP camera: two views of 640 x 480 side by side.
 STEREO = Mode(width=1280, height=480, rate_hz=30.0)
 MONO = Mode(width=640, height=480, rate_hz=15.0)
-
-
-def modprobe(*modules: str) -> None:
-    """Loads kernel modules."""
-    for module in modules:
-        subprocess.run(["/bin/busybox", "modprobe", *module.split()], check=True)
 
 
 def frames(kind: str) -> list[bytes]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import subprocess
+import sys
+import textwrap
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -55,6 +57,17 @@ def answers(program: str, *arguments: str) -> list[Line]:
     code, lines, errors = ended(program, *arguments)
     assert code == 0, (code, errors, lines)
     return lines
+
+
+def python_answers(code: str) -> list[Any]:
+    """What Python code said by ``say(...)``. It runs in a process of its own: hidapi holds Python's lock while it waits
+    for a device, and the device of a check is Python too.
+    """
+    head = "import json, gelstereo.hid\ndef say(*values): print(json.dumps(values))\n"
+    command = [sys.executable, "-c", head + textwrap.dedent(code)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=90, check=False)
+    assert done.returncode == 0, done.stderr
+    return [json.loads(line) for line in done.stdout.splitlines()]
 
 
 @contextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from guest.checks import Figures, check
 from guest.devices import camera
-from guest.programs import answers, ended
+from guest.programs import answers, ended, python_answers
 from guest.usb.camera import TARA_PRODUCT, TARA_VENDOR, Camera, plugged
 from guest.usb.tara import Tara
 
@@ -95,20 +95,45 @@ def an_absent_camera_is_named_with_what_is_there() -> None:
 
 @check(limit_s=120)
 def python_reaches_the_camera_by_hidapi() -> Figures:
-    from gelstereo.hid import TaraControl
-
     device = camera("GS0001")
     device.tara.noise = 2
-    with plugged(device), TaraControl.open(serial="GS0001") as control:
-        assert control.firmware() == "1.2.3.260", control.firmware()
-        assert control.unique_id() == 0xC0FFEE01
-        assert control.exposure_us() == 8000
-        assert control.set_exposure_us(2500) == 2500
-        assert device.tara.exposure_us == 2500
-        assert control.calibration("intrinsic") == device.tara.calibration[0]
-        sent_by_python = [request for request in device.tara.requests if request[0] == 0x78]
     with plugged(device):
+        found = python_answers(
+            """
+            with gelstereo.hid.TaraControl.open(serial="GS0001") as camera:
+                say(camera.firmware(), camera.unique_id(), camera.exposure_us(), camera.set_exposure_us(2500))
+                say(camera.set_stream_mode("trigger"), camera.set_hdr(True), camera.hdr())
+                say(camera.calibration("intrinsic").decode())
+            """
+        )
+        by_python = list(device.tara.requests)
         device.tara.requests.clear()
-        tara(device, "exposure", "exposure=2500", "calibration=intrinsic")
-    assert device.tara.requests == sent_by_python, "Rust and Python send other bytes"
-    return {"requests": len(sent_by_python)}
+        commands = ["firmware", "unique_id", "exposure", "exposure=2500", "mode=trigger", "hdr=1", "hdr"]
+        tara(device, *commands, "calibration=intrinsic")
+    expected = ["1.2.3.260", 0xC0FFEE01, 8000, 2500], ["trigger", True, True]
+    assert found == [*expected, [device.tara.calibration[0].decode()]], found
+    assert device.tara.requests == by_python, "Rust and Python send different bytes"
+    return {"requests": len(by_python)}
+
+
+@check(limit_s=120)
+def python_errors_name_what_is_wrong() -> Figures:
+    device = camera("GS0001")
+    device.tara = Tara(refuse=True)
+    with plugged(device):
+        found = python_answers(
+            """
+            def error(call):
+                try:
+                    call()
+                except gelstereo.HidError as error:
+                    say(str(error))
+            camera = gelstereo.hid.TaraControl.open()
+            error(lambda: camera.set_exposure_us(500))
+            error(lambda: gelstereo.hid.TaraControl.open(serial="GS0009"))
+            """
+        )
+    refused, absent = (line[0] for line in found)
+    assert "the camera refuses to set its exposure" in refused, refused
+    assert "2560:c114 with serial number GS0009" in absent and "GS0001" in absent, absent
+    return {"absent": absent}

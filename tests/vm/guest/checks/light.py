@@ -7,9 +7,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from guest.checks import Figures, check
-from guest.devices import modprobe
-from guest.programs import answers, ended
-from guest.uhid import BLINK1_PRODUCT, BLINK1_VENDOR, Blink1
+from guest.modules import modprobe
+from guest.programs import answers, ended, python_answers
+from guest.uhid import Blink1
 from guest.usb.camera import wait_for
 
 
@@ -90,17 +90,18 @@ def the_host_sets_a_light_of_the_kernel() -> None:
 
 @check(limit_s=120)
 def python_sets_a_blink1_by_hidapi() -> None:
-    from gelstereo.hid import Blink1Light
-
-    assert (BLINK1_VENDOR, BLINK1_PRODUCT) == (Blink1Light.VENDOR, Blink1Light.PRODUCT)
     with blink1() as device:
-        with Blink1Light.open(serial="SN1") as light:
-            assert light.version() == (3, 3)
-            light.set((9, 8, 7))
-            assert light.color() == (9, 8, 7)
-            light.fade((0, 0, 255), 1000)
-            light.off()
+        found = python_answers(
+            """
+            with gelstereo.hid.Blink1Light.open(serial="SN1") as light:
+                say(light.version())
+                light.set((9, 8, 7))
+                say(light.color())
+                light.fade((0, 0, 255), 1000)
+                light.off()
+            """
+        )
         sent = [report.hex() for report in device.reports[-4:]]
-    assert sent == ["016e09080700000000", "017200000000000000", "01630000ff00640000", "016e00000000000000"], (
-        sent
-    )
+    assert found == [[[3, 3]], [[9, 8, 7]]], found
+    expected = ["016e09080700000000", "017200000000000000", "01630000ff00640000", "016e00000000000000"]
+    assert sent == expected, sent

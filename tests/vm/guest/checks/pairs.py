@@ -13,7 +13,9 @@ PERIOD_MS = 1000.0 / MONO.rate_hz
 
 def pair() -> tuple[Camera, Camera]:
     """A left and a right camera, in step."""
-    return camera("LEFT01", port=0, kind="left"), camera("RIGHT1", port=1, kind="right")
+    left, right = camera("LEFT01", port=0, kind="left"), camera("RIGHT1", port=1, kind="right")
+    left.video.in_step = right.video.in_step = True
+    return left, right
 
 
 def options(right: Camera, max_skew_ms: float) -> list[str]:
@@ -35,7 +37,7 @@ def numbers(line: Line, left: Camera, right: Camera) -> tuple[int, int]:
 def two_cameras_are_paired_by_time() -> Figures:
     left, right = pair()
     with plugged(left, right), watched(left, *options(right, 0.5 * PERIOD_MS)) as run:
-        wait_for_frames(run, 40)
+        wait_for_frames(run, 25)
         frames = run.of("frame")
     skews_ms = [line["skew_ns"] * 1e-6 for line in frames]
     assert max(map(abs, skews_ms)) <= 0.5 * PERIOD_MS, skews_ms

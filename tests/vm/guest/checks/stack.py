@@ -6,13 +6,12 @@ import os
 from pathlib import Path
 
 from guest.checks import Figures, check
-from guest.devices import camera, modprobe
+from guest.devices import camera
 from guest.usb.camera import plugged
 
 
 @check(limit_s=120)
 def uvcvideo_and_usbhid_bind_to_the_camera() -> Figures:
-    modprobe("vhci-hcd", "uvcvideo", "usbhid", "hid-generic")
     device = camera(serial="GS0001")
     with plugged(device):
         name = (

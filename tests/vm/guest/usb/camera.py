@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from guest.modules import modprobe
 from guest.usb import descriptors as d
 from guest.usb.tara import OUT_ENDPOINT, Tara
 from guest.usb.usbip import CONTROLLER, Port, Setup
@@ -30,6 +31,7 @@ class Camera:
 
     def plug(self) -> None:
         """Plugs the camera in and waits until the kernel's drivers have made its device nodes."""
+        modprobe("vhci-hcd", "uvcvideo", "usbhid", "hid-generic")
         self._port = Port(self, self._number)
         for send_for_ever in (self.video.send_for_ever, self.tara.send_for_ever):
             threading.Thread(target=send_for_ever, args=(self._port,), daemon=True).start()
@@ -49,8 +51,8 @@ class Camera:
         found = []
         for entry in sorted(Path("/sys/class", class_).glob("*")):
             parents = (entry / "device").resolve()
-            serials = [p / "serial" for p in [parents, *parents.parents] if (p / "serial").exists()]
-            if serials and serials[0].read_text(encoding="utf-8").strip() == self.serial:
+            serials = [text(parent / "serial") for parent in [parents, *parents.parents]]
+            if self.serial in serials:
                 found.append(Path("/dev", entry.name))
         return found
 
@@ -100,6 +102,14 @@ class Camera:
         """Takes a HID report."""
         if endpoint == OUT_ENDPOINT:
             self.tara.received(data)
+
+
+def text(path: Path) -> str | None:
+    """A line of a file of the kernel; None where there is none, or no longer."""
+    try:
+        return path.read_text(encoding="utf-8").strip()
+    except OSError:
+        return None
 
 
 @contextmanager

@@ -7,7 +7,6 @@ The protocol is described in the kernel's Documentation/usb/usbip_protocol.rst.
 
 from __future__ import annotations
 
-import os
 import queue
 import socket
 import struct
@@ -179,9 +178,3 @@ class Port:
                 raise Detached
             data += part
         return bytes(data)
-
-
-def load_controller() -> None:
-    """Loads the virtual host controller."""
-    if os.system("modprobe vhci-hcd") != 0:
-        raise RuntimeError("the kernel has no vhci-hcd")

@@ -83,8 +83,10 @@ class Video:
         self.flowing = threading.Event()
         """Cleared, the camera sends nothing but stays plugged in."""
         self.flowing.set()
+        self.in_step = False
+        """Whether the clock decides which frame is next, so that cameras in step show the same moment."""
         self.phase_s = 0.0
-        """Delay of this camera's frames behind those of other cameras of its rate, which are in step."""
+        """Delay of this camera's frames behind the clock's ticks."""
         self.sent: list[int] = []
         """Which of `frames` were sent, in their order."""
         # A bitmap: 1 manual, 8 aperture priority. Only manual takes an exposure time.
@@ -130,12 +132,12 @@ class Video:
         toggle, tick = 0, 0
         try:
             while True:
-                # All cameras of one rate share one clock, as by a cable for synchronisation.
+                # All cameras of one rate share one clock, as by a cable for synchronisation. A late one skips ticks.
                 tick = max(tick + 1, math.ceil((time.monotonic() - self.phase_s) * self.mode.rate_hz))
                 time.sleep(max(0.0, tick / self.mode.rate_hz + self.phase_s - time.monotonic()))
                 if self.flowing.wait(0.1):
                     toggle ^= 1
-                    index = tick % len(self.frames)
+                    index = (tick if self.in_step else len(self.sent)) % len(self.frames)
                     self._send(port, self.frames[index], toggle)
                     self.sent.append(index)
         except Detached:
