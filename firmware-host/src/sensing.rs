@@ -5,7 +5,7 @@ use gelstereo_core::image::ImageError;
 use gelstereo_core::math::linalg::{Symmetric, eigen};
 use gelstereo_core::math::{DMat3, DQuat, DVec3, Pose, so3};
 use gelstereo_core::params::Params;
-use gelstereo_core::pipeline::{Frame, Pipeline, PipelineError, Touch};
+use gelstereo_core::pipeline::{Frame, Pipeline, PipelineError, RestRecord, Touch};
 use gelstereo_core::register::{RegisterError, Registrar, Registration, Template};
 use gelstereo_core::rig::Rig;
 use serde::{Deserialize, Serialize};
@@ -90,6 +90,20 @@ impl Sensing {
     #[must_use]
     pub const fn frame(&self) -> &Frame {
         &self.frame
+    }
+
+    /// What a later run needs to begin under contact; `None` before the rest frame.
+    #[must_use]
+    pub fn rest_record(&self) -> Option<RestRecord> {
+        self.pipeline.rest_record()
+    }
+
+    /// Begins with a recorded rest frame.
+    ///
+    /// # Errors
+    /// [`SensingError::Pipeline`] when it was made with another rig or other settings.
+    pub fn resume(&mut self, record: &RestRecord) -> Result<(), SensingError> {
+        self.pipeline.resume(record).map_err(SensingError::Pipeline)
     }
 
     /// Senses one stereo pair.

@@ -1,6 +1,7 @@
 //! The command line. Progress goes to stderr, results to stdout.
 
 mod check;
+mod recover;
 mod replay;
 mod run;
 mod simulate;
@@ -26,6 +27,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
         gelstereo-host run                               the whole job with simulated sensor, gripper and robot\n  \
         gelstereo-host run --config cell.toml --json     your own cell; the summary as JSON\n  \
         gelstereo-host replay out/run.mcap               compute a recording again and compare every bit\n  \
+        gelstereo-host recover out/run.mcap              copy a recording that was cut off, with an index\n  \
         gelstereo-host simulate scene.toml out/pairs     image pairs and truth from a scene\n  \
         gelstereo-host check --print-default > cell.toml all settings to start from\n\n\
         Exit code: 0 when the job is done or all is well, 1 when not, 2 for an error."
@@ -41,6 +43,8 @@ enum Command {
     Run(run::Arguments),
     /// Compute a recording again from its images and compare every result.
     Replay(replay::Arguments),
+    /// Copy a recording that was cut off as far as it goes, with an index.
+    Recover(recover::Arguments),
     /// Make a folder of image pairs with truth from a scene.
     Simulate(simulate::Arguments),
     /// Say whether a configuration would work here; nothing moves.
@@ -54,6 +58,7 @@ enum CliError {
     Signal(ctrlc::Error),
     Json(serde_json::Error),
     Output(std::io::Error),
+    Recording(String),
 }
 
 impl fmt::Display for CliError {
@@ -63,6 +68,9 @@ impl fmt::Display for CliError {
             Self::Simulate(error) => error.fmt(f),
             Self::Signal(error) => write!(f, "cannot listen for Ctrl-C: {error}"),
             Self::Output(error) => write!(f, "standard output cannot be written: {error}"),
+            Self::Recording(reason) => {
+                write!(f, "the job went on to its end, but its recording ended early: {reason}")
+            }
             Self::Json(error) => write!(f, "the summary cannot be written as JSON: {error}"),
         }
     }
@@ -79,6 +87,7 @@ pub fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Run(arguments) => run::command(arguments),
         Command::Replay(arguments) => replay::command(&arguments),
+        Command::Recover(arguments) => recover::command(&arguments),
         Command::Simulate(arguments) => simulate::command(&arguments),
         Command::Check(arguments) => check::command(&arguments),
     };
