@@ -3,7 +3,7 @@
 use crate::config::Config;
 use crate::gripper::{Gripper, GripperError};
 use crate::notes::{action_note, frame_note};
-use crate::recording::{Recorder, RecordingError, Topic, messages};
+use crate::recording::{MessageSink, Recording, Topic, messages};
 use crate::report::{Figure, JobReport, Localized, Outcome, Stage, StageReport};
 use crate::robot::{Robot, RobotError};
 use crate::sensing::{self, Action, Sensing, SensingError};
@@ -43,8 +43,6 @@ pub enum JobError {
         /// `task.stage_timeout_s`.
         limit_s: f64,
     },
-    /// The recording.
-    Recording(RecordingError),
 }
 
 impl std::fmt::Display for JobError {
@@ -63,7 +61,6 @@ impl std::fmt::Display for JobError {
                 "{} did not end within {limit_s} s (task.stage_timeout_s); do gripper and robot move?",
                 stage.name()
             ),
-            Self::Recording(error) => error.fmt(f),
         }
     }
 }
@@ -85,8 +82,7 @@ macro_rules! halt_from {
         })*
     };
 }
-halt_from!(SourceError => Source, GripperError => Gripper, RobotError => Robot, WidthError => Width,
-           RecordingError => Recording);
+halt_from!(SourceError => Source, GripperError => Gripper, RobotError => Robot, WidthError => Width);
 
 /// What the job works with.
 pub struct Devices {
@@ -103,7 +99,7 @@ pub struct Job<'a> {
     config: &'a Config,
     devices: Devices,
     sensing: Sensing,
-    recorder: Option<Recorder>,
+    recording: Option<Recording>,
     stop: &'a AtomicBool,
     progress: &'a mut dyn FnMut(&StageReport),
     pair: StereoPair,
@@ -124,7 +120,7 @@ impl<'a> Job<'a> {
         config: &'a Config,
         devices: Devices,
         sensing: Sensing,
-        recorder: Option<Recorder>,
+        recording: Option<Recording>,
         stop: &'a AtomicBool,
         progress: &'a mut dyn FnMut(&StageReport),
     ) -> Self {
@@ -132,7 +128,7 @@ impl<'a> Job<'a> {
             config,
             devices,
             sensing,
-            recorder,
+            recording,
             stop,
             progress,
             pair: StereoPair::default(),
@@ -157,22 +153,22 @@ impl<'a> Job<'a> {
             Err(Halt::Error(error)) => Err(error),
         };
         let stopped = (self.devices.gripper.stop(), self.devices.robot.stop());
-        let ending = match &result {
+        self.trigger("end");
+        match &result {
             Ok(outcome) => self.note(&serde_json::json!({ "stage": Stage::Done, "outcome": outcome })),
             Err(error) => self.note(&serde_json::json!({ "stage": self.stage, "error": error.to_string() })),
-        };
-        let closed = self.recorder.take().map_or(Ok(()), Recorder::finish);
+        }
+        let recording = self.recording.take().map(Recording::finish);
         let outcome = result?;
         stopped.0.map_err(JobError::Gripper)?;
         stopped.1.map_err(JobError::Robot)?;
-        ending.and(closed).map_err(JobError::Recording)?;
         Ok(JobReport {
             outcome,
             stages: self.stages,
             localized: self.localized,
             truth: None,
             digest: format!("{:016x}", self.digest.value()),
-            recording: None,
+            recording,
         })
     }
 
@@ -204,6 +200,9 @@ impl<'a> Job<'a> {
         self.begin(Stage::Rest)?;
         self.act(&Action::Reset)?;
         self.frame()?;
+        if let (Some(recording), Some(record)) = (&mut self.recording, self.sensing.rest_record()) {
+            recording.rest(&record);
+        }
         let frame = self.sensing.frame();
         let seen = frame.state.iter().filter(|&&state| state == MarkerState::Seen).count();
         self.end(vec![figure("markers", frame.state.len() as f64), figure("seen", seen as f64)]);
@@ -226,6 +225,7 @@ impl<'a> Job<'a> {
             }
         };
         self.devices.gripper.stop()?;
+        self.trigger("grasp");
         while self.devices.gripper.status()?.moving {
             self.frame()?;
         }
@@ -294,8 +294,7 @@ impl<'a> Job<'a> {
         let time_ns = self.pair.time_ns;
         self.record(Topic::Pose, time_ns, || {
             messages::pose_with_covariance(time_ns, &found.t_sensor_object, &metres)
-        })?;
-        self.flush()?;
+        });
         Ok(Localized {
             t_sensor_object: found.t_sensor_object.to_rows(),
             t_gripper_object: t_gripper_object.to_rows(),
@@ -341,6 +340,7 @@ impl<'a> Job<'a> {
             let motion_px = self.frame()?;
             if motion_px >= trigger_px {
                 self.devices.robot.stop()?;
+                self.trigger("insertion");
                 break (motion_px, true);
             }
             if !self.devices.robot.status()?.moving {
@@ -381,7 +381,9 @@ impl<'a> Job<'a> {
             match self.devices.source.next_pair(left, &mut self.pair)? {
                 Next::Pair => break,
                 Next::Event(event) => {
-                    self.note(&serde_json::json!({ "stage": self.stage, "source": event }))?
+                    if let Some(recording) = &mut self.recording {
+                        recording.event(self.pair.time_ns, &event);
+                    }
                 }
                 Next::End => return Err(Halt::Outcome(Outcome::SourceEnded { stage: self.stage })),
             }
@@ -422,28 +424,21 @@ impl<'a> Job<'a> {
     /// Senses the pair and records it with what came of it, or why nothing did.
     fn sense(&mut self) -> Result<Result<(), SensingError>, Halt> {
         let time_ns = self.pair.time_ns;
-        let images = [
-            (Topic::LeftImage, messages::SENSOR_FRAME, &self.pair.left),
-            (Topic::RightImage, messages::RIGHT_FRAME, &self.pair.right),
-        ];
-        if let Some(recorder) = &mut self.recorder {
-            for (topic, frame_id, image) in images {
-                recorder.write(topic, time_ns, &messages::image(time_ns, frame_id, image))?;
-            }
+        if let Some(recording) = &mut self.recording {
+            recording.write_pair(&self.pair);
         }
         let gripper = self.devices.gripper.status()?;
-        self.record(Topic::Gripper, time_ns, || messages::joint_state(time_ns, &gripper))?;
+        self.record(Topic::Gripper, time_ns, || messages::joint_state(time_ns, &gripper));
         let robot = self.devices.robot.status()?.t_base_gripper;
-        self.record(Topic::Robot, time_ns, || messages::pose(time_ns, messages::BASE_FRAME, &robot))?;
+        self.record(Topic::Robot, time_ns, || messages::pose(time_ns, messages::BASE_FRAME, &robot));
         let sensed = self.sensing.process(&self.pair).map(|_| ());
         let note = frame_note(&sensed, &self.sensing).to_string();
         self.digest = self.digest.bytes(note.as_bytes());
-        self.record(Topic::Frame, time_ns, || messages::string(&note))?;
-        if let (Some(recorder), Ok(())) = (&mut self.recorder, &sensed) {
+        self.record(Topic::Frame, time_ns, || messages::string(&note));
+        if let (Some(recording), Ok(())) = (&mut self.recording, &sensed) {
             let points = messages::points(time_ns, self.sensing.frame());
-            recorder.write(Topic::Points, time_ns, &points)?;
+            recording.write(Topic::Points, time_ns, &points);
         }
-        self.flush()?;
         Ok(sensed)
     }
 
@@ -452,7 +447,7 @@ impl<'a> Job<'a> {
         let result = self.sensing.act(action);
         let note = action_note(self.stage, action, &result, self.sensing.standing());
         self.digest = self.digest.bytes(note.to_string().as_bytes());
-        self.note(&note)?;
+        self.note(&note);
         result.map_err(|error| Halt::Error(JobError::Sensing { stage: self.stage, bad_frames: 0, error }))
     }
 
@@ -461,7 +456,7 @@ impl<'a> Job<'a> {
         self.begun = Instant::now();
         // Before the first pair the source's clock is unknown: it may count from its start or from the epoch.
         self.begun_ns = self.begun_ns.map(|_| self.pair.time_ns);
-        self.note(&serde_json::json!({ "stage": stage }))?;
+        self.note(&serde_json::json!({ "stage": stage }));
         Ok(())
     }
 
@@ -478,22 +473,21 @@ impl<'a> Job<'a> {
         self.stages.push(report);
     }
 
-    fn note(&mut self, note: &serde_json::Value) -> Result<(), RecordingError> {
+    fn note(&mut self, note: &serde_json::Value) {
         let time_ns = self.pair.time_ns;
-        self.record(Topic::Stage, time_ns, || messages::string(&note.to_string()))
+        self.record(Topic::Stage, time_ns, || messages::string(&note.to_string()));
     }
 
-    fn record(
-        &mut self,
-        topic: Topic,
-        time_ns: u64,
-        message: impl FnOnce() -> Vec<u8>,
-    ) -> Result<(), RecordingError> {
-        self.recorder.as_mut().map_or(Ok(()), |recorder| recorder.write(topic, time_ns, &message()))
+    fn trigger(&mut self, cause: &str) {
+        if let Some(recording) = &mut self.recording {
+            recording.trigger(self.pair.time_ns, cause);
+        }
     }
 
-    fn flush(&mut self) -> Result<(), RecordingError> {
-        self.recorder.as_mut().map_or(Ok(()), Recorder::flush)
+    fn record(&mut self, topic: Topic, time_ns: u64, message: impl FnOnce() -> Vec<u8>) {
+        if let Some(recording) = &mut self.recording {
+            recording.write(topic, time_ns, &message());
+        }
     }
 }
 

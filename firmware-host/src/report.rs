@@ -1,7 +1,7 @@
 //! What came of a job.
 
+use crate::recording::RecordingReport;
 use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
 
 /// A stage of the job (Fig. 11 of the paper).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -200,6 +200,6 @@ pub struct JobReport {
     pub truth: Option<TruthReport>,
     /// Digest of all frames' digests, in order.
     pub digest: String,
-    /// The recording.
-    pub recording: Option<PathBuf>,
+    /// The recording, and whether it ended early.
+    pub recording: Option<RecordingReport>,
 }

@@ -6,7 +6,7 @@ use crate::hid::HidError;
 use crate::job::{Devices, Job, JobError};
 use crate::light::{LightOn, set_up_camera};
 use crate::part::{Part, PartError};
-use crate::recording::{Recorder, RecordingError};
+use crate::recording::{Content, LogClock, Recording, RecordingError};
 use crate::report::{JobReport, Outcome, StageReport, TruthReport};
 use crate::robot::{Robot, RobotError};
 use crate::sensing::{Sensing, SensingError};
@@ -17,7 +17,6 @@ use crate::world::{
 };
 use gelstereo_core::math::Pose;
 use std::cell::RefCell;
-use std::path::Path;
 use std::rc::Rc;
 use std::sync::atomic::AtomicBool;
 
@@ -143,23 +142,31 @@ pub fn recorded_config(config: &Config) -> Result<String, ConfigError> {
     Config { rig: Some(config.rig()?), ..config.clone() }.to_toml()
 }
 
-/// Does the job and records it to a file.
+/// Whose clock stamps a recording of this source.
+#[must_use]
+pub fn log_clock(source: &SourceConfig) -> LogClock {
+    // Nothing of a simulated run comes from a real clock, so that it can be repeated byte for byte.
+    if source.is_live() { LogClock::Wall } else { LogClock::Source }
+}
+
+/// Does the job and records it as the configuration says.
 ///
 /// # Errors
 /// [`HostError`].
 pub fn run(
     config: &Config,
-    recording: &Path,
     stop: &AtomicBool,
     progress: &mut dyn FnMut(&StageReport),
 ) -> Result<JobReport, HostError> {
     set_up_camera(&config.camera_hid)?;
     let light = LightOn::new(&config.light)?;
     let setup = Setup::new(config)?;
-    let attachments: Vec<_> = setup.part.file.clone().into_iter().collect();
-    let recorder = Recorder::create(recording, &recorded_config(config)?, &attachments)?;
-    let mut report = run_with(config, setup, Some(recorder), stop, progress)?;
-    report.recording = Some(recording.to_owned());
+    let content = Content {
+        config_toml: recorded_config(config)?,
+        attachments: setup.part.file.clone().into_iter().collect(),
+    };
+    let recording = Recording::create(&config.recording, content, log_clock(&config.source))?;
+    let report = run_with(config, setup, Some(recording), stop, progress)?;
     light.off()?;
     Ok(report)
 }
@@ -171,12 +178,12 @@ pub fn run(
 pub fn run_with(
     config: &Config,
     setup: Setup,
-    recorder: Option<Recorder>,
+    recording: Option<Recording>,
     stop: &AtomicBool,
     progress: &mut dyn FnMut(&StageReport),
 ) -> Result<JobReport, HostError> {
     let Setup { world, devices, sensing, .. } = setup;
-    let mut report = Job::new(config, devices, sensing, recorder, stop, progress).run()?;
+    let mut report = Job::new(config, devices, sensing, recording, stop, progress).run()?;
     let truth = world.borrow().truth().map_err(JobError::Width)?;
     report.truth = truth.map(|truth| judge(config, &report, &truth));
     Ok(report)

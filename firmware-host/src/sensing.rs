@@ -126,10 +126,18 @@ impl Sensing {
         self.standing
     }
 
-    /// The rest state, once there was a rest frame.
+    /// What a later run needs to begin under contact; `None` before the rest frame.
     #[must_use]
     pub fn rest_record(&self) -> Option<RestRecord> {
         self.pipeline.rest_record()
+    }
+
+    /// Begins with a recorded rest frame.
+    ///
+    /// # Errors
+    /// [`SensingError::Pipeline`] when it was made with another rig or other settings.
+    pub fn resume(&mut self, record: &RestRecord) -> Result<(), SensingError> {
+        self.pipeline.resume(record).map_err(SensingError::Pipeline)
     }
 
     /// Senses one stereo pair.

@@ -98,6 +98,6 @@ fn output_that_cannot_be_written_is_an_error_not_a_panic() {
     let (code, text) = output(folder.path(), &["run", "--record", "/dev/full"]);
     assert!(
         code == Some(2) && text.contains("the recording cannot be written or read: No space left"),
-        "{text}"
+        "nothing was recorded and nothing has moved: {text}"
     );
 }

@@ -3,15 +3,16 @@
 
 use gelstereo_core::params::RegisterMethod;
 use gelstereo_host::config::Config;
-use gelstereo_host::job::JobError;
-use gelstereo_host::recording::{Item, Reader, Recorder, RecordingError, SharedBuffer, Topic};
+use gelstereo_host::config::RecordingConfig;
+use gelstereo_host::recording::{Content, Item, LogClock, Reader, Recording, SharedBuffer, Store, Topic};
 use gelstereo_host::replay::replay;
 use gelstereo_host::report::{JobReport, Outcome, Stage};
 use gelstereo_host::run::{HostError, Setup, recorded_config, run_with};
 use gelstereo_host::source::{FrameSource, Next, SourceError, StereoPair};
 use gelstereo_sim::Shape;
-use std::io::{Cursor, Seek, SeekFrom, Write};
+use std::io::{Cursor, Write};
 use std::ops::Range;
+use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
@@ -136,12 +137,18 @@ fn fingers_that_close_on_nothing_grasp_nothing() {
     assert_eq!(report.stages.last().unwrap().stage, Stage::Rest, "the unfinished stage is not reported");
 }
 
+/// A recording of a simulated job that goes to one store.
+fn recording_to(store: impl Store + Clone + 'static, config: &Config) -> Recording {
+    let content = Content { config_toml: recorded_config(config).unwrap(), attachments: Vec::new() };
+    let open = move |_| Ok((PathBuf::from("memory"), Box::new(store.clone()) as Box<dyn Store>));
+    Recording::with_stores(&RecordingConfig::default(), content, LogClock::Source, Box::new(open)).unwrap()
+}
+
 fn recorded(config: &Config, stop: &AtomicBool) -> (JobReport, Vec<u8>) {
     let buffer = SharedBuffer::default();
-    let text = recorded_config(config).unwrap();
-    let recorder = Recorder::new(Box::new(buffer.clone()), &text, &[]).unwrap();
+    let recording = recording_to(buffer.clone(), config);
     let setup = Setup::new(config).unwrap();
-    let report = run_with(config, setup, Some(recorder), stop, &mut |_| {}).unwrap();
+    let report = run_with(config, setup, Some(recording), stop, &mut |_| {}).unwrap();
     (report, buffer.bytes())
 }
 
@@ -178,11 +185,11 @@ impl FrameSource for Flawed {
 fn with_black_pairs(count: usize) -> (Result<JobReport, HostError>, Vec<u8>) {
     let config = quick(1);
     let buffer = SharedBuffer::default();
-    let recorder = Recorder::new(Box::new(buffer.clone()), &recorded_config(&config).unwrap(), &[]).unwrap();
+    let recording = recording_to(buffer.clone(), &config);
     let mut setup = Setup::new(&config).unwrap();
     let source = setup.devices.source;
     setup.devices.source = Box::new(Flawed { source, taken: 0, black: 20..20 + count });
-    let report = run_with(&config, setup, Some(recorder), &AtomicBool::new(false), &mut |_| {});
+    let report = run_with(&config, setup, Some(recording), &AtomicBool::new(false), &mut |_| {});
     (report, buffer.bytes())
 }
 
@@ -197,7 +204,7 @@ fn a_few_bad_frames_are_passed_over_and_more_stop_the_job() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run.mcap");
     std::fs::write(&path, bytes).unwrap();
-    let again = replay(&path, None, &mut |_| {}).unwrap();
+    let again = replay(&[&path], None, &mut |_| {}).unwrap();
     assert_eq!(
         again.frames,
         report.stages.iter().map(|s| s.frames).sum::<u64>(),
@@ -209,7 +216,7 @@ fn a_few_bad_frames_are_passed_over_and_more_stop_the_job() {
     let message = report.unwrap_err().to_string();
     assert!(message.starts_with("close: 3 bad frames in a row, at last: right view: "), "{message}");
     std::fs::write(&path, bytes).unwrap();
-    let again = replay(&path, None, &mut |_| {}).unwrap();
+    let again = replay(&[&path], None, &mut |_| {}).unwrap();
     assert!(!again.truncated && again.differing == 0, "{again}");
 }
 
@@ -224,14 +231,15 @@ fn a_stage_that_does_not_end_is_broken_off() {
 }
 
 /// A disk that is full after so many bytes.
-struct FullDisk(Cursor<Vec<u8>>, u64);
+#[derive(Clone)]
+struct FullDisk(SharedBuffer, usize);
 
 impl Write for FullDisk {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        if self.0.position() + bytes.len() as u64 > self.1 {
-            return Err(std::io::ErrorKind::StorageFull.into());
+        match self.1.saturating_sub(self.0.bytes().len()) {
+            0 => Err(std::io::ErrorKind::StorageFull.into()),
+            room => self.0.write(&bytes[..room.min(bytes.len())]),
         }
-        self.0.write(bytes)
     }
 
     fn flush(&mut self) -> std::io::Result<()> {
@@ -239,25 +247,30 @@ impl Write for FullDisk {
     }
 }
 
-impl Seek for FullDisk {
-    fn seek(&mut self, to: SeekFrom) -> std::io::Result<u64> {
-        self.0.seek(to)
-    }
-}
+impl Store for FullDisk {}
 
 #[test]
-fn a_full_disk_stops_the_job_and_is_named() {
+fn a_full_disk_ends_the_recording_but_not_the_job() {
     let config = quick(1);
-    let text = recorded_config(&config).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("full.mcap");
+    let mut last = 0;
     for bytes in [100_000, 1_000_000, 3_000_000] {
-        let disk = Box::new(FullDisk(Cursor::new(Vec::new()), bytes));
-        let recorder = Recorder::new(disk, &text, &[]).unwrap();
+        let buffer = SharedBuffer::default();
+        let recording = recording_to(FullDisk(buffer.clone(), bytes), &config);
         let setup = Setup::new(&config).unwrap();
         let stop = AtomicBool::new(false);
-        let error = run_with(&config, setup, Some(recorder), &stop, &mut |_| {}).unwrap_err();
-        assert!(matches!(error, HostError::Job(JobError::Recording(RecordingError::Disk(_)))), "{error}");
-        assert!(error.to_string().contains("no storage space"), "{error}");
+        let report = run_with(&config, setup, Some(recording), &stop, &mut |_| {}).unwrap();
+        assert!(judged(&config, &report), "{}", report.outcome);
+        let fault = report.recording.unwrap().fault.unwrap();
+        assert!(fault.contains("no storage space"), "{fault}");
+        std::fs::write(&path, buffer.bytes()).unwrap();
+        let again = replay(&[&path], None, &mut |_| {}).unwrap();
+        assert!(again.truncated && again.differing == 0 && again.frames >= last, "{again}");
+        last = again.frames;
     }
+    // A frame has about 0.35 MB.
+    assert!(last > 5, "{last} frames of 3 MB");
 }
 
 #[test]

@@ -79,8 +79,8 @@ fn every_cut_is_an_error() {
         let error = decoder.decode(&jpeg[..cut], &mut gray).unwrap_err();
         let expected = if cut < 2 { JpegError::NoStart } else { JpegError::NoEnd { bytes: cut } };
         assert_eq!(error, expected, "cut at {cut}");
-        // A driver may put the end marker where the data was lost. The decoder holds up to 8 bytes, and takes no
-        // notice when these run short.
+        // A driver may put the end marker where the data was lost. The decoder holds up to 8 bytes, and takes
+        // no notice when these run short.
         let ended = [&jpeg[..cut], &[0xff, 0xd9]].concat();
         let lost = (jpeg.len() - 2).saturating_sub(cut);
         assert!(decoder.decode(&ended, &mut gray).is_err() || lost <= 8, "{lost} bytes are missing");

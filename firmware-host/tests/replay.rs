@@ -13,12 +13,13 @@ fn record(folder: &Path) -> (PathBuf, u64) {
     let mut config = Config::default();
     config.task.insertion_speed_mm_s = 20.0;
     let path = folder.join("new folder/run.mcap");
-    let report = run(&config, &path, &AtomicBool::new(false), &mut |_| {}).unwrap();
+    config.recording.path.clone_from(&path);
+    let report = run(&config, &AtomicBool::new(false), &mut |_| {}).unwrap();
     (path, report.stages.iter().map(|s| s.frames).sum())
 }
 
 fn again(path: &Path, params: Option<Params>) -> Result<ReplayReport, HostError> {
-    replay(path, params, &mut |_| {})
+    replay(&[path], params, &mut |_| {})
 }
 
 /// One recording for all of this, because making it is the slow part.
@@ -57,7 +58,7 @@ fn a_recording_gives_the_same_bits_and_a_damaged_one_says_so() {
     std::fs::write(&cut_path, &damaged).unwrap();
     let result = again(&cut_path, None);
     let noticed = match &result {
-        Err(HostError::Recording(RecordingError::Format(_))) => true,
+        Err(HostError::Recording(RecordingError::Format(_) | RecordingError::Content { .. })) => true,
         Ok(report) => report.differing > 0,
         Err(_) => false,
     };

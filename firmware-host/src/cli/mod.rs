@@ -3,6 +3,7 @@
 mod check;
 mod gripper;
 mod health;
+mod recover;
 mod replay;
 mod run;
 mod sense;
@@ -31,6 +32,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
         gelstereo-host run --config cell.toml --json     your own cell; the summary as JSON\n  \
         gelstereo-host sense --jsonl                     contact and pose of a simulated grasp, a line a frame\n  \
         gelstereo-host replay out/run.mcap               compute a recording again and compare every bit\n  \
+        gelstereo-host recover out/run.mcap              copy a recording that was cut off, with an index\n  \
         gelstereo-host simulate scene.toml out/pairs     image pairs and truth from a scene\n  \
         gelstereo-host check --print-default > cell.toml all settings to start from\n\n\
         Exit code: 0 when the job is done or all is well, 1 when not, 2 for an error."
@@ -50,6 +52,8 @@ enum Command {
     Health(health::Arguments),
     /// Compute a recording again from its images and compare every result.
     Replay(replay::Arguments),
+    /// Copy a recording that was cut off as far as it goes, with an index.
+    Recover(recover::Arguments),
     /// Make a folder of image pairs with truth from a scene.
     Simulate(simulate::Arguments),
     /// Say whether a configuration would work here; nothing moves.
@@ -66,6 +70,7 @@ enum CliError {
     Signal(ctrlc::Error),
     Json(serde_json::Error),
     Output(std::io::Error),
+    Recording(String),
 }
 
 impl fmt::Display for CliError {
@@ -76,6 +81,9 @@ impl fmt::Display for CliError {
             Self::Sense(error) => error.fmt(f),
             Self::Signal(error) => write!(f, "cannot listen for Ctrl-C: {error}"),
             Self::Output(error) => write!(f, "standard output cannot be written: {error}"),
+            Self::Recording(reason) => {
+                write!(f, "the job went on to its end, but its recording ended early: {reason}")
+            }
             Self::Json(error) => write!(f, "the summary cannot be written as JSON: {error}"),
         }
     }
@@ -94,6 +102,7 @@ pub fn main() -> ExitCode {
         Command::Sense(arguments) => sense::command(&arguments),
         Command::Health(arguments) => health::command(&arguments),
         Command::Replay(arguments) => replay::command(&arguments),
+        Command::Recover(arguments) => recover::command(&arguments),
         Command::Simulate(arguments) => simulate::command(&arguments),
         Command::Check(arguments) => check::command(&arguments),
         Command::Gripper(arguments) => gripper::command(&arguments),

@@ -10,8 +10,9 @@ use std::path::PathBuf;
 
 #[derive(Args)]
 pub struct Arguments {
-    /// The recording.
-    recording: PathBuf,
+    /// The recording; all its parts, if it has several.
+    #[arg(required = true, value_name = "MCAP")]
+    recordings: Vec<PathBuf>,
     /// Configuration whose preset and [params] replace the recorded ones.
     #[arg(long, value_name = "TOML")]
     params: Option<PathBuf>,
@@ -20,10 +21,10 @@ pub struct Arguments {
     json: bool,
 }
 
-pub fn command(Arguments { recording, params, json }: &Arguments) -> Result<bool, CliError> {
+pub fn command(Arguments { recordings, params, json }: &Arguments) -> Result<bool, CliError> {
     let params: Option<Params> = params.as_deref().map(Config::load).transpose()?.map(|config| config.params);
     let bar = ProgressBar::no_length().with_style(count_style());
-    let report = replay::replay(recording, params, &mut |frames| bar.set_position(frames));
+    let report = replay::replay(recordings, params, &mut |frames| bar.set_position(frames));
     bar.finish_and_clear();
     let report = report?;
     if *json {
@@ -31,8 +32,7 @@ pub fn command(Arguments { recording, params, json }: &Arguments) -> Result<bool
     } else {
         say(&report)?;
     }
-    // With other settings other results are what was asked for.
-    Ok(report.frames > 0 && (report.differing == 0 || report.changed_params))
+    Ok(report.is_good())
 }
 
 fn count_style() -> ProgressStyle {

@@ -42,7 +42,7 @@ pub fn command(Arguments { config, record, seed, json }: Arguments) -> Result<bo
         };
         said = std::mem::replace(&mut said, Ok(())).and(bar.suspend(write));
     };
-    let report = run::run(&config, &config.recording.path, &stop, &mut progress);
+    let report = run::run(&config, &stop, &mut progress);
     bar.finish_and_clear();
     let report = report?;
     said.map_err(CliError::Output)?;
@@ -50,6 +50,9 @@ pub fn command(Arguments { config, record, seed, json }: Arguments) -> Result<bo
         say(serde_json::to_string_pretty(&report).map_err(CliError::Json)?)?;
     } else {
         print_summary(&report)?;
+    }
+    if let Some(reason) = report.recording.and_then(|recording| recording.fault) {
+        return Err(CliError::Recording(reason));
     }
     Ok(matches!(report.outcome, Outcome::Inserted { .. }))
 }
@@ -89,7 +92,15 @@ fn print_summary(report: &JobReport) -> Result<(), CliError> {
         ))?;
     }
     if let Some(recording) = &report.recording {
-        say(format_args!("  recording: {}", recording.display()))?;
+        for file in &recording.files {
+            say(format_args!("  recording: {}", file.display()))?;
+        }
+        if recording.lost_messages > 0 {
+            say(format_args!(
+                "  the disk was too slow: {} messages were not recorded",
+                recording.lost_messages
+            ))?;
+        }
     }
     Ok(())
 }

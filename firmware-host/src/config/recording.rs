@@ -9,8 +9,8 @@ use std::path::PathBuf;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RecordingConfig {
-    /// MCAP file; it is replaced. Further parts of a long recording stand beside it: `run_0001.mcap` and so on.
-    /// Default: `out/run.mcap`.
+    /// MCAP file; it is replaced. Further parts of a long recording stand beside it: `run_0001.mcap` and so
+    /// on. Default: `out/run.mcap`.
     pub path: PathBuf,
     /// How plain images are stored; Motion JPEG of a camera is stored as it came. Default: `png`.
     pub images: ImageFormat,
@@ -22,7 +22,8 @@ pub struct RecordingConfig {
     pub split_mb: u32,
     /// With the mode `ring`: the time before a trigger that is kept. Default: `60` s.
     pub ring_s: f64,
-    /// With the mode `ring`: memory for that time; the oldest messages are forgotten beyond it. Default: `512` MB.
+    /// With the mode `ring`: memory for that time; the oldest messages are forgotten beyond it. Default:
+    /// `512` MB.
     pub ring_mb: u32,
     /// With the mode `ring`: the time after a trigger that is kept. Default: `5` s.
     pub ring_after_s: f64,

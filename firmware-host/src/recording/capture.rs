@@ -1,9 +1,10 @@
 //! How a pair was captured, as a recording keeps it.
 
-use crate::source::{Capture, Gray, StereoPair};
+use crate::source::{Capture, Encoded, Gray, StereoLayout, StereoPair};
 use serde::{Deserialize, Serialize};
 
-/// What `/gelstereo/capture` says of a pair. An event of the source stands there as [`crate::source::SourceEvent`].
+/// What `/gelstereo/capture` says of a pair. An event of the source stands there as
+/// [`crate::source::SourceEvent`].
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CaptureNote {
     /// Sequence number, the driver's clock, losses.
@@ -11,6 +12,11 @@ pub struct CaptureNote {
     pub capture: Capture,
     /// Whether the images are those of an earlier pair.
     pub stale: bool,
+    /// Whether the recording holds the pair's images.
+    pub images: bool,
+    /// Where the views stand in the camera's image, if it sends both in one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub layout: Option<StereoLayout>,
     /// [`pixel_crc`] of the decoded left image.
     pub left_crc32: String,
     /// [`pixel_crc`] of the decoded right image.
@@ -18,20 +24,26 @@ pub struct CaptureNote {
 }
 
 impl CaptureNote {
-    /// Of this pair.
+    /// Of this pair, whose images are recorded or not.
     #[must_use]
-    pub fn new(pair: &StereoPair) -> Self {
+    pub fn new(pair: &StereoPair, images: bool) -> Self {
+        let layout = match pair.encoded {
+            Encoded::Joint { layout, .. } => Some(layout),
+            _ => None,
+        };
         Self {
             capture: pair.capture,
             stale: pair.stale,
+            images,
+            layout,
             left_crc32: pixel_crc(&pair.left),
             right_crc32: pixel_crc(&pair.right),
         }
     }
 }
 
-/// CRC-32 of an image's pixels, row after row, as 8 hexadecimal digits. A replay compares it with what its decoder
-/// gives.
+/// CRC-32 of an image's pixels, row after row, as 8 hexadecimal digits. A replay compares it with what its
+/// decoder gives.
 #[must_use]
 pub fn pixel_crc(image: &Gray) -> String {
     format!("{:08x}", crc32fast::hash(&image.pixels))

@@ -190,8 +190,8 @@ impl<'a> Decoder<'a> {
 mod tests {
     use super::*;
 
-    /// By hand from the rules: 4 bytes of encapsulation, a byte, padding to 4, a string of length 3 with its zero,
-    /// padding to 8, a double.
+    /// By hand from the rules: 4 bytes of encapsulation, a byte, padding to 4, a string of length 3 with its
+    /// zero, padding to 8, a double.
     #[test]
     fn alignment_is_counted_after_the_encapsulation() {
         let bytes = Encoder::default().u8(7).string("ab").f64s(&[1.0]).finish();

@@ -1,5 +1,5 @@
-//! Messages of a recording. ROS wants metres: every length is divided by 1000 on the way in, except where a field's
-//! name says `_mm`.
+//! Messages of a recording. ROS wants metres: every length is divided by 1000 on the way in, except where a
+//! field's name says `_mm`.
 
 use super::cdr::{CdrError, Decoder, Encoder};
 use crate::gripper::GripperStatus;
@@ -68,8 +68,37 @@ pub fn read_image(bytes: &[u8], image: &mut Gray) -> Result<u64, CdrError> {
     Ok(u64::from(seconds) * NANOSECONDS + u64::from(nanoseconds))
 }
 
-/// `sensor_msgs/msg/PointCloud2` of all markers, `row * cols + col`: x y z in metres, indentation_mm in millimetres,
-/// state (0 seen, 1 held, 2 lost) and salient (0, 1).
+/// `sensor_msgs/msg/CompressedImage`; `format` is `png` or `jpeg`.
+#[must_use]
+pub fn compressed_image(time_ns: u64, frame_id: &str, format: &str, file: &[u8]) -> Vec<u8> {
+    header(time_ns, frame_id).string(format).byte_sequence(file).finish()
+}
+
+/// Time, format and file of a `sensor_msgs/msg/CompressedImage`.
+///
+/// # Errors
+/// [`CdrError`].
+pub fn read_compressed_image(bytes: &[u8]) -> Result<CompressedImage<'_>, CdrError> {
+    let mut decoder = Decoder::new(bytes)?;
+    let (seconds, nanoseconds) = (decoder.u32()?, decoder.u32()?);
+    decoder.string()?;
+    let time_ns = u64::from(seconds) * NANOSECONDS + u64::from(nanoseconds);
+    Ok(CompressedImage { time_ns, format: decoder.string()?, file: decoder.byte_sequence()? })
+}
+
+/// An image file in a message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CompressedImage<'a> {
+    /// Stamp.
+    pub time_ns: u64,
+    /// `png` or `jpeg`.
+    pub format: &'a str,
+    /// The file.
+    pub file: &'a [u8],
+}
+
+/// `sensor_msgs/msg/PointCloud2` of all markers, `row * cols + col`: x y z in metres, indentation_mm in
+/// millimetres, state (0 seen, 1 held, 2 lost) and salient (0, 1).
 #[must_use]
 pub fn points(time_ns: u64, frame: &Frame) -> Vec<u8> {
     const STEP: usize = 20; // four floats, two bytes, padding to a multiple of 4
@@ -110,15 +139,16 @@ pub fn pose(time_ns: u64, frame_id: &str, pose: &Pose) -> Vec<u8> {
     pose_fields(header(time_ns, frame_id), pose).finish()
 }
 
-/// `geometry_msgs/msg/PoseWithCovarianceStamped` in the sensor frame; `covariance` in ROS's order (x y z, rotations
-/// about x y z), metres and radians.
+/// `geometry_msgs/msg/PoseWithCovarianceStamped` in the sensor frame; `covariance` in ROS's order (x y z,
+/// rotations about x y z), metres and radians.
 #[must_use]
 pub fn pose_with_covariance(time_ns: u64, pose: &Pose, covariance: &[[f64; 6]; 6]) -> Vec<u8> {
     let encoder = pose_fields(header(time_ns, SENSOR_FRAME), pose);
     covariance.iter().fold(encoder, |encoder, row| encoder.f64s(row)).finish()
 }
 
-/// `sensor_msgs/msg/JointState` of the gripper: opening width in metres, and effort 1 while it holds something.
+/// `sensor_msgs/msg/JointState` of the gripper: opening width in metres, and effort 1 while it holds
+/// something.
 #[must_use]
 pub fn joint_state(time_ns: u64, status: &GripperStatus) -> Vec<u8> {
     header(time_ns, "gripper")

@@ -1,5 +1,5 @@
-//! Definitions of the ROS 2 messages that a recording holds, as `ros2 interface show` of ROS 2 Humble and later gives
-//! them, without comments. Each is the message followed by the messages that it contains.
+//! Definitions of the ROS 2 messages that a recording holds, as `ros2 interface show` of ROS 2 Humble and
+//! later gives them, without comments. Each is the message followed by the messages that it contains.
 
 macro_rules! part {
     ($name:literal, $definition:expr) => {
@@ -53,6 +53,12 @@ pub const IMAGE: Schema = Schema {
         "uint8[] data\n",
         header!()
     ),
+};
+
+/// `sensor_msgs/msg/CompressedImage`.
+pub const COMPRESSED_IMAGE: Schema = Schema {
+    name: "sensor_msgs/msg/CompressedImage",
+    definition: concat!("std_msgs/Header header\nstring format\nuint8[] data\n", header!()),
 };
 
 /// `sensor_msgs/msg/PointCloud2`.

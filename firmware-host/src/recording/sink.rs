@@ -4,7 +4,8 @@ use super::Topic;
 
 /// An output for messages: a recording, or a network publisher.
 ///
-/// An output that fails must not stop the robot. It takes no more messages then, and says why when it is asked.
+/// An output that fails must not stop the robot. It takes no more messages then, and says why when it is
+/// asked.
 pub trait MessageSink {
     /// Takes one CDR message about the moment `time_ns`, in nanoseconds on the frame source's clock.
     ///

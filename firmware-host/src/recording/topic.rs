@@ -9,6 +9,12 @@ pub enum Topic {
     LeftImage,
     /// Right image, mono8.
     RightImage,
+    /// Left image, PNG or as the camera sent it.
+    LeftCompressed,
+    /// Right image, PNG or as the camera sent it.
+    RightCompressed,
+    /// Both images in one, as the camera sent it.
+    StereoCompressed,
     /// All markers as a cloud, metres.
     Points,
     /// Evidence of a frame and its digest, JSON.
@@ -29,9 +35,12 @@ pub enum Topic {
 
 impl Topic {
     /// All of them, in the order of their channels.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 13] = [
         Self::LeftImage,
         Self::RightImage,
+        Self::LeftCompressed,
+        Self::RightCompressed,
+        Self::StereoCompressed,
         Self::Points,
         Self::Frame,
         Self::Pose,
@@ -48,6 +57,9 @@ impl Topic {
         match self {
             Self::LeftImage => "/gelstereo/left/image",
             Self::RightImage => "/gelstereo/right/image",
+            Self::LeftCompressed => "/gelstereo/left/image/compressed",
+            Self::RightCompressed => "/gelstereo/right/image/compressed",
+            Self::StereoCompressed => "/gelstereo/stereo/image/compressed",
             Self::Points => "/gelstereo/points",
             Self::Frame => "/gelstereo/frame",
             Self::Pose => "/gelstereo/pose",
@@ -64,6 +76,9 @@ impl Topic {
     pub const fn schema(self) -> Schema {
         match self {
             Self::LeftImage | Self::RightImage => schemas::IMAGE,
+            Self::LeftCompressed | Self::RightCompressed | Self::StereoCompressed => {
+                schemas::COMPRESSED_IMAGE
+            }
             Self::Points => schemas::POINT_CLOUD,
             Self::Frame | Self::Stage | Self::Capture | Self::Contact => schemas::STRING,
             Self::Pose => schemas::POSE_WITH_COVARIANCE,

@@ -77,7 +77,7 @@ impl Outputs {
         self.publish(Topic::LeftImage, time_ns, &left);
         let right = messages::image(time_ns, messages::RIGHT_FRAME, &pair.right);
         self.publish(Topic::RightImage, time_ns, &right);
-        let note = serde_json::json!(CaptureNote::new(pair)).to_string();
+        let note = serde_json::json!(CaptureNote::new(pair, true)).to_string();
         self.publish(Topic::Capture, time_ns, &messages::string(&note));
     }
 

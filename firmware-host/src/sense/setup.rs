@@ -4,8 +4,8 @@ use super::outputs::{Lines, Outputs};
 use crate::config::{Config, SourceConfig};
 use crate::job::Devices;
 use crate::publish::{Outlet, Protocol, PublishError, Publisher};
-use crate::recording::{Content, LogClock, Recording};
-use crate::run::{HostError, recorded_config};
+use crate::recording::{Content, Recording};
+use crate::run::{HostError, log_clock, recorded_config};
 use crate::source::{FrameSource, SourceError};
 use crate::world::Rehearsal;
 use gelstereo_core::frames::WidthError;
@@ -121,8 +121,7 @@ pub fn open_outputs(
         let settings =
             crate::config::RecordingConfig { path: recording_path(path), ..config.recording.clone() };
         let content = Content { config_toml: recorded_config(config)?, attachments };
-        let clock = if config.source.is_live() { LogClock::Wall } else { LogClock::Source };
-        outputs.recording = Some(Recording::create(&settings, content, clock)?);
+        outputs.recording = Some(Recording::create(&settings, content, log_clock(&config.source))?);
     }
     if listeners.lines {
         let outlet = Outlet::spawn("standard output", |line: String| {

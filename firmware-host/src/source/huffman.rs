@@ -1,6 +1,7 @@
 //! The Huffman tables that a JPEG image has where it states none.
 
-/// A segment DHT with the four typical tables of ITU-T T.81, tables K.3 to K.6. Cameras leave them out of Motion JPEG.
+/// A segment DHT with the four typical tables of ITU-T T.81, tables K.3 to K.6. Cameras leave them out of
+/// Motion JPEG.
 #[rustfmt::skip]
 pub(super) const SEGMENT: [u8; 420] = [
     0xff, 0xc4, 0x01, 0xa2, 0x00, 0x00, 0x01, 0x05, 0x01, 0x01, 0x01, 0x01, 0x01, 0x01, 0x00, 0x00,

@@ -18,8 +18,8 @@ const BASELINE: u8 = 0xc0;
 const HUFFMAN_TABLE: u8 = 0xc4;
 const START_OF_SCAN: u8 = 0xda;
 
-/// From this width on a row of blocks takes more than the 8 bytes that the decoder reads ahead: 32 blocks of at least
-/// 2 bits.
+/// From this width on a row of blocks takes more than the 8 bytes that the decoder reads ahead: 32 blocks of
+/// at least 2 bits.
 const MIN_LONG_ROW_PX: u16 = 256;
 
 /// Why bytes are no usable JPEG image.
@@ -84,7 +84,8 @@ impl JpegDecoder {
         let mut jpeg = trimmed(bytes)?;
         let header = Header::find(jpeg);
         if header.long_rows {
-            // With an end marker the decoder fills a last row that was cut off; without it, it reports the loss.
+            // With an end marker the decoder fills a last row that was cut off; without it, it reports the
+            // loss.
             jpeg = &jpeg[..jpeg.len() - END.len()];
         }
         if let Some(scan) = header.scan_without_tables {
