@@ -92,7 +92,7 @@ pub fn named_source(config: &Config, devices: Devices) -> NamedSource {
 /// host that is started again keeps what it recorded before.
 #[must_use]
 pub fn recording_path(path: &Path) -> PathBuf {
-    if !path.exists() {
+    if !path.is_file() {
         return path.to_owned();
     }
     let part = |text: Option<&std::ffi::OsStr>| text.unwrap_or_default().to_string_lossy().into_owned();
