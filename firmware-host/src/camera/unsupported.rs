@@ -15,10 +15,6 @@ impl CameraHandle {
         Err(CaptureError::Unsupported)
     }
 
-    pub fn now_ns(&self) -> u64 {
-        match self.never {}
-    }
-
     pub fn controls(&self) -> Result<Vec<Control>, CaptureError> {
         match self.never {}
     }

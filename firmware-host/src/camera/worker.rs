@@ -9,7 +9,7 @@ use super::{
     Backoff, CameraConfig, CameraInfo, CaptureError, Control, ControlSettings, Mailbox, Message, RawFrame,
     SequenceCheck, Side, TimestampCheck,
 };
-use crate::source::SourceEvent;
+use crate::source::{SourceEvent, monotonic_ns};
 use std::io::{Read, Write};
 use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
@@ -82,11 +82,6 @@ impl CameraHandle {
             .map_err(|error| CaptureError::Call { device: device.to_owned(), call: "thread", error })?;
         let info = receive(&opened, device, OPEN_TIMEOUT)?;
         Ok(Self { info, commands, wake: Some(wake), ended })
-    }
-
-    /// Now, on the clock of the drivers' timestamps.
-    pub fn now_ns(&self) -> u64 {
-        abi::monotonic_ns()
     }
 
     /// All controls with their values.
@@ -252,7 +247,7 @@ impl Worker {
             self.mailbox.give_back(bytes);
             return Ok(());
         };
-        let read_ns = abi::monotonic_ns();
+        let read_ns = monotonic_ns();
         let damaged = match (frame.damaged, bytes.is_empty()) {
             (true, _) => Some("the driver marks it as damaged"),
             (false, true) => Some("it has no bytes"),

@@ -9,14 +9,13 @@ use super::worker::{Command, Plan, Worker, gap_message};
 use super::{CaptureNote, METADATA_CLOCK, METADATA_CONFIG, METADATA_DECODER, METADATA_VERSION};
 use super::{MessageSink, RecordingError, Topic, messages};
 use crate::config::{RecordingConfig, RecordingMode};
-use crate::source::{SourceEvent, StereoPair, jpeg};
+use crate::source::{SourceEvent, StereoPair, epoch_ns, jpeg};
 use gelstereo_core::pipeline::RestRecord;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::mpsc::{Sender, channel};
 use std::thread::JoinHandle;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 /// What a recording holds besides messages; each of its files has it.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -206,9 +205,7 @@ impl Recording {
     fn log_ns(&self, time_ns: u64) -> u64 {
         match self.clock {
             LogClock::Source => time_ns,
-            LogClock::Wall => SystemTime::now()
-                .duration_since(UNIX_EPOCH)
-                .map_or(0, |since| u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)),
+            LogClock::Wall => epoch_ns(),
         }
     }
 

@@ -1,7 +1,9 @@
 //! Stereo pairs from a camera: one device with both views, or two devices paired by time.
 
 use super::pairing::{Match, Pairing, Stamped};
-use super::{Capture, Encoded, FrameSource, Gray, Next, SourceError, SourceEvent, StereoPair};
+use super::{
+    Capture, Encoded, FrameSource, Gray, Next, SourceError, SourceEvent, StereoPair, epoch_ns, monotonic_ns,
+};
 use crate::camera::{
     CameraConfig, CameraHandle, CameraInfo, CameraStatistics, CaptureError, CaptureMode, Control,
     ControlSettings, FrameDecoder, FrameFault, Mailbox, Message, PixelFormat, RawFrame, Side, Statistics,
@@ -25,6 +27,8 @@ pub struct CameraSource {
     events: VecDeque<SourceEvent>,
     /// Pairs lost since the last one that was handed over, besides those that the next one counts itself.
     lost: u64,
+    /// From the drivers' clock to the epoch, measured once: a wall clock that is set leaves intervals as they are.
+    epoch_offset_ns: u64,
     decoder: FrameDecoder,
     /// The next pair's images, while those of the last one stay as they are.
     views: [Gray; 2],
@@ -64,6 +68,7 @@ impl CameraSource {
             ready: VecDeque::new(),
             events: VecDeque::new(),
             lost: 0,
+            epoch_offset_ns: epoch_ns().saturating_sub(monotonic_ns()),
             decoder: FrameDecoder::default(),
             views: Default::default(),
             statistics: Statistics::default(),
@@ -229,13 +234,13 @@ impl CameraSource {
         }
         let driver_ns =
             raw.right.as_ref().map_or(raw.left.time_ns, |right| right.time_ns.max(raw.left.time_ns));
-        let received_ns = self.left.now_ns();
+        let received_ns = monotonic_ns();
         let dropped = raw.dropped + std::mem::take(&mut self.lost);
         self.statistics.pair(driver_ns, received_ns, dropped);
         let [left, right] = &mut self.views;
         std::mem::swap(&mut pair.left, left);
         std::mem::swap(&mut pair.right, right);
-        pair.time_ns = driver_ns;
+        pair.time_ns = driver_ns + self.epoch_offset_ns;
         pair.capture = Capture {
             sequence,
             driver_ns: Some(driver_ns),

@@ -1,4 +1,12 @@
-//! The clock of captures.
+//! The clocks of captures.
+
+use std::time::{SystemTime, UNIX_EPOCH};
+
+/// The wall clock, nanoseconds from the epoch; 0 before it.
+pub(crate) fn epoch_ns() -> u64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
+}
 
 /// `CLOCK_MONOTONIC` of this computer, nanoseconds: the clock of drivers' timestamps.
 #[cfg(unix)]

@@ -1,7 +1,6 @@
 //! Where stereo pairs come from.
 
 mod camera;
-#[cfg(feature = "host")]
 mod clock;
 #[cfg(feature = "host")]
 mod folder;
@@ -15,8 +14,7 @@ pub mod stream;
 mod stream_reader;
 
 pub use camera::CameraSource;
-#[cfg(feature = "host")]
-pub(crate) use clock::monotonic_ns;
+pub(crate) use clock::{epoch_ns, monotonic_ns};
 #[cfg(feature = "host")]
 pub use folder::FolderSource;
 pub use layout::OddWidth;
@@ -53,7 +51,7 @@ impl Gray {
 /// Two images of one moment.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct StereoPair {
-    /// Moment of exposure on the source's own clock, nanoseconds from its start or from the epoch.
+    /// Moment of exposure, nanoseconds: from the epoch for a camera, from its start for a simulated sensor or a folder.
     pub time_ns: u64,
     /// Left image.
     pub left: Gray,
