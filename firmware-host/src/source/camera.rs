@@ -194,9 +194,12 @@ impl CameraSource {
             SourceEvent::Skewed { .. } => counts.skewed += 1,
         }
         if matches!(event, SourceEvent::Disconnected { .. } | SourceEvent::Stalled { .. }) {
-            // The other device's images will have no partner.
+            // The other device's images will have no partner, and no pair from before is the newest one now.
             for lost in self.pairing.clear() {
                 self.mailbox.give_back(lost.image.bytes);
+            }
+            while let Some(pair) = self.ready.pop_front() {
+                self.discard(pair);
             }
         }
         self.events.push_back(event);
