@@ -228,24 +228,26 @@ impl Worker {
                         return End::Closed;
                     }
                 }
-                Ok(Wait::Frame) => {
-                    heard = Instant::now();
-                    if let Err(error) = self.fetch(session, &mut stream) {
-                        return End::Fault(error);
-                    }
-                }
-                Ok(Wait::Nothing) if heard.elapsed() >= limit => return End::Silent(heard.elapsed()),
+                Ok(Wait::Frame) => match self.fetch(session, &mut stream) {
+                    Ok(true) => heard = Instant::now(),
+                    Ok(false) => {}
+                    Err(error) => return End::Fault(error),
+                },
                 Ok(Wait::Nothing) => {}
                 Err(error) => return End::Fault(error),
+            }
+            if heard.elapsed() >= limit {
+                return End::Silent(heard.elapsed());
             }
         }
     }
 
-    fn fetch(&mut self, session: &mut Session, stream: &mut Stream) -> Result<(), CaptureError> {
+    /// Hands over the oldest frame; `false` when there is none.
+    fn fetch(&mut self, session: &mut Session, stream: &mut Stream) -> Result<bool, CaptureError> {
         let mut bytes = self.mailbox.spare();
         let Some(frame) = session.fetch(&mut bytes)? else {
             self.mailbox.give_back(bytes);
-            return Ok(());
+            return Ok(false);
         };
         let read_ns = monotonic_ns();
         let damaged = match (frame.damaged, bytes.is_empty()) {
@@ -268,13 +270,13 @@ impl Worker {
             self.tell(SourceEvent::Corrupt { sequence: step.sequence, reason: reason.to_owned() });
             stream.lost += 1;
             self.mailbox.give_back(bytes);
-            return Ok(());
+            return Ok(true);
         }
         self.backoff.reset();
         let dropped = std::mem::take(&mut stream.lost);
         let frame = RawFrame { shape: session.shape, sequence: step.sequence, time_ns, dropped, bytes };
         self.mailbox.put(self.side, Message::Frame(frame));
-        Ok(())
+        Ok(true)
     }
 
     /// Waits; `false` when nobody reads any more.
