@@ -48,7 +48,7 @@ def view(width: int, height: int, shift_px: int, generator: np.random.Generator)
 
 def write_jpeg(path: Path, gray: npt.NDArray[np.uint8]) -> None:
     """A camera's JPEG is in colour."""
-    cv2.imwrite(str(path), cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR))
+    cv2.imwrite(str(path), cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR), [cv2.IMWRITE_JPEG_QUALITY, 80])
 
 
 def build_programs(out: Path) -> None:
