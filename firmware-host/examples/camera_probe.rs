@@ -6,8 +6,8 @@
 //! cargo run --example camera_probe -- --device /dev/video0 --right-device /dev/video2 --size 640x480 --json
 //! ```
 //!
-//! Each line is a frame, an event or a timeout; the last one is the statistics. Exit code: 0 when all frames came, 1 when
-//! the time was up before, 2 for an error.
+//! Each line is a frame, an event or a timeout; the last one is the statistics. Exit code: 0 when all frames
+//! came, 1 when the time was up before, 2 for an error.
 #![allow(clippy::print_stdout)]
 
 use clap::Parser;

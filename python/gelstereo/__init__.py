@@ -13,8 +13,9 @@ Every array that gelstereo returns is read-only; ``.copy()`` gives one that can 
 `Error`, which is a ``ValueError``.
 """
 
-from gelstereo import geometry, templates
+from gelstereo import cameras, geometry, templates
 from gelstereo._native import (
+    CameraError,
     Closest,
     ContactError,
     DenseSurface,
@@ -75,6 +76,7 @@ from gelstereo.simulation import simulate
 from gelstereo.states import MarkerState, Sight
 
 __all__ = [
+    "CameraError",
     "Closest",
     "ContactError",
     "DenseSurface",
@@ -125,6 +127,7 @@ __all__ = [
     "ViewEvidence",
     "__version__",
     "adjusted_gripper",
+    "cameras",
     "disc_bias",
     "foresight_sort",
     "geometry",

@@ -35,6 +35,7 @@ exceptions! {
     PoseError: "A matrix is no rotation or no rigid motion.",
     FrameError: "The gripper cannot have this opening width.",
     SceneError: "A scene makes no sense.",
+    CameraError: "A camera is not there, does not give what is asked for, or does not answer.",
     LayerError: "There is no such layer of gel, or no such contact with it.",
     HidError: "A HID device is absent, refuses a command or does not answer.",
 }
@@ -75,6 +76,7 @@ stage_errors! {
     core::frames::WidthError => FrameError,
     gelstereo_sim::SceneError => SceneError,
     gelstereo_sim::layer::LayerError => LayerError,
+    gelstereo_host::camera::CaptureError => CameraError,
     gelstereo_host::codec::tara::TaraError => HidError,
     gelstereo_host::codec::blink1::Blink1Error => HidError,
 }

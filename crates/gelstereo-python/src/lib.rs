@@ -4,6 +4,7 @@
 #![allow(clippy::needless_pass_by_value)]
 
 mod arrays;
+mod camera;
 mod closest;
 mod codec;
 mod contact;
@@ -30,6 +31,8 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _native {
     #[pymodule_export]
+    use crate::camera::{Camera, CameraControl, CameraFrame, CameraInfo, decode_camera_frame, list_cameras};
+    #[pymodule_export]
     use crate::closest::{Closest, Surface, Symmetry, turned_outward};
     #[pymodule_export]
     use crate::codec::{Blink1Command, TaraAssembly, TaraRequest, hid_udev_rule};
@@ -39,9 +42,9 @@ mod _native {
     use crate::detect::{Detector, Markers};
     #[pymodule_export]
     use crate::errors::{
-        ContactError, DetectError, Error, FrameError, HidError, ImageError, LabelError, LayerError,
-        MeshError, ParamsError, PoseError, RegisterError, RigError, SceneError, ShapeError, TemplateError,
-        TriangulateError,
+        CameraError, ContactError, DetectError, Error, FrameError, HidError, ImageError, LabelError,
+        LayerError, MeshError, ParamsError, PoseError, RegisterError, RigError, SceneError, ShapeError,
+        TemplateError, TriangulateError,
     };
     #[pymodule_export]
     use crate::frames::{FingerKinematics, SensorMount, adjusted_gripper};

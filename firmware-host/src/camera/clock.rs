@@ -2,10 +2,11 @@
 
 use crate::source::SourceEvent;
 
-/// A driver's timestamp may be this much later than the moment of its reading: timestamps that a device's own clock is
-/// converted to are off by some milliseconds at the start.
-const MAX_AHEAD_NS: u64 = 100_000_000;
-/// And this much earlier: no driver keeps an image longer, and the clocks of the day and of the start-up differ by more.
+/// A driver's timestamp may be this much later than the moment of its reading: what is converted from a
+/// device's own clock is off at the start, and vivid's is the end of the frame to come.
+const MAX_AHEAD_NS: u64 = 1_000_000_000;
+/// And this much earlier: no driver keeps an image longer, and the clocks of the day and of the start-up
+/// differ by more.
 const MAX_BEHIND_NS: u64 = 10_000_000_000;
 
 /// A frame's moment.
@@ -27,8 +28,9 @@ impl Timestamp {
 
 /// Follows the timestamps of one stream.
 ///
-/// A frame whose timestamp cannot be used gets the moment of its reading. A clock that is not `CLOCK_MONOTONIC` is
-/// told once, until timestamps are good again; a timestamp that goes back is told every time.
+/// A frame whose timestamp cannot be used gets the moment of its reading. A clock that is not
+/// `CLOCK_MONOTONIC` is told once, until timestamps are good again; a timestamp that goes back is told every
+/// time.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct TimestampCheck {
     last_driver_ns: Option<u64>,
@@ -37,8 +39,8 @@ pub struct TimestampCheck {
 }
 
 impl TimestampCheck {
-    /// Takes the next frame: the driver's timestamp, if its flags say that it is of `CLOCK_MONOTONIC`, and the moment
-    /// of reading on that clock.
+    /// Takes the next frame: the driver's timestamp, if its flags say that it is of `CLOCK_MONOTONIC`, and
+    /// the moment of reading on that clock.
     pub fn step(&mut self, driver_ns: Option<u64>, read_ns: u64) -> Timestamp {
         let wrong = match driver_ns {
             None => Some("the driver's timestamps are not of CLOCK_MONOTONIC".to_owned()),
@@ -97,7 +99,9 @@ mod tests {
     proptest! {
         /// Whatever the driver says, time goes forward; and what is good is taken as it is.
         #[test]
-        fn time_goes_forward(stamps in prop::collection::vec((any::<bool>(), any::<u64>(), 0u64..5_000_000), 1..60)) {
+        fn time_goes_forward(
+            stamps in prop::collection::vec((any::<bool>(), any::<u64>(), 0u64..5_000_000), 1..60)
+        ) {
             let mut check = TimestampCheck::default();
             let mut last = None;
             for (frame, (good, wild, delay_ns)) in stamps.into_iter().enumerate() {

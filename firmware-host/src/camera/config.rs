@@ -12,7 +12,8 @@ pub enum CaptureMode {
     /// The newest; what came before it is passed over undecoded and counted.
     #[default]
     Latest,
-    /// All, in their order. What the reader leaves longer than `queue_frames` is lost, oldest first, and counted.
+    /// All, in their order. What the reader leaves longer than `queue_frames` is lost, oldest first, and
+    /// counted.
     Every,
 }
 
@@ -20,14 +21,15 @@ pub enum CaptureMode {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CameraConfig {
-    /// `serial:` and the USB serial number, or a path such as `/dev/video0` or `/dev/v4l/by-id/..`. `gelstereo-host
-    /// doctor` lists what is connected. Always to be stated.
+    /// `serial:` and the USB serial number, or a path such as `/dev/video0` or `/dev/v4l/by-id/..`.
+    /// `gelstereo-host doctor` lists what is connected. Always to be stated.
     pub device: String,
-    /// The right camera, named in the same way, where each view has its own device. Default: one stereo device.
+    /// The right camera, named in the same way, where each view has its own device. Default: one stereo
+    /// device.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub right_device: Option<String>,
-    /// Where both views stand in the frames of one stereo device: `side_by_side`, `side_by_side_swapped`, `interleaved`
-    /// or `interleaved_swapped`. Not used with two devices. Default: `side_by_side`.
+    /// Where both views stand in the frames of one stereo device: `side_by_side`, `side_by_side_swapped`,
+    /// `interleaved` or `interleaved_swapped`. Not used with two devices. Default: `side_by_side`.
     pub layout: StereoLayout,
     /// `mjpg`, `yuyv`, `grey` or `y16`. On USB 2 only `mjpg` reaches the full frame rate. Default: `mjpg`.
     pub format: PixelFormat,

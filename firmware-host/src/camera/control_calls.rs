@@ -96,7 +96,11 @@ fn read(device: &Device, control: &Control) -> Option<i64> {
 /// 32-bit numbers stand in the first four of the eight bytes.
 fn number(control: &Control, value: [u8; 8]) -> i64 {
     let [a, b, c, d, ..] = value;
-    if control.wide { i64::from_ne_bytes(value) } else { i64::from(i32::from_ne_bytes([a, b, c, d])) }
+    match (control.wide, control.kind) {
+        (true, _) => i64::from_ne_bytes(value),
+        (false, ControlKind::Bitmask) => i64::from(u32::from_ne_bytes([a, b, c, d])),
+        (false, _) => i64::from(i32::from_ne_bytes([a, b, c, d])),
+    }
 }
 
 fn bytes(control: &Control, value: i64) -> [u8; 8] {

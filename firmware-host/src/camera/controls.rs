@@ -129,7 +129,8 @@ pub struct ControlSettings {
     /// Exposure time, a multiple of 100 µs; automatic exposure is turned off. Default: not changed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub exposure_us: Option<f64>,
-    /// Whether the camera chooses the exposure time. Markers change their brightness then. Default: not changed.
+    /// Whether the camera chooses the exposure time. Markers change their brightness then. Default: not
+    /// changed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub auto_exposure: Option<bool>,
     /// Gain in the camera's own unit; automatic gain is turned off. Default: not changed.
@@ -141,7 +142,8 @@ pub struct ControlSettings {
     /// Whether the camera chooses the white balance. Default: not changed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub auto_white_balance: Option<bool>,
-    /// Any other control by its name, as `v4l2-ctl --list-ctrls` shows it: `{ sharpness = 2 }`. Default: none.
+    /// Any other control by its name, as `v4l2-ctl --list-ctrls` shows it: `{ sharpness = 2 }`. Default:
+    /// none.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub other: BTreeMap<String, i64>,
 }
@@ -156,6 +158,10 @@ pub struct ControlWrite {
 }
 
 impl ControlSettings {
+    /// Names of the settings that are not in `other`.
+    pub const NAMES: [&str; 5] =
+        ["exposure_us", "auto_exposure", "gain", "white_balance_k", "auto_white_balance"];
+
     pub(super) fn validate(&self) -> Result<(), CaptureError> {
         if let Some(exposure_us) = self.exposure_us {
             if !(exposure_us.is_finite() && exposure_us > 0.0) {
@@ -193,8 +199,8 @@ impl ControlSettings {
         self.other.extend(later.other.iter().map(|(name, value)| (name.clone(), *value)));
     }
 
-    /// What is to be written to a camera with these controls, in this order: automatic modes come before the values that
-    /// they would change.
+    /// What is to be written to a camera with these controls, in this order: automatic modes come before the
+    /// values that they would change.
     ///
     /// # Errors
     /// [`CaptureError::NoControl`] and [`CaptureError::ControlValue`].

@@ -120,7 +120,7 @@ impl Device {
             return Err(CaptureError::Format {
                 device: self.name.clone(),
                 asked: format!("{} {width}x{height} at {asked_hz} Hz", config.format),
-                found: format!("{found_hz:.3} Hz"),
+                found: format!("{} Hz", hz(found_hz)),
                 offered: self.offers(),
             });
         }
@@ -177,9 +177,8 @@ impl Device {
         let rates: Vec<String> = intervals
             .map(|interval| {
                 let [first, second, _] = interval.values.map(rate_hz);
-                let hz = |rate: f64| format!("{}", (rate * 100.0).round() / 100.0);
                 if interval.kind == TYPE_DISCRETE {
-                    hz(first)
+                    hz(first).to_string()
                 } else {
                     format!("{} to {}", hz(second), hz(first))
                 }
@@ -250,6 +249,11 @@ fn interval(rate_hz: f64) -> Fraction {
 
 fn rate_hz(interval: Fraction) -> f64 {
     f64::from(interval.denominator) / f64::from(interval.numerator)
+}
+
+/// A rate with two decimal places at most.
+fn hz(rate: f64) -> f64 {
+    (rate * 100.0).round() / 100.0
 }
 
 fn text(fourcc: [u8; 4]) -> String {

@@ -119,13 +119,24 @@ pub enum CaptureError {
     },
 }
 
+impl CaptureError {
+    /// What went wrong, where the device is named beside it.
+    #[must_use]
+    pub fn reason(&self) -> String {
+        match self {
+            Self::Call { call, error, .. } => format!("{call}: {error}"),
+            error => error.to_string(),
+        }
+    }
+}
+
 impl std::fmt::Display for CaptureError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Unsupported => write!(
                 f,
-                "cameras are read by Video4Linux2, which only Linux has; on this system let another program send its \
-                 frames to standard input (source kind \"stream\")"
+                "cameras are read by Video4Linux2, which only Linux has; on this system let another program \
+                 send its frames to standard input (source kind \"stream\")"
             ),
             Self::Setting { name, found, valid } => write!(f, "{name} is {found}; valid is {valid}"),
             Self::NotFound { name, present } => {
@@ -147,7 +158,8 @@ impl std::fmt::Display for CaptureError {
                 match error.kind() {
                     std::io::ErrorKind::PermissionDenied => write!(
                         f,
-                        "; add yourself to the group that owns it (`sudo usermod -aG video $USER`, then log in again)"
+                        "; add yourself to the group that owns it (`sudo usermod -aG video $USER`, then log \
+                         in again)"
                     ),
                     std::io::ErrorKind::ResourceBusy => {
                         write!(f, "; another program uses it: close that one")

@@ -6,6 +6,8 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 
 const SERIAL: &str = "serial:";
+const CLASS: &str = "/sys/class/video4linux";
+const NODES: &str = "/dev";
 
 /// What a video node gives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -101,23 +103,37 @@ pub fn list() -> Result<Vec<CameraInfo>, CaptureError> {
     if !cfg!(target_os = "linux") {
         return Err(CaptureError::Unsupported);
     }
-    let mut cameras = nodes(Path::new("/sys/class/video4linux"), Path::new("/dev"));
+    let mut cameras = nodes(Path::new(CLASS), Path::new(NODES));
     #[cfg(target_os = "linux")]
-    for camera in &mut cameras {
-        match super::device::kind(&camera.path) {
-            Ok(kind) => camera.kind = kind,
-            Err(error) => camera.problem = Some(error.to_string()),
-        }
-    }
-    cameras.sort_by_key(|camera| number(&camera.path));
+    cameras.iter_mut().for_each(inspect);
     Ok(cameras)
+}
+
+/// The camera that a name means. Of all nodes only those with the right serial number are opened: opening
+/// wakes a camera.
+#[cfg(target_os = "linux")]
+pub(super) fn find(name: &str) -> Result<CameraInfo, CaptureError> {
+    let mut cameras = nodes(Path::new(CLASS), Path::new(NODES));
+    if let Some(serial) = name.strip_prefix(SERIAL) {
+        cameras.iter_mut().filter(|camera| camera.serial.as_deref() == Some(serial)).for_each(inspect);
+    }
+    select(name, &cameras)
+}
+
+/// Opens a node for a moment to learn its kind.
+#[cfg(target_os = "linux")]
+fn inspect(camera: &mut CameraInfo) {
+    match super::device::kind(&camera.path) {
+        Ok(kind) => camera.kind = kind,
+        Err(error) => camera.problem = Some(error.to_string()),
+    }
 }
 
 /// The nodes that the kernel lists, with the attributes of the USB device that each belongs to.
 fn nodes(class: &Path, dev: &Path) -> Vec<CameraInfo> {
     // Without the folder there is no video driver, hence no camera.
     let entries = std::fs::read_dir(class).into_iter().flatten().flatten();
-    entries
+    let mut cameras: Vec<_> = entries
         .filter(|entry| number(&entry.path()).is_some())
         .map(|entry| {
             let node = entry.path();
@@ -135,7 +151,9 @@ fn nodes(class: &Path, dev: &Path) -> Vec<CameraInfo> {
             }
             camera
         })
-        .collect()
+        .collect();
+    cameras.sort_by_key(|camera| number(&camera.path));
+    cameras
 }
 
 fn attribute(folder: &Path, name: &str) -> Option<String> {
@@ -162,7 +180,8 @@ pub(super) fn check_name(setting_name: &'static str, name: &str) -> Result<(), C
 /// The camera that a name means. A path may be a link to the node.
 ///
 /// # Errors
-/// [`CaptureError::Setting`], [`CaptureError::NotFound`] and [`CaptureError::Ambiguous`], which list what is there.
+/// [`CaptureError::Setting`], [`CaptureError::NotFound`] and [`CaptureError::Ambiguous`], which list what is
+/// there.
 pub fn select(name: &str, cameras: &[CameraInfo]) -> Result<CameraInfo, CaptureError> {
     check_name("device", name)?;
     let present = || cameras.iter().filter(|camera| camera.gives_frames()).cloned().collect();
@@ -184,7 +203,7 @@ pub fn select(name: &str, cameras: &[CameraInfo]) -> Result<CameraInfo, CaptureE
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, unix))]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
@@ -210,9 +229,7 @@ mod tests {
     }
 
     fn listed(root: &Path) -> Vec<CameraInfo> {
-        let mut cameras = nodes(&root.join("class"), &root.join("dev"));
-        cameras.sort_by_key(|camera| number(&camera.path));
-        cameras
+        nodes(&root.join("class"), &root.join("dev"))
     }
 
     #[test]

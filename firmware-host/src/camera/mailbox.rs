@@ -72,8 +72,8 @@ impl Mailbox {
         self.content.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Hands over a message. Where there is no more room the oldest of its kind makes way: a frame is counted as dropped
-    /// by the one after it, an event in [`Self::lost_events`].
+    /// Hands over a message. Where there is no more room the oldest of its kind makes way: a frame is counted
+    /// as dropped by the one after it, an event in [`Self::lost_events`].
     pub fn put(&self, side: Side, message: Message) {
         let mut content = self.lock();
         let is_frame = matches!(message, Message::Frame(_));

@@ -1,5 +1,5 @@
-//! The driver's buffers in our memory: each is queued again as soon as its bytes are copied, so that the driver always
-//! has all of them but one to fill.
+//! The driver's buffers in our memory: each is queued again as soon as its bytes are copied, so that the
+//! driver always has all of them but one to fill.
 
 use super::CaptureError;
 use super::abi::{self, BUF_TYPE_VIDEO_CAPTURE, Buffer, MEMORY_MMAP, Plain, RequestBuffers};
@@ -20,8 +20,8 @@ unsafe impl Send for Mapping {}
 
 impl Mapping {
     fn new(device: BorrowedFd<'_>, offset: u32, length: usize) -> io::Result<Self> {
-        // SAFETY: a new shared mapping of the device at the offset that its driver gave for this buffer; the kernel
-        // chooses the address and checks offset and length.
+        // SAFETY: a new shared mapping of the device at the offset that its driver gave for this buffer; the
+        // kernel chooses the address and checks offset and length.
         let start = unsafe {
             libc::mmap(
                 std::ptr::null_mut(),
@@ -46,8 +46,9 @@ impl Mapping {
         bytes.clear();
         let length = length.min(self.length);
         bytes.reserve(length);
-        // SAFETY: the mapping holds at least `length` bytes, lives until `drop`, and the driver does not write to a
-        // buffer that is dequeued. `bytes` has room for `length` bytes elsewhere, all of which are written.
+        // SAFETY: the mapping holds at least `length` bytes, lives until `drop`, and the driver does not
+        // write to a buffer that is dequeued. `bytes` has room for `length` bytes elsewhere, all of which are
+        // written.
         unsafe {
             std::ptr::copy_nonoverlapping(self.start.as_ptr(), bytes.as_mut_ptr(), length);
             bytes.set_len(length);

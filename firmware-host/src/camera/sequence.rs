@@ -1,7 +1,7 @@
 //! The driver's frame numbers: which frames were lost, and which numbers cannot be.
 
-/// Frames may come this many periods closer together than the nominal rate says before their numbers are doubted:
-/// drivers hand over several frames at once after a delay, with timestamps that bunch up.
+/// Frames may come this many periods closer together than the nominal rate says before their numbers are
+/// doubted: drivers hand over several frames at once after a delay, with timestamps that bunch up.
 const ALLOWANCE: u64 = 16;
 
 /// What a frame's number says.
@@ -49,8 +49,9 @@ impl SequenceCheck {
 
     /// Takes the next frame's number and its moment, which never goes back.
     ///
-    /// A gap is loss as long as so many frames can have been taken since the frame before, at twice the nominal rate
-    /// with an allowance of 16 frames. Any other number is an error: the stream then goes on from that number.
+    /// A gap is loss as long as so many frames can have been taken since the frame before, at twice the
+    /// nominal rate with an allowance of 16 frames. Any other number is an error: the stream then goes on
+    /// from that number.
     pub fn step(&mut self, number: u32, time_ns: u64) -> Step {
         let Some(last) = self.last else {
             let sequence = u64::from(number);
@@ -82,7 +83,9 @@ mod tests {
     proptest! {
         /// Whatever is lost, and wherever the driver's 32 bits start again, every loss is counted exactly.
         #[test]
-        fn gaps_are_counted_over_the_wrap(start in any::<u32>(), lost in prop::collection::vec(0u32..200, 1..50)) {
+        fn gaps_are_counted_over_the_wrap(
+            start in any::<u32>(), lost in prop::collection::vec(0u32..200, 1..50)
+        ) {
             let mut check = SequenceCheck::new(30.0);
             let (mut number, mut time_ns) = (start, 0);
             prop_assert_eq!(check.step(number, 0), Step { sequence: start.into(), outcome: Ok(0) });
@@ -91,13 +94,17 @@ mod tests {
                 number = number.wrapping_add(lost + 1);
                 time_ns += u64::from(lost + 1) * PERIOD_NS;
                 expected += u64::from(lost + 1);
-                prop_assert_eq!(check.step(number, time_ns), Step { sequence: expected, outcome: Ok(lost.into()) });
+                let step = Step { sequence: expected, outcome: Ok(lost.into()) };
+                prop_assert_eq!(check.step(number, time_ns), step);
             }
         }
 
-        /// A number that goes back, stays, or jumps farther than time allows is an error, and the next one counts on.
+        /// A number that goes back, stays, or jumps farther than time allows is an error, and the next one
+        /// counts on.
         #[test]
-        fn impossible_numbers_are_errors(start in 1000u32..1 << 30, jump in prop_oneof![-999i64..=0, 20i64..1 << 29]) {
+        fn impossible_numbers_are_errors(
+            start in 1000u32..1 << 30, jump in prop_oneof![-999i64..=0, 20i64..1 << 29]
+        ) {
             let mut check = SequenceCheck::new(30.0);
             check.step(start, 0);
             let wrong = (i64::from(start) + jump) as u32;

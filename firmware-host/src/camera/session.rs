@@ -3,7 +3,7 @@
 use super::abi;
 use super::control_calls;
 use super::device::Device;
-use super::list::{list, select};
+use super::list::find;
 use super::ring::{Dequeued, Ring};
 use super::{CameraConfig, CameraInfo, CaptureError, Control, ControlSettings, FrameShape};
 use std::os::fd::{AsFd, BorrowedFd};
@@ -46,7 +46,7 @@ pub(super) enum Wait {
 impl Session {
     /// Finds the device, sets format, rate and controls, and starts the stream.
     pub fn open(wanted: &Wanted) -> Result<Self, CaptureError> {
-        let info = select(&wanted.device, &list()?)?;
+        let info = find(&wanted.device)?;
         if wanted.serial.is_some() && info.serial != wanted.serial {
             return Err(CaptureError::Replaced {
                 path: info.path,
@@ -64,7 +64,8 @@ impl Session {
 
     /// Waits for a frame or for `wake`.
     ///
-    /// A faulty device answers at once and for ever, so that a fault without an error of the queue is an error too.
+    /// A faulty device answers at once and for ever, so that a fault without an error of the queue is an
+    /// error too.
     pub fn wait(&mut self, wake: BorrowedFd<'_>, timeout: Duration) -> Result<Wait, CaptureError> {
         let device = self.ring.device();
         let ready =

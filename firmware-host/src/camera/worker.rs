@@ -1,7 +1,7 @@
 //! A device's thread: it keeps the device streaming and hands frames and events to the mailbox.
 //!
-//! Drivers may take seconds to answer: a control transfer over USB has up to five. Only this thread waits for them, so
-//! that the reader never does.
+//! Drivers may take seconds to answer: a control transfer over USB has up to five. Only this thread waits for
+//! them, so that the reader never does.
 
 use super::abi;
 use super::session::{Session, Wait, Wanted};
@@ -175,8 +175,6 @@ impl Worker {
             let device = session.info.to_string();
             self.tell(SourceEvent::Connected { device: device.clone() });
             let end = self.stream(&mut session);
-            // The device is closed before it is opened again.
-            drop(session);
             let reason = match end {
                 End::Closed => return,
                 End::Silent(silence) => {
@@ -184,9 +182,9 @@ impl Worker {
                     self.tell(SourceEvent::Stalled { device: device.clone(), silent_ms });
                     None
                 }
-                End::Fault(error) => Some(error.to_string()),
+                End::Fault(error) => Some(error.reason()),
             };
-            match self.reconnect(&device, reason) {
+            match self.reconnect(&device, session, reason) {
                 Some(again) => session = again,
                 None => return,
             }
@@ -194,7 +192,12 @@ impl Worker {
     }
 
     /// Opens the device again, however long it takes; `None` when nobody reads any more.
-    fn reconnect(&mut self, device: &str, mut reason: Option<String>) -> Option<Session> {
+    ///
+    /// The old session is closed after the first pause and not at once: uvcvideo of kernel 6.1 fails (a null
+    /// pointer in `media_device_unregister_entity`) when an unplugged camera is closed while its removal
+    /// still goes on.
+    fn reconnect(&mut self, device: &str, old: Session, mut reason: Option<String>) -> Option<Session> {
+        let mut old = Some(old);
         loop {
             let pause = self.backoff.pause();
             if let Some(reason) = reason.take() {
@@ -204,9 +207,10 @@ impl Worker {
             if !self.rest(pause) {
                 return None;
             }
+            drop(old.take());
             match Session::open(&self.wanted) {
                 Ok(session) => return Some(session),
-                Err(error) => reason = Some(error.to_string()),
+                Err(error) => reason = Some(error.reason()),
             }
         }
     }
@@ -229,24 +233,26 @@ impl Worker {
                         return End::Closed;
                     }
                 }
-                Ok(Wait::Frame) => {
-                    heard = Instant::now();
-                    if let Err(error) = self.fetch(session, &mut stream) {
-                        return End::Fault(error);
-                    }
-                }
-                Ok(Wait::Nothing) if heard.elapsed() >= limit => return End::Silent(heard.elapsed()),
+                Ok(Wait::Frame) => match self.fetch(session, &mut stream) {
+                    Ok(true) => heard = Instant::now(),
+                    Ok(false) => {}
+                    Err(error) => return End::Fault(error),
+                },
                 Ok(Wait::Nothing) => {}
                 Err(error) => return End::Fault(error),
+            }
+            if heard.elapsed() >= limit {
+                return End::Silent(heard.elapsed());
             }
         }
     }
 
-    fn fetch(&mut self, session: &mut Session, stream: &mut Stream) -> Result<(), CaptureError> {
+    /// Hands over the oldest frame; `false` when there is none.
+    fn fetch(&mut self, session: &mut Session, stream: &mut Stream) -> Result<bool, CaptureError> {
         let mut bytes = self.mailbox.spare();
         let Some(frame) = session.fetch(&mut bytes)? else {
             self.mailbox.give_back(bytes);
-            return Ok(());
+            return Ok(false);
         };
         let read_ns = abi::monotonic_ns();
         let damaged = match (frame.damaged, bytes.is_empty()) {
@@ -269,13 +275,13 @@ impl Worker {
             self.tell(SourceEvent::Corrupt { sequence: step.sequence, reason: reason.to_owned() });
             stream.lost += 1;
             self.mailbox.give_back(bytes);
-            return Ok(());
+            return Ok(true);
         }
         self.backoff.reset();
         let dropped = std::mem::take(&mut stream.lost);
         let frame = RawFrame { shape: session.shape, sequence: step.sequence, time_ns, dropped, bytes };
         self.mailbox.put(self.side, Message::Frame(frame));
-        Ok(())
+        Ok(true)
     }
 
     /// Waits; `false` when nobody reads any more.

@@ -11,8 +11,8 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// A stereo camera that keeps itself streaming: what is unplugged, reset or silent is opened again, and told as an
-/// event. Dropping it closes the devices.
+/// A stereo camera that keeps itself streaming: what is unplugged, reset or silent is opened again, and told
+/// as an event. Dropping it closes the devices.
 #[derive(Debug)]
 pub struct CameraSource {
     config: CameraConfig,
@@ -41,8 +41,8 @@ struct RawPair {
 }
 
 impl CameraSource {
-    /// Opens the devices, sets format, rate and controls, and starts the streams. Returns within 20 seconds, whatever
-    /// the drivers do.
+    /// Opens the devices, sets format, rate and controls, and starts the streams. Returns within 20 seconds
+    /// for each device, whatever the drivers do.
     ///
     /// # Errors
     /// [`CaptureError`].
@@ -109,8 +109,8 @@ impl CameraSource {
         handle.controls()
     }
 
-    /// Sets controls of all its devices, now and whenever they are opened again. Waits for the driver, up to 12 seconds
-    /// for each device.
+    /// Sets controls of all its devices, now and whenever they are opened again. Waits for the driver, up to
+    /// 12 seconds for each device.
     ///
     /// # Errors
     /// [`CaptureError`]. Of two devices, the left one may then be set already.
@@ -122,16 +122,17 @@ impl CameraSource {
         std::iter::once(&self.left).chain(&self.right)
     }
 
-    /// Takes what the devices' threads have said: all of it in the mode `latest`, else as much as gives something.
+    /// Takes what the devices' threads have said, up to an event, and in the mode `every` up to a pair.
     fn receive(&mut self) -> Result<(), SourceError> {
         let latest = self.config.mode == CaptureMode::Latest;
-        while latest || (self.ready.is_empty() && self.events.is_empty()) {
+        while self.events.is_empty() && (latest || self.ready.is_empty()) {
             let Some((side, message)) = self.mailbox.take() else { break };
             match message {
                 Message::Frame(frame) => self.take_frame(side, frame),
                 Message::Event(event) => self.take_event(event),
                 Message::Ended => {
-                    let device = self.config.device.clone();
+                    let right = self.right.as_ref().filter(|_| side == Side::Right);
+                    let device = right.unwrap_or(&self.left).info.to_string();
                     return Err(SourceError::Camera(CaptureError::Ended { device }));
                 }
             }
@@ -193,9 +194,12 @@ impl CameraSource {
             SourceEvent::Skewed { .. } => counts.skewed += 1,
         }
         if matches!(event, SourceEvent::Disconnected { .. } | SourceEvent::Stalled { .. }) {
-            // The other device's images will have no partner.
+            // The other device's images will have no partner, and no pair from before is the newest one now.
             for lost in self.pairing.clear() {
                 self.mailbox.give_back(lost.image.bytes);
+            }
+            while let Some(pair) = self.ready.pop_front() {
+                self.discard(pair);
             }
         }
         self.events.push_back(event);

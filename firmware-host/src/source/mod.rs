@@ -194,8 +194,9 @@ impl std::fmt::Display for SourceEvent {
             Self::Timestamp { sequence, reason } => write!(f, "frame {sequence}: {reason}"),
             Self::Skewed { skew_ns, max_skew_ns } => write!(
                 f,
-                "the right image is {:.3} ms later than the left one; at most {:.3} ms apart they are a pair",
-                *skew_ns as f64 * 1e-6,
+                "the right image is {:.3} ms {} than the left one; at most {:.3} ms apart they are a pair",
+                skew_ns.unsigned_abs() as f64 * 1e-6,
+                if *skew_ns < 0 { "earlier" } else { "later" },
                 *max_skew_ns as f64 * 1e-6
             ),
         }

@@ -25,8 +25,8 @@ pub enum Match<T> {
         right: Stamped<T>,
         /// The right image's time minus the left one's.
         skew_ns: i64,
-        /// Pairs that were lost since the pair before: images of one device that were lost, refused or pushed out,
-        /// of the device that has more of them.
+        /// Pairs that were lost since the pair before: images of one device that were lost, refused or pushed
+        /// out, of the device that has more of them.
         dropped: u64,
     },
     /// They are too far apart: the older one has no partner and is refused.
@@ -42,9 +42,9 @@ pub enum Match<T> {
 
 /// Pairs the images of two devices.
 ///
-/// Each device's images come in their order. The oldest of each are compared: at most `max_skew_ns` apart they are a
-/// pair. Farther apart the older one is refused, since what follows on the other side is later still. With a skew of
-/// at most half a frame's period an image has one possible partner.
+/// Each device's images come in their order. The oldest of each are compared: at most `max_skew_ns` apart
+/// they are a pair. Farther apart the older one is refused, since what follows on the other side is later
+/// still. With a skew of at most half a frame's period an image has one possible partner.
 #[derive(Clone, Debug)]
 pub struct Pairing<T> {
     max_skew_ns: u64,
@@ -88,7 +88,8 @@ impl<T> Pairing<T> {
         }
     }
 
-    /// Takes an image. Where too many wait the oldest is lost, counted and returned: the other device is silent.
+    /// Takes an image. Where too many wait the oldest is lost, counted and returned: the other device is
+    /// silent.
     pub fn push(&mut self, side: Side, image: Stamped<T>) -> Option<Stamped<T>> {
         let max_waiting = self.max_waiting;
         let lane = self.lane(side);
@@ -193,10 +194,12 @@ mod tests {
                     Match::Pair { left, right, skew_ns, dropped } => {
                         prop_assert_eq!(*skew_ns, right.time_ns as i64 - left.time_ns as i64);
                         prop_assert!(skew_ns.unsigned_abs() <= MAX_SKEW_NS);
-                        // The numbers of a device's images are those of its periods: what is between two pairs is lost.
+                        // The numbers of a device's images are those of its periods: what is between two
+                        // pairs is lost.
                         let between = [(0, left.image), (1, right.image)].map(|(side, number)| {
                             let before = last[side].replace(number);
-                            (before.is_none_or(|before| before < number), number as u64 - before.map_or(0, |n| n as u64 + 1))
+                            let lost = number as u64 - before.map_or(0, |before| before as u64 + 1);
+                            (before.is_none_or(|before| before < number), lost)
                         });
                         prop_assert!(between[0].0 && between[1].0, "order is kept");
                         prop_assert_eq!(*dropped, between[0].1.max(between[1].1));
@@ -216,7 +219,9 @@ mod tests {
         fn devices_in_step_are_paired_completely(
             jitters in prop::collection::vec((-2_000_000..2_000_000i64, -2_000_000..2_000_000i64), 1..60)
         ) {
-            let (left, right): (Vec<_>, Vec<_>) = jitters.into_iter().map(|(l, r)| (Some(l), Some(r))).unzip();
+            let (left, right): (Vec<_>, Vec<_>) = jitters.into_iter().unzip();
+            let sent = |jitters: Vec<i64>| jitters.into_iter().map(Some).collect::<Vec<_>>();
+            let (left, right) = (sent(left), sent(right));
             let (left, right) = (images(&left, 0), images(&right, 0));
             let (matches, others) = run(&left, &right, &[true, false], 2);
             prop_assert_eq!(matches.len(), left.len());

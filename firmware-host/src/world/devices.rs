@@ -40,8 +40,8 @@ impl FrameSource for PacedSource {
     }
 }
 
-/// Longest time that passes in the simulated world between two pairs: after an interruption of the camera gripper and
-/// robot go on from where they were.
+/// Longest time that passes in the simulated world between two pairs: after an interruption of the camera
+/// gripper and robot go on from where they were.
 const MAX_STEP_NS: u64 = 1_000_000_000;
 
 /// Images of a real camera in a simulated world: its time passes by their timestamps.
