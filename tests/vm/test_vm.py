@@ -13,6 +13,7 @@ import cv2
 import image
 import machine
 import numpy as np
+import numpy.typing as npt
 import pytest
 from guest.checks import CHECKS, load_all
 
@@ -24,20 +25,30 @@ load_all()
 
 
 def write_frames(folder: Path) -> None:
-    """Pictures as a camera would send them: dots that move, and noise, so that no two files are alike."""
+    """Pictures as a camera would send them, in the sizes of `guest.devices`: no two files are alike."""
     folder.mkdir(parents=True)
     generator = np.random.default_rng(20211)
     for number in range(12):
-        views = []
-        for shift_px in (0, 14):
-            view = generator.normal(60.0, 4.0, (480, 640)).clip(0, 255).astype(np.uint8)
-            for y in range(60, 440, 40):
-                for x in range(80, 600, 40):
-                    cv2.circle(view, (x + shift_px + number, y), 7, 220, -1, cv2.LINE_AA)
-            views.append(view)
-        for name, picture in (("stereo", np.hstack(views)), ("left", views[0]), ("right", views[1])):
-            # A camera's JPEG is in colour.
-            cv2.imwrite(str(folder / f"{name}_{number:02}.jpg"), cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR))
+        left, right = (view(320, 240, 10 * side + number, generator) for side in range(2))
+        for name, picture in (("stereo", np.hstack([left, right])), ("left", left), ("right", right)):
+            write_jpeg(folder / f"{name}_{number:02}.jpg", picture)
+    for number in range(3):
+        views = [view(1280, 720, 20 * side + number, generator) for side in range(2)]
+        write_jpeg(folder / f"large_{number:02}.jpg", np.hstack(views))
+
+
+def view(width: int, height: int, shift_px: int, generator: np.random.Generator) -> npt.NDArray[np.uint8]:
+    """A lattice of dots in noise."""
+    image = generator.normal(60.0, 4.0, (height, width)).clip(0, 255).astype(np.uint8)
+    for y in range(20, height, 25):
+        for x in range(20, width, 25):
+            cv2.circle(image, (x + shift_px, y), 5, 220, -1, cv2.LINE_AA)
+    return image
+
+
+def write_jpeg(path: Path, gray: npt.NDArray[np.uint8]) -> None:
+    """A camera's JPEG is in colour."""
+    cv2.imwrite(str(path), cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR), [cv2.IMWRITE_JPEG_QUALITY, 80])
 
 
 def build_programs(out: Path) -> None:
@@ -66,13 +77,11 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any
     names = " ".join(os.environ.get("GELSTEREO_VM_CHECKS", "").split())
     script = f"exec '{sys.executable}' '{Path(__file__).parent / 'guest' / 'main.py'}' {names}\n"
     outcome = machine.run(booted, script, out)
-    lines = (
-        (out / "results.jsonl").read_text(encoding="utf-8").splitlines()
-        if (out / "results.jsonl").exists()
-        else []
-    )
+    kept = out / "results.jsonl"
+    lines = kept.read_text(encoding="utf-8").splitlines() if kept.exists() else []
     found = {line["check"]: line for line in map(json.loads, lines)}
-    print(f"VM: boot {outcome.boot_s:.1f} s, in all {outcome.total_s:.1f} s", *found.values(), sep="\n")
+    summary = {"boot_s": outcome.boot_s, "total_s": outcome.total_s, "checks": list(found.values())}
+    (cache / "results.json").write_text(json.dumps(summary, indent=1), encoding="utf-8")
     return {"console": {"error": outcome.console[-4000:]}, **found}
 
 

@@ -104,36 +104,19 @@ def python_reaches_the_camera_by_hidapi() -> Figures:
                 say(camera.firmware(), camera.unique_id(), camera.exposure_us(), camera.set_exposure_us(2500))
                 say(camera.set_stream_mode("trigger"), camera.set_hdr(True), camera.hdr())
                 say(camera.calibration("intrinsic").decode())
+            try:
+                gelstereo.hid.TaraControl.open(serial="GS0009")
+            except gelstereo.HidError as error:
+                say(str(error))
             """
         )
         by_python = list(device.tara.requests)
         device.tara.requests.clear()
         commands = ["firmware", "unique_id", "exposure", "exposure=2500", "mode=trigger", "hdr=1", "hdr"]
         tara(device, *commands, "calibration=intrinsic")
+    absent = found.pop()[0]
     expected = ["1.2.3.260", 0xC0FFEE01, 8000, 2500], ["trigger", True, True]
     assert found == [*expected, [device.tara.calibration[0].decode()]], found
+    assert "2560:c114 with serial number GS0009" in absent and "GS0001" in absent, absent
     assert device.tara.requests == by_python, "Rust and Python send different bytes"
     return {"requests": len(by_python)}
-
-
-@check(limit_s=120)
-def python_errors_name_what_is_wrong() -> Figures:
-    device = camera("GS0001")
-    device.tara = Tara(refuse=True)
-    with plugged(device):
-        found = python_answers(
-            """
-            def error(call):
-                try:
-                    call()
-                except gelstereo.HidError as error:
-                    say(str(error))
-            camera = gelstereo.hid.TaraControl.open()
-            error(lambda: camera.set_exposure_us(500))
-            error(lambda: gelstereo.hid.TaraControl.open(serial="GS0009"))
-            """
-        )
-    refused, absent = (line[0] for line in found)
-    assert "the camera refuses to set its exposure" in refused, refused
-    assert "2560:c114 with serial number GS0009" in absent and "GS0001" in absent, absent
-    return {"absent": absent}

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from guest.checks import Figures, check
 from guest.checks.uvc import checksum, events, wait_for_event, wait_for_frames, watched
-from guest.devices import MONO, camera
+from guest.devices import MODES, camera
 from guest.programs import Line
 from guest.usb.camera import Camera, plugged
 
+MONO = MODES["left"]
+SIZE = f"{MONO.width}x{MONO.height}"
 PERIOD_MS = 1000.0 / MONO.rate_hz
 
 
@@ -20,11 +22,8 @@ def pair() -> tuple[Camera, Camera]:
 
 def options(right: Camera, max_skew_ms: float) -> list[str]:
     """How the capture program takes both."""
-    size = f"{MONO.width}x{MONO.height}"
-    return [
-        *("--right-device", f"serial:{right.serial}", "--size", size, "--rate", str(MONO.rate_hz)),
-        *("--max-skew-ms", str(max_skew_ms)),
-    ]
+    pairing = ["--right-device", f"serial:{right.serial}", "--max-skew-ms", str(max_skew_ms)]
+    return [*pairing, "--rate", str(MONO.rate_hz)]
 
 
 def numbers(line: Line, left: Camera, right: Camera) -> tuple[int, int]:
@@ -36,7 +35,7 @@ def numbers(line: Line, left: Camera, right: Camera) -> tuple[int, int]:
 @check(limit_s=120)
 def two_cameras_are_paired_by_time() -> Figures:
     left, right = pair()
-    with plugged(left, right), watched(left, *options(right, 0.5 * PERIOD_MS)) as run:
+    with plugged(left, right), watched(left, *options(right, 0.5 * PERIOD_MS), size=SIZE) as run:
         wait_for_frames(run, 25)
         frames = run.of("frame")
     skews_ms = [line["skew_ns"] * 1e-6 for line in frames]
@@ -51,7 +50,7 @@ def two_cameras_are_paired_by_time() -> Figures:
 def images_too_far_apart_are_no_pair() -> Figures:
     left, right = pair()
     right.video.phase_s = 0.5e-3 * PERIOD_MS
-    with plugged(left, right), watched(left, *options(right, 5.0)) as run:
+    with plugged(left, right), watched(left, *options(right, 5.0), size=SIZE) as run:
         wait_for_event(run, "skewed", 20)
         skewed, frames = events(run, "skewed"), run.of("frame")
     assert all(abs(line["skew_ns"]) > line["max_skew_ns"] == 5_000_000 for line in skewed), skewed
@@ -63,7 +62,7 @@ def images_too_far_apart_are_no_pair() -> Figures:
 @check(limit_s=120)
 def one_of_two_cameras_is_unplugged_and_comes_back() -> None:
     left, right = pair()
-    with plugged(left, right), watched(left, *options(right, 0.5 * PERIOD_MS)) as run:
+    with plugged(left, right), watched(left, *options(right, 0.5 * PERIOD_MS), size=SIZE) as run:
         wait_for_frames(run, 5)
         right.unplug()
         gone = wait_for_event(run, "disconnected")

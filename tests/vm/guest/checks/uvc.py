@@ -16,6 +16,7 @@ from guest.usb.uvc import Frame
 
 # Frames may be late on a busy computer; a call that has no end is what this must find.
 MAX_SILENCE_S = 20.0
+SIZE = "640x240"
 
 
 def checksum(data: bytes) -> str:
@@ -24,15 +25,20 @@ def checksum(data: bytes) -> str:
 
 
 @contextmanager
-def watched(device: Camera, *more: str, name: str | None = None) -> Iterator[Run]:
+def watched(device: Camera, *more: str, name: str | None = None, size: str = SIZE) -> Iterator[Run]:
     """The capture program on a camera, by its serial number or by `name`."""
     name = name or f"serial:{device.serial}"
     limits = ["--frames", "100000", "--duration-s", "100", "--timeout-ms", "500", "--max-retry-ms", "400"]
-    with running("camera_probe", "--device", name, "--json", *limits, *more) as run:
+    with running("camera_probe", "--device", name, "--size", size, "--json", *limits, *more) as run:
         yield run
         times = run.times_s
         silences = [after - before for before, after in itertools.pairwise(times)]
         assert max(silences, default=0.0) < MAX_SILENCE_S, f"no line for {max(silences):.1f} s"
+
+
+def captured(*options: str, size: str = SIZE) -> list[Line]:
+    """What the capture program says of the one camera until it ends."""
+    return answers("camera_probe", "--device", "serial:GS0001", "--size", size, "--json", *options)
 
 
 def events(run: Run, kind: str) -> list[Line]:
@@ -79,20 +85,32 @@ def cameras_are_listed_with_their_serial_number() -> None:
 def frames_are_the_jpeg_files_byte_by_byte() -> Figures:
     device = camera("GS0001")
     with plugged(device):
-        lines = answers("camera_probe", "--device", "serial:GS0001", "--json", "--frames", "60")
-    frames = [line for line in lines if line["line"] == "frame"]
-    assert len(frames) == 60 and all(line["size"] == [640, 480] for line in frames), lines[:3]
+        lines = captured("--frames", "60")
+    statistics, frames = lines[-1], [line for line in lines if line["line"] == "frame"]
+    assert len(frames) == 60, lines[:3]
     assert not [line for line in lines if line["line"] == "event" and line["event"] != "connected"], lines
-    files = [checksum(frame.data) for frame in device.video.frames]
-    assert_order([line["jpeg"] for line in frames], [files[index] for index in device.video.sent])
-    assert len({line["jpeg"] for line in frames}) == len(files)
+    assert_files(device, frames, [320, 240])
     assert_losses_match_the_numbers(frames)
-    # The same file always gives the same pixels, and two views differ.
-    assert len({(line["jpeg"], line["left"], line["right"]) for line in frames}) == len(files)
-    assert all(line["left"] != line["right"] for line in frames)
-    statistics = lines[-1]
     wanted = ["rate_hz", "latency_p50_ms", "latency_p99_ms", "dropped", "longest_call_ms"]
     return {name: statistics[name] for name in wanted}
+
+
+@check()
+def large_frames_are_the_jpeg_files_byte_by_byte() -> Figures:
+    device = camera("GS0001", kind="large")
+    with plugged(device):
+        lines = captured("--frames", "10", size="2560x720")
+    assert_files(device, [line for line in lines if line["line"] == "frame"], [1280, 720])
+    return {"rate_hz": lines[-1]["rate_hz"], "bytes": len(device.video.frames[0].data)}
+
+
+def assert_files(device: Camera, frames: Sequence[Line], size: list[int]) -> None:
+    """Frames are the files that the camera sent, in that order, and a file always gives the same pixels."""
+    files = [checksum(frame.data) for frame in device.video.frames]
+    assert_order([line["jpeg"] for line in frames], [files[index] for index in device.video.sent])
+    pictures = {(line["jpeg"], line["left"], line["right"]) for line in frames}
+    assert len(pictures) == len({line["jpeg"] for line in frames}) == len(files), (pictures, files)
+    assert all(line["left"] != line["right"] and line["size"] == size for line in frames), frames
 
 
 @check()
@@ -100,7 +118,7 @@ def exposure_and_brightness_reach_the_camera() -> None:
     device = camera("GS0001")
     settings = ["--auto-exposure", "false", "--exposure-us", "5000", "--control", "brightness=77"]
     with plugged(device):
-        answers("camera_probe", "--device", "serial:GS0001", "--json", "--frames", "2", *settings)
+        captured("--frames", "2", *settings)
     video = device.video
     assert (video.auto_exposure.value, video.exposure.value, video.brightness.value) == (1, 50, 77), video
     assert 50 in video.exposure.writes and 77 in video.brightness.writes
@@ -110,7 +128,9 @@ def exposure_and_brightness_reach_the_camera() -> None:
 def a_setting_outside_the_cameras_range_is_refused() -> None:
     device = camera("GS0001")
     with plugged(device):
-        code, _, error = ended("camera_probe", "--device", "serial:GS0001", "--control", "brightness=1000")
+        code, _, error = ended(
+            "camera_probe", "--device", "serial:GS0001", "--size", SIZE, "--control", "brightness=1000"
+        )
     assert code == 2 and "brightness" in error and "255" in error, (code, error)
 
 
@@ -162,11 +182,11 @@ def damaged_jpegs_are_events_and_the_stream_goes_on() -> Figures:
     device = camera("GS0001")
     good = [frame.data for frame in device.video.frames[:3]]
     # Cut in its pixels, without its start, a sound start with nothing in it, no JPEG at all, one byte.
-    damaged = [good[0][:20000], good[1][40:], good[2][:300] + bytes(3000), bytes(range(256)) * 40, b"\xff"]
+    damaged = [good[0][:5000], good[1][40:], good[2][:300] + bytes(3000), bytes(range(256)) * 40, b"\xff"]
     sent = [good[0], damaged[0], good[1], damaged[1], damaged[2], good[2], damaged[3], damaged[4]]
     device.video.frames = [Frame(data) for data in sent]
     with plugged(device):
-        lines = answers("camera_probe", "--device", "serial:GS0001", "--json", "--frames", "18")
+        lines = captured("--frames", "18")
     received = {line["jpeg"] for line in lines if line["line"] == "frame"}
     assert received == {checksum(data) for data in good}, (received, [checksum(data) for data in sent])
     corrupt = [line for line in lines if line["line"] == "event" and line["event"] == "corrupt"]
@@ -184,7 +204,7 @@ def frames_that_the_driver_throws_away_are_counted() -> Figures:
     files = [frame.data for frame in device.video.frames]
     device.video.frames = [Frame(data, error=index % 4 == 3) for index, data in enumerate(files)]
     with plugged(device):
-        lines = answers("camera_probe", "--device", "serial:GS0001", "--json", "--frames", "30")
+        lines = captured("--frames", "30")
     frames = [line for line in lines if line["line"] == "frame"]
     assert {line["jpeg"] for line in frames} <= {
         checksum(data) for index, data in enumerate(files) if index % 4 != 3
@@ -213,7 +233,7 @@ def the_newest_frame_is_given_to_a_slow_reader() -> Figures:
     device = camera("GS0001")
     with plugged(device):
         slow = ["--mode", "latest", "--work-ms", "300", "--frames", "10"]
-        lines = answers("camera_probe", "--device", "serial:GS0001", "--json", *slow)
+        lines = captured(*slow)
     frames = [line for line in lines if line["line"] == "frame"]
     assert_losses_match_the_numbers(frames)
     dropped = sum(line["dropped"] for line in frames)
