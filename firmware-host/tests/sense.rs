@@ -148,7 +148,7 @@ fn press() -> &'static Press {
         let simulated = host(&folder, &["simulate", "scene.toml", "pairs"]).output().unwrap();
         assert!(simulated.status.success(), "{}", String::from_utf8_lossy(&simulated.stderr));
         let config = "rig_file = \"pairs/rig.toml\"\n\
-                      part.shape = { kind = \"sphere\", radius_mm = 4.0 }\n\
+                      sense.localize = \"never\"\n\
                       source = { kind = \"folder\", path = \"pairs\", frame_rate_hz = 30.0 }\n";
         std::fs::write(folder.join("cell.toml"), config).unwrap();
         std::fs::write(folder.join("impatient.toml"), format!("{config}sense.max_silence_s = 1.0\n"))

@@ -3,13 +3,15 @@
 use super::{Message, Opened, Protocol, PublishError};
 use crate::config::FoxgloveConfig;
 use crate::recording::Topic;
-use foxglove::{ChannelBuilder, Context, PartialMetadata, RawChannel, Schema, WebSocketServer};
+use foxglove::{
+    ChannelBuilder, Context, PartialMetadata, RawChannel, Schema, WebSocketServer, WebSocketServerHandle,
+};
 use std::sync::Arc;
 
 /// Messages that wait for one viewer; beyond them its oldest are dropped.
 const BACKLOG: usize = 256;
 
-pub(super) fn open(settings: &FoxgloveConfig) -> Result<Opened, PublishError> {
+pub(super) fn open(settings: &FoxgloveConfig, topics: &[Topic]) -> Result<Opened, PublishError> {
     let fail = |error: foxglove::FoxgloveError| PublishError::Open {
         protocol: Protocol::Foxglove,
         reason: format!("{error}; see sense.foxglove.host and sense.foxglove.port"),
@@ -22,22 +24,32 @@ pub(super) fn open(settings: &FoxgloveConfig) -> Result<Opened, PublishError> {
         .bind(settings.host.clone(), settings.port)
         .start_blocking()
         .map_err(fail)?;
-    let mut channels: Vec<Arc<RawChannel>> = Vec::new();
-    for topic in Topic::ALL {
+    let mut channels = Vec::new();
+    for &topic in topics {
         let schema = topic.schema();
         let schema = Schema::new(schema.name, "ros2msg", schema.definition.as_bytes());
         let channel =
             ChannelBuilder::new(topic.name()).context(&context).schema(schema).message_encoding("cdr");
-        channels.push(channel.build_raw().map_err(fail)?);
+        channels.push((topic, channel.build_raw().map_err(fail)?));
     }
     let address = format!("ws://{}:{}", settings.host, server.port());
-    let send = move |Message { topic, time_ns, data }: Message| {
-        // The server lives as long as this closure does.
-        let _ = &server;
-        if let Some(channel) = channels.get(topic as usize) {
-            channel.log_with_meta(&data, PartialMetadata::with_log_time(time_ns));
+    let viewers = Viewers { channels, _server: server, _context: context };
+    Ok(Opened { address, send: Box::new(move |message| viewers.send(&message)) })
+}
+
+/// What viewers are connected to: it lives as long as messages are sent.
+struct Viewers {
+    channels: Vec<(Topic, Arc<RawChannel>)>,
+    _server: WebSocketServerHandle,
+    /// Server and channels know each other through it, and do not keep it.
+    _context: Arc<Context>,
+}
+
+impl Viewers {
+    fn send(&self, Message { topic, time_ns, data }: &Message) -> Result<(), String> {
+        if let Some((_, channel)) = self.channels.iter().find(|(of, _)| of == topic) {
+            channel.log_with_meta(data, PartialMetadata::with_log_time(*time_ns));
         }
         Ok(())
-    };
-    Ok(Opened { address, send: Box::new(send) })
+    }
 }

@@ -18,6 +18,11 @@ use crate::config::SenseConfig;
 use crate::recording::{MessageSink, Topic};
 use std::time::Duration;
 
+/// What sensing alone has to say; images besides where they are wanted.
+const RESULTS: [Topic; 6] =
+    [Topic::Points, Topic::Frame, Topic::Pose, Topic::Stage, Topic::Capture, Topic::Contact];
+const IMAGES: [Topic; 2] = [Topic::LeftImage, Topic::RightImage];
+
 /// How long a publisher may still send at the end.
 const LAST_SENDS: Duration = Duration::from_secs(1);
 
@@ -96,7 +101,7 @@ struct Opened {
 pub struct Publisher {
     protocol: Protocol,
     address: String,
-    images: bool,
+    topics: Vec<Topic>,
     outlet: Outlet<Message>,
 }
 
@@ -110,10 +115,11 @@ impl Publisher {
             Protocol::Zenoh => settings.zenoh.images,
             Protocol::Foxglove => settings.foxglove.images,
         };
-        let Opened { address, send } = open(protocol, settings)?;
+        let topics: Vec<Topic> = RESULTS.into_iter().chain(IMAGES.into_iter().filter(|_| images)).collect();
+        let Opened { address, send } = open(protocol, settings, &topics)?;
         let outlet = Outlet::spawn(protocol.name(), send)
             .map_err(|error| PublishError::Open { protocol, reason: error.to_string() })?;
-        Ok(Self { protocol, address, images, outlet })
+        Ok(Self { protocol, address, topics, outlet })
     }
 
     /// Its protocol.
@@ -142,7 +148,7 @@ impl Publisher {
 
 impl MessageSink for Publisher {
     fn write(&mut self, topic: Topic, time_ns: u64, message: &[u8]) {
-        if matches!(topic, Topic::LeftImage | Topic::RightImage) && !self.images {
+        if !self.topics.contains(&topic) {
             return;
         }
         let message = Message { topic, time_ns, data: message.to_vec() };
@@ -155,15 +161,15 @@ impl MessageSink for Publisher {
     }
 }
 
-fn open(protocol: Protocol, settings: &SenseConfig) -> Result<Opened, PublishError> {
+fn open(protocol: Protocol, settings: &SenseConfig, topics: &[Topic]) -> Result<Opened, PublishError> {
     match protocol {
         #[cfg(feature = "zenoh")]
-        Protocol::Zenoh => zenoh::open(&settings.zenoh),
+        Protocol::Zenoh => zenoh::open(&settings.zenoh, topics),
         #[cfg(feature = "foxglove")]
-        Protocol::Foxglove => foxglove::open(&settings.foxglove),
+        Protocol::Foxglove => foxglove::open(&settings.foxglove, topics),
         #[cfg(not(all(feature = "zenoh", feature = "foxglove")))]
         _ => {
-            let _ = settings;
+            let _ = (settings, topics);
             Err(PublishError::NotBuilt { protocol })
         }
     }

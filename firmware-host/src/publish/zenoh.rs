@@ -23,13 +23,14 @@ struct Publishers {
 
 /// One topic's publisher.
 struct Channel {
+    topic: Topic,
     publisher: Publisher<'static>,
     sequence: i64,
     /// Identity of the publisher.
     gid: [u8; 16],
 }
 
-pub(super) fn open(settings: &ZenohConfig) -> Result<Opened, PublishError> {
+pub(super) fn open(settings: &ZenohConfig, topics: &[Topic]) -> Result<Opened, PublishError> {
     let fail = |error: zenoh::Error| PublishError::Open {
         protocol: Protocol::Zenoh,
         reason: format!("{error}; see sense.zenoh.connect and sense.zenoh.listen"),
@@ -38,14 +39,14 @@ pub(super) fn open(settings: &ZenohConfig) -> Result<Opened, PublishError> {
     let node = Node { domain_id: settings.domain_id, session_id: session.zid().to_string(), name: NODE };
     let mut tokens = vec![session.liveliness().declare_token(node.token()).wait().map_err(fail)?];
     let mut publishers = Vec::new();
-    for (id, topic) in (1..).zip(Topic::ALL) {
+    for (id, &topic) in (1..).zip(topics) {
         let TopicNames { key, token } = topic_names(&node, topic, id, settings.type_hash);
         // A listener that falls behind loses messages instead of holding up the others.
         let publisher = session.declare_publisher(key).congestion_control(CongestionControl::Drop);
         let publisher = publisher.wait().map_err(fail)?;
         let gid = gid(&token);
         tokens.push(session.liveliness().declare_token(token).wait().map_err(fail)?);
-        publishers.push(Channel { publisher, sequence: 0, gid });
+        publishers.push(Channel { topic, publisher, sequence: 0, gid });
     }
     let address = format!("domain {}, listening on {}", settings.domain_id, settings.listen.join(", "));
     let mut held = Publishers { publishers, _tokens: tokens, _session: session };
@@ -54,7 +55,8 @@ pub(super) fn open(settings: &ZenohConfig) -> Result<Opened, PublishError> {
 
 impl Publishers {
     fn send(&mut self, Message { topic, data, .. }: Message) -> Result<(), String> {
-        let Some(channel) = self.publishers.get_mut(topic as usize) else { return Ok(()) };
+        let channel = self.publishers.iter_mut().find(|channel| channel.topic == topic);
+        let Some(channel) = channel else { return Ok(()) };
         channel.sequence += 1;
         // ROS 2 wants the wall clock here; the frame source's time stands in the message.
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos() as i64;
