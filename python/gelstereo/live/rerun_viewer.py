@@ -5,7 +5,9 @@ Rerun's viewer is started by its own command, since its SDK would have it listen
 
 from __future__ import annotations
 
+import contextlib
 import os
+import socket
 import subprocess
 import sys
 import time
@@ -26,6 +28,8 @@ _HOST, _PORT = "127.0.0.1", 9876
 _MAX_RATE_HZ = 15.0
 _MAX_PART_POINTS = 1500
 _NS_PER_S = 1e9
+#: Time for the viewer to start.
+_START_S = 30.0
 
 
 class RerunViewer:
@@ -61,9 +65,10 @@ class RerunViewer:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        # The viewer stays open: whoever looks at it closes it.
-        self._stream.flush()
-        self._stream.disconnect()
+        # The viewer stays open: whoever looks at it closes it. One that is gone takes nothing more.
+        if self._viewer is None or self._viewer.poll() is None:
+            self._stream.flush()
+            self._stream.disconnect()
 
     def _start_viewer(self) -> None:
         if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
@@ -72,12 +77,27 @@ class RerunViewer:
             )
         command = [sys.executable, "-m", "rerun", "--bind", _HOST, "--port", str(_PORT), "--expect-data-soon"]
         self._viewer = subprocess.Popen(command, start_new_session=True)
+        deadline_s = time.monotonic() + _START_S
+        while not _listens():
+            self._has_ended()
+            if time.monotonic() > deadline_s:
+                raise Error(f"Rerun's viewer does not listen on port {_PORT} after {_START_S:g} s")
+            time.sleep(0.1)
         self._stream.connect_grpc(f"rerun+http://{_HOST}:{_PORT}/proxy")
 
+    def _has_ended(self) -> bool:
+        """Whether somebody closed the viewer; one that failed is an error."""
+        code = None if self._viewer is None else self._viewer.poll()
+        if code:
+            raise Error(
+                f"Rerun's viewer ended with code {code}; its messages say why. --rrd FILE needs no viewer"
+            )
+        return code == 0
+
     def follow(self, newest: Latest[Shown]) -> None:
-        """Log the newest moments until the run ends."""
+        """Log the newest moments until the run ends, or the viewer is closed."""
         number = 0
-        while not newest.closed:
+        while not newest.closed and not self._has_ended():
             started_s = time.monotonic()
             found = newest.newer_than(number, 0.5)
             if found is None:
@@ -135,3 +155,9 @@ class RerunViewer:
         pose = result.located.t_sensor_object
         points_mm = self._part.thinned_mm(_MAX_PART_POINTS) @ pose[:3, :3].T + pose[:3, 3]
         self._stream.log("sensor/part", self._rerun.Points3D(points_mm, colors=[120, 235, 120], radii=0.1))
+
+
+def _listens() -> bool:
+    with contextlib.suppress(OSError), socket.create_connection((_HOST, _PORT), timeout=1.0):
+        return True
+    return False
