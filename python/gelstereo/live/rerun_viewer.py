@@ -21,6 +21,7 @@ from gelstereo import Error, MarkerState
 from gelstereo.live.latest import Latest
 from gelstereo.live.sensing import ExpectedPart, LiveResult
 from gelstereo.live.shown import Shown
+from gelstereo.view.canvas import SALIENT
 from gelstereo.view.picture import STATE_COLOURS, indentation_colours
 
 _HOST, _PORT = "127.0.0.1", 9876
@@ -134,13 +135,15 @@ class RerunViewer:
         if sensed is None or result.reference_px is None:
             return
         by_state = np.array([STATE_COLOURS[state][::-1] for state in MarkerState], dtype=np.uint8)
+        colours = by_state[sensed.state]
+        colours[sensed.salient] = SALIENT[::-1]
         # Rerun puts the image's corner at 0, not the centre of its first pixel.
         now, rest = sensed.left_px + 0.5, result.reference_px + 0.5
-        stream.log("image/left/markers", rerun.Points2D(now, colors=by_state[sensed.state], radii=3.0))
+        stream.log("image/left/markers", rerun.Points2D(now, colors=colours, radii=3.0))
         moved = rerun.LineStrips2D(np.stack([rest, now], axis=1), colors=[255, 255, 255], radii=0.7)
         stream.log("image/left/motion", moved)
-        colours, _ = indentation_colours(sensed.indentation_mm)
-        gel = rerun.Points3D(sensed.points_mm, colors=colours[:, ::-1], radii=0.15)
+        heights, _ = indentation_colours(sensed.indentation_mm)
+        gel = rerun.Points3D(sensed.points_mm, colors=heights[:, ::-1], radii=0.15)
         stream.log("sensor/gel", gel)
         stream.log("contact/motion_px", rerun.Scalars(float(sensed.motion_px)))
         deepest_mm = float(np.max(sensed.indentation_mm, initial=0.0))
