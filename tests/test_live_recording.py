@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from gelstereo._native import parse_toml
 from gelstereo.cli import main
+from gelstereo.export.images import decoded
 from gelstereo.export.recording import recorded_frames
 from gelstereo.geometry import se3_exp, se3_log
 from gelstereo.live import LiveFrame, LiveResult, LiveSensor
 from gelstereo.live.notes import config_toml, ros_covariance
 from gelstereo.live.record import LiveRecorder
 from gelstereo.live.run import LiveRun
-from gelstereo.view.compressed import decoded
 from gelstereo.view.recording import moment_of_recording
 from hypothesis import given
 from hypothesis import strategies as st

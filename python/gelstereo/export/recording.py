@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gelstereo import Error
-from gelstereo.view.compressed import decoded, views_of
+from gelstereo.export.images import decoded, views_of
 
 Image = npt.NDArray[np.uint8]
 
