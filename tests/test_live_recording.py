@@ -160,6 +160,23 @@ def test_motion_jpeg_is_kept_as_the_camera_sent_it(separate: bool, tmp_path: Pat
         replayed_by_the_host(path, frames=len(frames))
 
 
+@pytest.mark.parametrize("named", [False, True])
+def test_a_part_of_a_mesh_stands_in_the_recording(
+    named: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    plug, path = SCENE.parent / "usb_plug.toml", tmp_path / "run.mcap"
+    start = gs.simulate(plug)[0].t_sensor_object
+    assert start is not None
+    turn_deg = np.degrees(se3_log(start)[:3])
+    part = ["--template", SCENE.parent / "parts" / "usb_plug.stl", "--units", "mm"]
+    guess = ["--guess-mm", *start[:3, 3], "--guess-deg", *turn_deg]
+    words = ["live", "--scene", plug, "--frames", 40, "--show", "none", "--record", path, "--images", "raw"]
+    assert main([str(word) for word in [*words, *([*part, *guess] if named else [])]]) == 0
+    assert moment_of_recording(path).part is not None
+    replayed_by_the_host(path, frames=40, raw=True)
+
+
 @pytest.fixture(scope="module")
 def results() -> list[LiveResult]:
     scene = gs.simulate(SCENE)

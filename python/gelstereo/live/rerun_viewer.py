@@ -16,6 +16,7 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
+import rerun
 
 from gelstereo import Error, MarkerState
 from gelstereo.live.latest import Latest
@@ -45,9 +46,6 @@ class RerunViewer:
     """
 
     def __init__(self, file: Path | None = None, part: ExpectedPart | None = None) -> None:
-        import rerun
-
-        self._rerun: Any = rerun
         self._file = file
         self._part = part
         self._viewer: subprocess.Popen[bytes] | None = None
@@ -60,7 +58,7 @@ class RerunViewer:
             self._stream.save(str(self._file))
         else:
             self._start_viewer()
-        self._stream.log("sensor", self._rerun.ViewCoordinates.RDF, static=True)
+        self._stream.log("sensor", rerun.ViewCoordinates.RDF, static=True)
         return self
 
     def __exit__(
@@ -109,7 +107,7 @@ class RerunViewer:
 
     def log(self, shown: Shown) -> None:
         """Log one moment."""
-        rerun, stream, result, reading = self._rerun, self._stream, shown.result, shown.reading
+        stream, result, reading = self._stream, shown.result, shown.reading
         stream.set_time("source", duration=result.frame.time_ns / _NS_PER_S)
         stream.set_time("sequence", sequence=result.frame.sequence)
         figures = {
@@ -131,7 +129,7 @@ class RerunViewer:
         self._log_part(result)
 
     def _log_markers(self, result: LiveResult) -> None:
-        rerun, stream, sensed = self._rerun, self._stream, result.sensed
+        stream, sensed = self._stream, result.sensed
         if sensed is None or result.reference_px is None:
             return
         by_state = np.array([STATE_COLOURS[state][::-1] for state in MarkerState], dtype=np.uint8)
@@ -153,11 +151,11 @@ class RerunViewer:
         if self._part is None or result.frame.stale:
             return
         if result.located is None:
-            self._stream.log("sensor/part", self._rerun.Clear(recursive=False))
+            self._stream.log("sensor/part", rerun.Clear(recursive=False))
             return
         pose = result.located.t_sensor_object
         points_mm = self._part.thinned_mm(_MAX_PART_POINTS) @ pose[:3, :3].T + pose[:3, 3]
-        self._stream.log("sensor/part", self._rerun.Points3D(points_mm, colors=[120, 235, 120], radii=0.1))
+        self._stream.log("sensor/part", rerun.Points3D(points_mm, colors=[120, 235, 120], radii=0.1))
 
 
 def _listens() -> bool:
