@@ -114,10 +114,10 @@ class EpisodeWriter:
                     self._keep(values, step)
                     rows.append(row | self._counted(step))
                     step += 1
-                if len(rows) >= _ROWS_AT_ONCE:
-                    writer.write_table(pa.Table.from_pylist(rows, schema=schema))
-                    rows = []
-                    progress(step)
+                    if len(rows) >= _ROWS_AT_ONCE:
+                        writer.write_table(pa.Table.from_pylist(rows, schema=schema))
+                        rows = []
+                        progress(step)
             if rows:
                 writer.write_table(pa.Table.from_pylist(rows, schema=schema))
         progress(step)

@@ -8,11 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import lz4  # noqa: F401 (mcap imports it when it meets the first chunk)
 import numpy as np
 import numpy.typing as npt
+from mcap.exceptions import McapError
+from mcap.reader import NonSeekingReader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from gelstereo import Error
-from gelstereo.view.compressed import decoded, views_of
+from gelstereo.export.images import decoded, views_of
 
 Image = npt.NDArray[np.uint8]
 
@@ -97,11 +101,6 @@ def recorded_frames(path: Path) -> Iterator[RecordedFrame]:
 
 def _messages(path: Path, topics: set[str]) -> Iterator[tuple[str, Any]]:
     """Messages by the definitions that the file has; of a file that was cut off, those before the cut."""
-    import lz4  # noqa: F401 (mcap imports it when it meets the first chunk)
-    from mcap.exceptions import McapError
-    from mcap.reader import NonSeekingReader
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
     store: Any = get_typestore(Stores.EMPTY)
     known: set[str] = set()
     count = 0

@@ -17,7 +17,6 @@ from gelstereo.cli.options import add_guess, add_params, count, guess_of, params
 from gelstereo.geometry import shape_mesh
 from gelstereo.live.meter import Reading
 from gelstereo.live.picture import LivePicture
-from gelstereo.live.record import LiveRecorder
 from gelstereo.live.run import LiveRun
 from gelstereo.live.sensing import ExpectedPart, LiveSensor
 from gelstereo.live.shown import Shown
@@ -38,6 +37,8 @@ Nothing may touch the gel in the first frame. Ctrl-C ends the run and completes 
 
 #: Deviation of a scene's flattened part from the true one.
 _SHAPE_TOLERANCE_MM = 0.02
+#: Mesh files that the host can read.
+_HOST_MESHES = (".stl", ".obj")
 #: Seconds between figures on the terminal.
 _REPORT_S = 1.0
 
@@ -112,7 +113,11 @@ def _add_camera(parser: argparse.ArgumentParser) -> None:
     )
     camera.add_argument("--format", help="how the camera sends pixels, as mjpg")
     camera.add_argument(
-        "--size-px", type=int, nargs=2, metavar=("W", "H"), help="size of the device's frames"
+        "--size-px",
+        type=int,
+        nargs=2,
+        metavar=("W", "H"),
+        help="size of the device's frames; from the rig if left out",
     )
     camera.add_argument("--exposure-us", type=float, help="exposure time, microseconds")
     camera.add_argument("--gain", type=int, help="gain in the camera's own unit")
@@ -132,7 +137,8 @@ def run(arguments: argparse.Namespace) -> int:
         # The viewer first: where there can be none, no file is left behind.
         with _viewer(arguments, setup, live, draw) as show:
             if arguments.record is not None:
-                live.recorder = LiveRecorder(
+                record = module_of("gelstereo live --record", "gelstereo.live.record")
+                live.recorder = record.LiveRecorder(
                     arguments.record,
                     setup.rig,
                     sensor.params,
@@ -157,22 +163,22 @@ class _Setup:
     source: LiveSource
     rig: Rig
     part: ExpectedPart | None
-    #: The scene's part, for the recording.
+    #: The part's shape, for the recording.
     shape: dict[str, Any] | None = None
 
 
 def _setup(arguments: argparse.Namespace) -> _Setup:
-    template = _template(arguments)
-    part = None if template is None else ExpectedPart(template, guess_of(arguments))
+    part, shape = _part(arguments)
     if arguments.scene is not None:
         if arguments.rig is not None:
             raise Error("a scene has a rig of its own; leave out --rig, or change the scene")
         scene = SceneSource(arguments.scene)
-        shape = scene.simulator.scene.to_dict().get("indenter")
-        return _Setup(scene, scene.rig, part or _part_of(scene, shape), None if template else shape)
+        if part is None:
+            part, shape = _part_of(scene, arguments.scene.parent)
+        return _Setup(scene, scene.rig, part, shape)
     if arguments.folder is not None:
         rig = Rig.load(arguments.rig or arguments.folder / "rig.toml")
-        return _Setup(FolderSource(arguments.folder, arguments.rate_hz), rig, part)
+        return _Setup(FolderSource(arguments.folder, arguments.rate_hz), rig, part, shape)
     if arguments.rig is None:
         raise Error("a camera needs the rig that `gelstereo calibrate` made of it: add --rig rig.toml")
     rig = Rig.load(arguments.rig)
@@ -186,7 +192,7 @@ def _setup(arguments: argparse.Namespace) -> _Setup:
         exposure_us=arguments.exposure_us,
         gain=arguments.gain,
     )
-    return _Setup(camera, rig, part)
+    return _Setup(camera, rig, part, shape)
 
 
 def _device_size_px(rig: Rig, arguments: argparse.Namespace) -> tuple[int, int]:
@@ -196,22 +202,32 @@ def _device_size_px(rig: Rig, arguments: argparse.Namespace) -> tuple[int, int]:
     return (2 * width if beside else width), height
 
 
-def _template(arguments: argparse.Namespace) -> Template | None:
-    if arguments.template is None:
-        return None
-    if arguments.template.suffix == ".template":
-        return Template.load(arguments.template)
-    return Template.from_mesh(arguments.template, units=arguments.units)
+def _part(arguments: argparse.Namespace) -> tuple[ExpectedPart | None, dict[str, Any] | None]:
+    """The part that was named, and its shape where the host can read it from a recording."""
+    path, shape = arguments.template, None
+    if path is None:
+        return None, None
+    if path.suffix == ".template":
+        template = Template.load(path)
+    else:
+        template = Template.from_mesh(path, units=arguments.units)
+        if path.suffix.lower() in _HOST_MESHES and arguments.units is not None:
+            shape = {"kind": "mesh", "path": str(path), "units": arguments.units}
+    return ExpectedPart(template, guess_of(arguments)), shape
 
 
-def _part_of(scene: SceneSource, shape: dict[str, Any] | None) -> ExpectedPart | None:
-    """The scene's own part, expected where the scene first has it; None without one."""
+def _part_of(scene: SceneSource, folder: Path) -> tuple[ExpectedPart | None, dict[str, Any] | None]:
+    """The scene's own part, expected where the scene first has it; None without one. `folder` is the scene's."""
     start = scene.simulator[0].t_sensor_object
+    shape = scene.simulator.scene.to_dict().get("indenter")
     if shape is None or start is None:
-        return None
+        return None, None
     if shape["kind"] == "mesh":
-        return ExpectedPart(Template.from_mesh(shape["path"], units=shape["units"]), start)
-    return ExpectedPart(Template.from_triangles(*shape_mesh(shape, _SHAPE_TOLERANCE_MM)), start)
+        shape = {**shape, "path": str(folder / shape["path"])}
+        template = Template.from_mesh(shape["path"], units=shape["units"])
+    else:
+        template = Template.from_triangles(*shape_mesh(shape, _SHAPE_TOLERANCE_MM))
+    return ExpectedPart(template, start), shape
 
 
 @contextmanager

@@ -141,7 +141,7 @@ class LivePicture:
             canvas[y : y + size[1], x : x + size[0]] = self._cv2.resize(
                 cells, size, interpolation=self._cv2.INTER_NEAREST
             )
-            self._text(canvas, f"indentation: brightest {top_mm:.2f} mm", x, y + size[1] + 16, 0.42, FAINT)
+            self._text(canvas, f"indentation; yellow is {top_mm:.2f} mm", x, y + size[1] + 16, 0.42, FAINT)
             y += size[1] + 16
         y += _LINE + 6
         for text, colour in self._words(result, reading):

@@ -14,8 +14,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import lz4  # noqa: F401 (mcap imports it with the first chunk)
 import numpy as np
 import numpy.typing as npt
+from mcap.writer import CompressionType, Writer
+from rosbags.typesys import Stores, get_typestore
 
 from gelstereo import Error, Frame, Localization, Params, Rig, __version__
 from gelstereo.geometry import so3_from_matrix
@@ -70,7 +73,7 @@ class LiveRecorder:
     rig, params
         Those of the pipeline.
     shape : dict, optional
-        The part's shape, as a scene's ``indenter`` has it, so that `gelstereo view` can draw it.
+        The part's shape, as a scene's ``indenter`` has it, so that `gelstereo view` can draw it. A mesh is attached.
     png
         Whether plain images are compressed without loss. Motion JPEG of a camera is kept as it came.
     wall_clock
@@ -88,10 +91,6 @@ class LiveRecorder:
         png: bool = True,
         wall_clock: bool = False,
     ) -> None:
-        import lz4  # noqa: F401 (mcap imports it with the first chunk)
-        from mcap.writer import CompressionType, Writer
-        from rosbags.typesys import Stores, get_typestore
-
         path.parent.mkdir(parents=True, exist_ok=True)
         self.path = path
         self._png = png
@@ -106,6 +105,10 @@ class LiveRecorder:
         self._writer.add_metadata(
             "gelstereo", {"config_toml": config, "version": __version__, "log_clock": clock}
         )
+        if shape is not None and shape["kind"] == "mesh":
+            mesh = Path(shape["path"])
+            kind = "application/octet-stream"
+            self._writer.add_attachment(0, 0, name=mesh.name, media_type=kind, data=mesh.read_bytes())
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         self._sequences = dict.fromkeys(_TOPICS, 0)
@@ -178,7 +181,7 @@ class LiveRecorder:
             log_time=time.time_ns() if self._wall_clock else time_ns,
             publish_time=time_ns,
             sequence=self._sequences[topic],
-            data=bytes(self._store.serialize_cdr(message, name)),
+            data=bytes(self._store.serialize_cdr(message, name, little_endian=True)),
         )
         self._sequences[topic] += 1
 

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import threading
+from typing import TYPE_CHECKING
 
 from gelstereo.live.latest import Latest
 from gelstereo.live.meter import Meter, Reading
-from gelstereo.live.record import LiveRecorder
 from gelstereo.live.sensing import LiveResult, LiveSensor
 from gelstereo.live.shown import Shown
 from gelstereo.live.source import LiveSource
+
+if TYPE_CHECKING:
+    # It needs the extra `recording`.
+    from gelstereo.live.record import LiveRecorder
 
 _BYTES_PER_MB = 1e6
 

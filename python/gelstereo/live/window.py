@@ -39,13 +39,16 @@ def show_window(newest: Latest[Shown], draw: Callable[[Shown], Image]) -> None:
     import cv2
 
     number = 0
-    cv2.namedWindow(_NAME, cv2.WINDOW_NORMAL | cv2.WINDOW_KEEPRATIO)
+    cv2.namedWindow(_NAME, cv2.WINDOW_NORMAL | cv2.WINDOW_KEEPRATIO | cv2.WINDOW_GUI_NORMAL)
     try:
         while not newest.closed:
             found = newest.newer_than(number, 0.2)
             if found is not None:
-                number, shown = found
-                cv2.imshow(_NAME, draw(shown))
+                picture = draw(found[1])
+                if number == 0:
+                    cv2.resizeWindow(_NAME, picture.shape[1], picture.shape[0])
+                number = found[0]
+                cv2.imshow(_NAME, picture)
             if cv2.waitKey(_EVENTS_MS) & 0xFF in (_ESCAPE, ord("q")):
                 return
             if number and cv2.getWindowProperty(_NAME, cv2.WND_PROP_VISIBLE) < 1:

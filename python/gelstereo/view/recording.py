@@ -15,7 +15,6 @@ import numpy as np
 import numpy.typing as npt
 
 from gelstereo._native import Error, Rig, Scene, parse_toml, se3_exp, shape_mesh, so3_log
-from gelstereo.view.compressed import decoded, views_of
 from gelstereo.view.moment import Moment, Part, pose_in_words
 
 Floats = npt.NDArray[np.float64]
@@ -50,11 +49,11 @@ class _Recorded:
     rest: _Cloud | None = None
     cloud: _Cloud | None = None
     left: npt.NDArray[np.uint8] | None = None
+    layout: str = "side_by_side"
     frame: dict[str, Any] = field(default_factory=dict)
     pose: Floats | None = None
     at_pose: tuple[_Cloud, npt.NDArray[np.uint8], dict[str, Any]] | None = None
     notes: dict[str, Any] = field(default_factory=dict)
-    layout: str = "side_by_side"
 
 
 def moment_of_recording(path: str | Path) -> Moment:
@@ -150,11 +149,11 @@ def _take(recorded: _Recorded, topic: str, data: bytes) -> None:
     if topic == "/gelstereo/left/image":
         recorded.left = _image(data)
     elif topic == "/gelstereo/left/image/compressed":
-        recorded.left = decoded(_compressed(data))
-    elif topic == "/gelstereo/stereo/image/compressed":
-        recorded.left, _ = views_of(decoded(_compressed(data)), recorded.layout)
+        recorded.left = _compressed_image(data)
     elif topic == "/gelstereo/capture":
         recorded.layout = json.loads(_Cdr(data).string()).get("layout", recorded.layout)
+    elif topic == "/gelstereo/stereo/image/compressed":
+        recorded.left = _left_half(_compressed_image(data), recorded.layout)
     elif topic == "/gelstereo/points":
         recorded.cloud = _cloud(data)
         recorded.rest = recorded.rest or recorded.cloud
@@ -242,11 +241,33 @@ def _image(data: bytes) -> npt.NDArray[np.uint8]:
     return pixels.reshape(height, step)[:, :width]
 
 
-def _compressed(data: bytes) -> memoryview:
+def _compressed_image(data: bytes) -> npt.NDArray[np.uint8]:
+    """(height, width) grey levels of a PNG or JPEG file in a message."""
+    import cv2
+
     cdr = _Cdr(data)
     cdr.header()
-    cdr.string()  # png or jpeg: the file says so itself
-    return cdr.bytes()
+    encoding, file = cdr.string(), np.frombuffer(cdr.bytes(), dtype=np.uint8)
+    image = cv2.imdecode(file, cv2.IMREAD_GRAYSCALE) if file.size else None
+    if image is None:
+        raise RecordingError(
+            f"an image of the format {encoding!r} cannot be decoded; valid is 'png' or 'jpeg'"
+        )
+    return np.asarray(image, dtype=np.uint8)
+
+
+def _left_half(joint: npt.NDArray[np.uint8], layout: str) -> npt.NDArray[np.uint8]:
+    """The left view of an image of both; ``layout`` is the camera's."""
+    width = joint.shape[1] // 2
+    views = {
+        "side_by_side": joint[:, :width],
+        "side_by_side_swapped": joint[:, width:],
+        "interleaved": joint[:, 0::2],
+        "interleaved_swapped": joint[:, 1::2],
+    }
+    if layout not in views:
+        raise RecordingError(f"a stereo image has the layout {layout!r}; valid is one of {sorted(views)}")
+    return views[layout]
 
 
 def _cloud(data: bytes) -> _Cloud:

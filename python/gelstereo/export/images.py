@@ -11,13 +11,11 @@ from gelstereo import Error
 
 Image = npt.NDArray[np.uint8]
 
-_SIDE_BY_SIDE = ("side_by_side", "side_by_side_swapped")
-
 
 def decoded(data: bytes | memoryview | npt.NDArray[np.uint8]) -> Image:
     """A grey image, (H, W), of a PNG or JPEG file.
 
-    Pixels of a JPEG file are OpenCV's: good for pictures, and a level off here and there from what was sensed.
+    Pixels of a JPEG file are OpenCV's, which are a level off here and there from what was sensed.
 
     Raises
     ------
@@ -26,27 +24,23 @@ def decoded(data: bytes | memoryview | npt.NDArray[np.uint8]) -> Image:
     """
     import cv2
 
-    image: Any = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
+    file = np.frombuffer(data, dtype=np.uint8)
+    image: Any = cv2.imdecode(file, cv2.IMREAD_GRAYSCALE) if file.size else None
     if image is None:
         raise Error("a compressed image of the recording cannot be decoded; it is damaged")
     return np.asarray(image, dtype=np.uint8)
 
 
 def views_of(image: Image, layout: str) -> tuple[Image, Image]:
-    """Left and right view of an image of both.
+    """Left and right view of an image of both, in a layout of `gelstereo.cameras`.
 
     Examples
     --------
     >>> views_of(np.array([[1, 2, 3, 4]], dtype=np.uint8), "side_by_side_swapped")
     (array([[3, 4]], dtype=uint8), array([[1, 2]], dtype=uint8))
-
-    Raises
-    ------
-    Error
-        If a compressed image cannot hold two views in this layout.
     """
-    if layout not in _SIDE_BY_SIDE:
-        raise Error(f"a compressed image has the layout {layout!r}; valid is one of {_SIDE_BY_SIDE}")
     half = image.shape[1] // 2
     first, second = image[:, :half], image[:, half : 2 * half]
-    return (first, second) if layout == "side_by_side" else (second, first)
+    if layout.startswith("interleaved"):
+        first, second = image[:, 0::2], image[:, 1::2]
+    return (second, first) if layout.endswith("_swapped") else (first, second)
