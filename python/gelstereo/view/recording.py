@@ -49,6 +49,7 @@ class _Recorded:
     rest: _Cloud | None = None
     cloud: _Cloud | None = None
     left: npt.NDArray[np.uint8] | None = None
+    layout: str = "side_by_side"
     frame: dict[str, Any] = field(default_factory=dict)
     pose: Floats | None = None
     at_pose: tuple[_Cloud, npt.NDArray[np.uint8], dict[str, Any]] | None = None
@@ -147,6 +148,12 @@ def _read_header(stream: Any, recorded: _Recorded) -> None:
 def _take(recorded: _Recorded, topic: str, data: bytes) -> None:
     if topic == "/gelstereo/left/image":
         recorded.left = _image(data)
+    elif topic == "/gelstereo/left/image/compressed":
+        recorded.left = _compressed_image(data)
+    elif topic == "/gelstereo/capture":
+        recorded.layout = json.loads(_Cdr(data).string()).get("layout", recorded.layout)
+    elif topic == "/gelstereo/stereo/image/compressed":
+        recorded.left = _left_half(_compressed_image(data), recorded.layout)
     elif topic == "/gelstereo/points":
         recorded.cloud = _cloud(data)
         recorded.rest = recorded.rest or recorded.cloud
@@ -232,6 +239,35 @@ def _image(data: bytes) -> npt.NDArray[np.uint8]:
     step = cdr.u32()
     pixels = np.frombuffer(cdr.bytes(), dtype=np.uint8)
     return pixels.reshape(height, step)[:, :width]
+
+
+def _compressed_image(data: bytes) -> npt.NDArray[np.uint8]:
+    """(height, width) grey levels of a PNG or JPEG file in a message."""
+    import cv2
+
+    cdr = _Cdr(data)
+    cdr.header()
+    encoding, file = cdr.string(), np.frombuffer(cdr.bytes(), dtype=np.uint8)
+    image = cv2.imdecode(file, cv2.IMREAD_GRAYSCALE) if file.size else None
+    if image is None:
+        raise RecordingError(
+            f"an image of the format {encoding!r} cannot be decoded; valid is 'png' or 'jpeg'"
+        )
+    return np.asarray(image, dtype=np.uint8)
+
+
+def _left_half(joint: npt.NDArray[np.uint8], layout: str) -> npt.NDArray[np.uint8]:
+    """The left view of an image of both; ``layout`` is the camera's."""
+    width = joint.shape[1] // 2
+    views = {
+        "side_by_side": joint[:, :width],
+        "side_by_side_swapped": joint[:, width:],
+        "interleaved": joint[:, 0::2],
+        "interleaved_swapped": joint[:, 1::2],
+    }
+    if layout not in views:
+        raise RecordingError(f"a stereo image has the layout {layout!r}; valid is one of {sorted(views)}")
+    return views[layout]
 
 
 def _cloud(data: bytes) -> _Cloud:
