@@ -7,14 +7,16 @@ import json
 import os
 import shutil
 import subprocess
+import zlib
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 TOPICS = {
-    "/gelstereo/left/image": "sensor_msgs/msg/Image",
-    "/gelstereo/right/image": "sensor_msgs/msg/Image",
+    "/gelstereo/capture": "std_msgs/msg/String",
+    "/gelstereo/left/image/compressed": "sensor_msgs/msg/CompressedImage",
+    "/gelstereo/right/image/compressed": "sensor_msgs/msg/CompressedImage",
     "/gelstereo/points": "sensor_msgs/msg/PointCloud2",
     "/gelstereo/frame": "std_msgs/msg/String",
     "/gelstereo/pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
@@ -46,6 +48,16 @@ def run(tmp_path_factory):
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     return path, json.loads(done.stdout)
+
+
+def check_image(file: bytes, crc32: str) -> None:
+    """A grey PNG whose pixels have the check sum that was recorded with them."""
+    import cv2
+    import numpy as np
+
+    image = cv2.imdecode(np.frombuffer(file, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert image.shape == (480, 640) and image.dtype == np.uint8
+    assert f"{zlib.crc32(image.tobytes()):08x}" == crc32
 
 
 def check_frame(points, fields: dict[str, tuple[int, int]]) -> None:
@@ -93,10 +105,11 @@ def test_mcap_reads_indices_metadata_and_every_message(run):
             assert message.data[:4] == b"\x00\x01\x00\x00"
             counts[channel.topic] += 1
     frames = sum(stage["frames"] for stage in summary["stages"])
-    assert {counts[topic] for topic in TOPICS if topic not in ("/gelstereo/pose", "/gelstereo/stage")} == {
-        frames
-    }
+    single = ("/gelstereo/pose", "/gelstereo/stage", "/gelstereo/capture")
+    assert {counts[topic] for topic in TOPICS if topic not in single} == {frames}
     assert counts["/gelstereo/pose"] == 1
+    # One for each pair, and one for each trigger: grasp, insertion, end.
+    assert counts["/gelstereo/capture"] == frames + 3
 
 
 def test_rosbags_decodes_every_message_by_the_recorded_definitions(run):
@@ -117,9 +130,14 @@ def test_rosbags_decodes_every_message_by_the_recorded_definitions(run):
                 assert header.stamp.sec * 10**9 + header.stamp.nanosec == time_ns
             if connection.topic == "/gelstereo/points":
                 check_frame(message, {f.name: (f.offset, f.datatype) for f in message.fields})
-            if connection.topic.endswith("image"):
-                assert (message.height, message.width, message.step) == (480, 640, 640)
-                assert message.encoding == "mono8" and len(message.data) == 480 * 640
+            if connection.topic == "/gelstereo/capture":
+                captured = json.loads(message.data)
+                if "left_crc32" in captured:
+                    pixels = {"left": captured["left_crc32"], "right": captured["right_crc32"]}
+            if connection.topic.endswith("compressed"):
+                view = connection.topic.split("/")[2]
+                assert message.format == "png"
+                check_image(bytes(message.data), pixels[view])
     assert all(count > 0 for count in decoded.values())
     check_pose(last["/gelstereo/pose"], summary["localized"])
     assert json.loads(last["/gelstereo/stage"].data)["outcome"] == summary["outcome"]
