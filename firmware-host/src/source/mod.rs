@@ -2,6 +2,8 @@
 
 #[cfg(feature = "host")]
 mod folder;
+#[cfg(feature = "host")]
+mod natural;
 
 #[cfg(feature = "host")]
 pub use folder::FolderSource;
