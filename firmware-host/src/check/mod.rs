@@ -1,56 +1,90 @@
 //! Whether a configuration would work here, point by point.
 
+pub mod disk;
+pub(crate) mod hardware;
+
 use crate::config::{Config, SourceConfig};
+use crate::finding::Finding;
 use crate::part::Part;
 use crate::run::Setup;
-use std::path::Path;
-
-/// One point that was checked.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Finding {
-    /// What was checked.
-    pub subject: &'static str,
-    /// What was found, or what is wrong and what would be valid.
-    pub result: Result<String, String>,
-}
+use crate::source::FolderSource;
 
 /// Checks the configuration's values, the part, the devices and where the recording would go. Nothing moves, and no
 /// existing recording is touched.
 #[must_use]
 pub fn check(config: &Config) -> Vec<Finding> {
-    let text = |result: Result<String, &dyn std::error::Error>| result.map_err(|error| error.to_string());
     let values = config.validate();
-    let mut findings = vec![Finding {
-        subject: "configuration",
-        result: match &values {
-            Ok(()) => Ok(format!("valid, preset \"{}\"", config.preset)),
-            Err(error) => text(Err(error)),
-        },
+    let mut findings = vec![match &values {
+        Ok(()) => Finding::ok("configuration", format!("valid, preset \"{}\"", config.preset)),
+        Err(error) => Finding::wrong("configuration", error.to_string()),
     }];
+    findings.push(part(config));
+    findings.extend(hardware::examine(config));
+    if values.is_ok() {
+        findings.extend(devices(config));
+    }
+    // An empty path is among the values.
+    if config.recording.path.file_name().is_some() {
+        findings.push(disk::examine(config));
+    }
+    findings
+}
+
+fn part(config: &Config) -> Finding {
     let part = Part::load(&config.part.shape).and_then(|part| {
         let template = part.template(&config.part)?;
         let (low, high) = part.mesh.bounds_mm();
         let size = high - low;
-        Ok(format!(
-            "{:.2} x {:.2} x {:.2} mm, template of {} points",
-            size.x,
-            size.y,
-            size.z,
-            template.points_mm().len()
-        ))
+        let points = template.points_mm().len();
+        Ok(format!("{:.2} x {:.2} x {:.2} mm, template of {points} points", size.x, size.y, size.z))
     });
-    findings.push(Finding { subject: "part", result: part.map_err(|error| error.to_string()) });
-    if values.is_ok() {
-        findings.push(Finding {
-            subject: "devices",
-            result: match Setup::new(config) {
-                Ok(setup) => Ok(describe(config, &setup)),
-                Err(error) => text(Err(&error)),
-            },
-        });
+    match part {
+        Ok(found) => Finding::ok("part", found),
+        Err(error) => Finding::wrong("part", error.to_string()),
     }
-    findings.push(Finding { subject: "recording", result: writable(&config.recording.path) });
+}
+
+/// Opens what the job opens.
+fn devices(config: &Config) -> Vec<Finding> {
+    let mut findings = Vec::new();
+    match Setup::new(config) {
+        Ok(setup) => findings.push(Finding::ok("devices", describe(config, &setup))),
+        Err(error) => findings.push(Finding::wrong("devices", error.to_string())),
+    }
+    if let SourceConfig::Folder { path, frame_rate_hz } = &config.source
+        && let Ok(mut source) = FolderSource::open(path, *frame_rate_hz)
+    {
+        findings.push(images(config, &mut source));
+    }
     findings
+}
+
+/// Whether the images are as large as the rig's, and how many are missing.
+fn images(config: &Config, source: &mut FolderSource) -> Finding {
+    const SUBJECT: &str = "images";
+    let dropped = source.dropped();
+    let (size, rig) = match (source.size_px(), config.rig()) {
+        (Ok(size), Ok(rig)) => (size, rig),
+        (Err(error), _) => return Finding::wrong(SUBJECT, error.to_string()),
+        (_, Err(error)) => return Finding::wrong(SUBJECT, error.to_string()),
+    };
+    let found = format!("{} x {} px", size.0, size.1);
+    for camera in [&rig.left, &rig.right] {
+        if size != (camera.width_px, camera.height_px) {
+            let rig = format!("the rig is of {} x {} px", camera.width_px, camera.height_px);
+            let advice = "calibrate with images of this size, or take the images at the rig's";
+            return Finding::wrong(SUBJECT, format!("{found}, but {rig}")).with_advice(advice);
+        }
+    }
+    if dropped > 0 {
+        let advice = "time goes on over the gaps; rename the files if there are none";
+        return Finding::warn(
+            SUBJECT,
+            format!("{found}; {dropped} pairs are missing in the numbering"),
+            advice,
+        );
+    }
+    Finding::ok(SUBJECT, found)
 }
 
 fn describe(config: &Config, setup: &Setup) -> String {
@@ -62,17 +96,4 @@ fn describe(config: &Config, setup: &Setup) -> String {
             path.display()
         ),
     }
-}
-
-/// Tries to write beside the recording.
-fn writable(path: &Path) -> Result<String, String> {
-    let folder = path.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let wrong = |error: std::io::Error| {
-        format!("cannot write in {}: {error}; choose another recording.path", folder.display())
-    };
-    std::fs::create_dir_all(folder).map_err(wrong)?;
-    let probe = folder.join(".gelstereo-host-check");
-    std::fs::write(&probe, []).map_err(wrong)?;
-    std::fs::remove_file(&probe).map_err(wrong)?;
-    Ok(path.display().to_string())
 }

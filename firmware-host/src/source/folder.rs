@@ -71,6 +71,18 @@ impl FolderSource {
         self.pairs.iter().map(|pair| pair.dropped).sum()
     }
 
+    /// Width and height of the first image, pixels; all must have them.
+    ///
+    /// # Errors
+    /// [`SourceError::Decode`].
+    pub fn size_px(&self) -> Result<(usize, usize), SourceError> {
+        let path = &self.pairs[0].left;
+        let wrong =
+            |error: image::ImageError| SourceError::Decode { path: path.clone(), message: error.to_string() };
+        let (width, height) = image::image_dimensions(path).map_err(wrong)?;
+        Ok((width as usize, height as usize))
+    }
+
     fn read(&mut self, path: &Path, gray: &mut Gray) -> Result<(), SourceError> {
         let image = image::open(path)
             .map_err(|error| SourceError::Decode { path: path.to_owned(), message: error.to_string() })?

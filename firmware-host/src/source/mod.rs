@@ -7,6 +7,8 @@ mod natural;
 
 #[cfg(feature = "host")]
 pub use folder::FolderSource;
+#[cfg(feature = "host")]
+pub(crate) use natural::compare as compare_names;
 
 use gelstereo_core::image::{GrayView, ImageError};
 use serde::{Deserialize, Serialize};

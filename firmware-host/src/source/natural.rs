@@ -38,7 +38,7 @@ fn compare_numbers(a: &str, b: &str) -> Ordering {
 }
 
 /// Compares names in natural order. Names that differ in leading zeros alone compare as text, so that the order is total.
-pub(super) fn compare(a: &str, b: &str) -> Ordering {
+pub(crate) fn compare(a: &str, b: &str) -> Ordering {
     let (mut left, mut right) = (pieces(a), pieces(b));
     loop {
         let order = match (left.next(), right.next()) {
