@@ -19,6 +19,8 @@ pub mod hid;
 #[cfg(feature = "host")]
 pub mod job;
 #[cfg(feature = "host")]
+pub mod light;
+#[cfg(feature = "host")]
 pub mod notes;
 #[cfg(feature = "host")]
 pub mod part;

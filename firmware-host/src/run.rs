@@ -1,14 +1,17 @@
 //! From a configuration to a job: devices, template, recording, and in simulation the truth.
 
 use crate::config::{Config, ConfigError, SourceConfig};
+use crate::hid::HidError;
 use crate::job::{Devices, Job, JobError};
+use crate::light::{LightOn, set_up_camera};
 use crate::part::{Part, PartError};
 use crate::recording::{Recorder, RecordingError};
 use crate::report::{JobReport, Outcome, StageReport, TruthReport};
 use crate::sensing::{Sensing, SensingError};
-use crate::source::{FolderSource, FrameSource, SourceError};
+use crate::source::{CameraSource, FolderSource, FrameSource, SourceError};
 use crate::world::{
-    BenchTruth, PacedSource, SimulatedCamera, SimulatedGripper, SimulatedRobot, World, WorldError,
+    BenchTruth, PacedSource, SimulatedCamera, SimulatedGripper, SimulatedRobot, TimedSource, World,
+    WorldError,
 };
 use gelstereo_core::math::Pose;
 use std::cell::RefCell;
@@ -25,6 +28,8 @@ pub enum HostError {
     Part(PartError),
     /// The simulated world.
     World(WorldError),
+    /// The light, or the camera's settings by HID.
+    Hid(HidError),
     /// The frame source.
     Source(SourceError),
     /// The pipeline cannot start.
@@ -41,6 +46,7 @@ impl std::fmt::Display for HostError {
             Self::Config(error) => error.fmt(f),
             Self::Part(error) => error.fmt(f),
             Self::World(error) => error.fmt(f),
+            Self::Hid(error) => error.fmt(f),
             Self::Source(error) => error.fmt(f),
             Self::Sensing(error) => error.fmt(f),
             Self::Recording(error) => error.fmt(f),
@@ -60,7 +66,7 @@ macro_rules! host_from {
         })*
     };
 }
-host_from!(ConfigError => Config, PartError => Part, WorldError => World, SourceError => Source,
+host_from!(ConfigError => Config, PartError => Part, WorldError => World, HidError => Hid, SourceError => Source,
            SensingError => Sensing, RecordingError => Recording, JobError => Job);
 
 /// A job's world and what it senses with.
@@ -91,6 +97,10 @@ impl Setup {
                 source: Box::new(FolderSource::open(path, *frame_rate_hz)?),
                 world: Rc::clone(&world),
             }),
+            SourceConfig::Camera(camera) => {
+                let source = CameraSource::open(camera).map_err(SourceError::Camera)?;
+                Box::new(TimedSource::new(Box::new(source), Rc::clone(&world)))
+            }
         };
         let devices = Devices {
             source,
@@ -119,11 +129,14 @@ pub fn run(
     stop: &AtomicBool,
     progress: &mut dyn FnMut(&StageReport),
 ) -> Result<JobReport, HostError> {
+    set_up_camera(&config.camera_hid)?;
+    let light = LightOn::new(&config.light)?;
     let setup = Setup::new(config)?;
     let attachments: Vec<_> = setup.part.file.clone().into_iter().collect();
     let recorder = Recorder::create(recording, &recorded_config(config)?, &attachments)?;
     let mut report = run_with(config, setup, Some(recorder), stop, progress)?;
     report.recording = Some(recording.to_owned());
+    light.off()?;
     Ok(report)
 }
 

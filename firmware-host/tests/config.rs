@@ -66,6 +66,16 @@ fn errors_name_what_was_found_and_what_is_valid() {
         error("[task]\nopen_width_mm = 120"),
         "task.open_width_mm is 120; valid is a width that mount.kinematics can have"
     );
+    assert_eq!(
+        error("[light]\nkind = \"blink1\"\nbrightness = 40"),
+        "light.brightness is 40; valid is 0 to 1"
+    );
+    assert_eq!(
+        error("[camera_hid]\nkind = \"tara\"\nexposure_us = 5"),
+        "camera_hid.exposure_us is 5; valid is 1 (automatic) or 10 to 1000000 us"
+    );
+    let color = error("[light]\nkind = \"blink1\"\ncolor = [256, 0, 0]");
+    assert!(color.contains("invalid value: integer `256`, expected u8"), "{color}");
     let folder = error("[source]\nkind = \"folder\"\npath = \"pairs\"\nframe_rate_hz = 30");
     assert!(folder.contains("add rig_file"), "{folder}");
     let kind = error("[source]\nkind = \"webcam\"");

@@ -36,6 +36,7 @@ exceptions! {
     FrameError: "The gripper cannot have this opening width.",
     SceneError: "A scene makes no sense.",
     LayerError: "There is no such layer of gel, or no such contact with it.",
+    HidError: "A HID device is absent, refuses a command or does not answer.",
 }
 
 /// A stage's error as its Python exception.
@@ -74,6 +75,8 @@ stage_errors! {
     core::frames::WidthError => FrameError,
     gelstereo_sim::SceneError => SceneError,
     gelstereo_sim::layer::LayerError => LayerError,
+    gelstereo_host::codec::tara::TaraError => HidError,
+    gelstereo_host::codec::blink1::Blink1Error => HidError,
 }
 
 impl ToPython for core::register::RegisterError {

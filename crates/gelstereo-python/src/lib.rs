@@ -5,6 +5,7 @@
 
 mod arrays;
 mod closest;
+mod codec;
 mod contact;
 mod detect;
 mod errors;
@@ -31,13 +32,15 @@ mod _native {
     #[pymodule_export]
     use crate::closest::{Closest, Surface, Symmetry, turned_outward};
     #[pymodule_export]
+    use crate::codec::{Blink1Command, TaraAssembly, TaraRequest, hid_udev_rule};
+    #[pymodule_export]
     use crate::contact::{RestSurface, pressure_saliency};
     #[pymodule_export]
     use crate::detect::{Detector, Markers};
     #[pymodule_export]
     use crate::errors::{
-        ContactError, DetectError, Error, FrameError, ImageError, LabelError, LayerError, MeshError,
-        ParamsError, PoseError, RegisterError, RigError, SceneError, ShapeError, TemplateError,
+        ContactError, DetectError, Error, FrameError, HidError, ImageError, LabelError, LayerError,
+        MeshError, ParamsError, PoseError, RegisterError, RigError, SceneError, ShapeError, TemplateError,
         TriangulateError,
     };
     #[pymodule_export]

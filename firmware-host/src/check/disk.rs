@@ -36,6 +36,7 @@ fn frame_rate_hz(config: &Config) -> f64 {
     match config.source {
         SourceConfig::Simulated => config.simulated.frame_rate_hz,
         SourceConfig::Folder { frame_rate_hz, .. } => frame_rate_hz,
+        SourceConfig::Camera(ref camera) => camera.frame_rate_hz,
     }
 }
 

@@ -1,7 +1,7 @@
 //! Whether a configuration would work here, point by point.
 
 pub mod disk;
-pub(crate) mod hardware;
+mod hardware;
 
 use crate::config::{Config, SourceConfig};
 use crate::finding::Finding;
@@ -95,5 +95,9 @@ fn describe(config: &Config, setup: &Setup) -> String {
             setup.devices.source.len_hint().unwrap_or(0),
             path.display()
         ),
+        SourceConfig::Camera(camera) => {
+            let right = camera.right_device.iter().map(|right| format!(" and {right}"));
+            format!("camera {}{}, simulated gripper and robot", camera.device, right.collect::<String>())
+        }
     }
 }

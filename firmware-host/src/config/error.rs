@@ -1,6 +1,7 @@
 //! Why a configuration cannot be used.
 
 use super::reference::Unknown;
+use crate::camera::CaptureError;
 use gelstereo_core::frames::MountError;
 use gelstereo_core::params::{Params, ParamsError};
 use gelstereo_core::rig::RigError;
@@ -94,6 +95,8 @@ pub enum ConfigError {
         /// What to do.
         advice: &'static str,
     },
+    /// A setting of the camera makes no sense.
+    Camera(CaptureError),
     /// There is no rig, or there are two.
     RigSource {
         /// What to do.
@@ -130,6 +133,7 @@ impl std::fmt::Display for ConfigError {
             Self::Mount(error) => write!(f, "mount.{error}"),
             Self::Scene { table, error } => f.write_str(&scene_text(table, error)),
             Self::NoPath { name, advice } => write!(f, "{name} is empty; {advice}"),
+            Self::Camera(error) => write!(f, "source.{error}"),
             Self::RigSource { message } => f.write_str(message),
             Self::Rig(error) => write!(f, "rig: {error}"),
             Self::Write(error) => write!(f, "the configuration cannot be written as TOML: {error}"),

@@ -4,6 +4,7 @@
 //! Settings of the pipeline are [`Params`]; a file names a preset and states only what differs from it.
 
 mod error;
+mod light;
 mod part;
 mod range;
 mod recording;
@@ -13,6 +14,7 @@ mod source;
 mod task;
 
 pub use error::ConfigError;
+pub use light::{CameraHidConfig, LightConfig, StreamModeConfig};
 pub use recording::RecordingConfig;
 pub use simulated::SimulatedConfig;
 pub use source::SourceConfig;
@@ -40,6 +42,10 @@ pub struct Config {
     pub rig_file: Option<PathBuf>,
     /// Where stereo pairs come from. Default: the simulated sensor.
     pub source: SourceConfig,
+    /// The light over the gel. Default: none.
+    pub light: LightConfig,
+    /// Settings of the camera that go by HID. Default: none.
+    pub camera_hid: CameraHidConfig,
     /// The part to be grasped.
     pub part: PartConfig,
     /// The job: grasp the part, find it in the hand, align it, insert it. The base frame has z upwards.
@@ -69,6 +75,8 @@ impl Default for Config {
             preset: DEFAULT_PRESET.to_owned(),
             rig_file: None,
             source: SourceConfig::default(),
+            light: LightConfig::default(),
+            camera_hid: CameraHidConfig::default(),
             part: PartConfig::default(),
             task: TaskConfig::default(),
             recording: RecordingConfig::default(),
@@ -158,6 +166,9 @@ impl Config {
                 message: "images from a folder need the rig that took them: add rig_file = \"rig.toml\", made by \
                           `gelstereo calibrate`",
             }),
+            (None, SourceConfig::Camera(_)) => Err(ConfigError::RigSource {
+                message: "a camera needs its rig: add rig_file = \"rig.toml\", made by `gelstereo calibrate`",
+            }),
         }
     }
 
@@ -186,6 +197,8 @@ impl Config {
         range::check_images(&rig)?;
         self.source.validate()?;
         part::validate(&self.part)?;
+        self.light.validate()?;
+        self.camera_hid.validate()?;
         self.task.validate(&self.mount.kinematics)?;
         self.recording.validate()?;
         self.simulated.validate()?;

@@ -2,6 +2,7 @@
 
 use super::ConfigError;
 use super::range::RATE_HZ;
+use crate::camera::CameraConfig;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -20,6 +21,8 @@ pub enum SourceConfig {
         /// Rate at which they were taken. Valid: 0.1 to 1000 Hz. Set it to the camera's.
         frame_rate_hz: f64,
     },
+    /// A stereo camera by Video4Linux2: one device with both views, or two devices.
+    Camera(CameraConfig),
 }
 
 impl SourceConfig {
@@ -27,6 +30,7 @@ impl SourceConfig {
         match self {
             Self::Simulated => Ok(()),
             Self::Folder { frame_rate_hz, .. } => RATE_HZ.check("source.frame_rate_hz", *frame_rate_hz),
+            Self::Camera(camera) => camera.validate().map_err(ConfigError::Camera),
         }
     }
 }

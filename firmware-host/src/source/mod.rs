@@ -1,15 +1,23 @@
 //! Where stereo pairs come from.
 
+mod camera;
 #[cfg(feature = "host")]
 mod folder;
+mod huffman;
+pub mod jpeg;
+mod layout;
 #[cfg(feature = "host")]
 mod natural;
+pub mod pairing;
 
+pub use camera::CameraSource;
 #[cfg(feature = "host")]
 pub use folder::FolderSource;
+pub use layout::OddWidth;
 #[cfg(feature = "host")]
 pub(crate) use natural::compare as compare_names;
 
+use crate::camera::CaptureError;
 use gelstereo_core::image::{GrayView, ImageError};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -156,6 +164,14 @@ pub enum SourceEvent {
         /// Number that came.
         found: u64,
     },
+    /// A driver's timestamp goes back or is of another clock than `CLOCK_MONOTONIC`. The moment of reading takes its
+    /// place.
+    Timestamp {
+        /// The driver's sequence number.
+        sequence: u64,
+        /// What is wrong with it.
+        reason: String,
+    },
     /// Two devices' images are too far apart in time to be a pair.
     Skewed {
         /// Right image's time minus the left one's.
@@ -179,6 +195,7 @@ impl std::fmt::Display for SourceEvent {
             Self::Sequence { expected, found } => {
                 write!(f, "frame {found} came where {expected} was expected")
             }
+            Self::Timestamp { sequence, reason } => write!(f, "frame {sequence}: {reason}"),
             Self::Skewed { skew_ns, max_skew_ns } => write!(
                 f,
                 "the right image is {:.3} ms later than the left one; at most {:.3} ms apart they are a pair",
@@ -241,6 +258,8 @@ pub enum SourceError {
         /// Width and height of the first image, pixels.
         expected: (usize, usize),
     },
+    /// A camera cannot be opened or set.
+    Camera(CaptureError),
     /// A device was unplugged or reports a fault.
     Device {
         /// What it said.
@@ -286,12 +305,19 @@ impl std::fmt::Display for SourceError {
                 expected.0,
                 expected.1
             ),
+            Self::Camera(error) => error.fmt(f),
             Self::Device { message } => write!(f, "camera: {message}"),
         }
     }
 }
 
 impl std::error::Error for SourceError {}
+
+impl From<CaptureError> for SourceError {
+    fn from(error: CaptureError) -> Self {
+        Self::Camera(error)
+    }
+}
 
 /// A stereo camera, or what stands in for one.
 pub trait FrameSource {

@@ -40,6 +40,45 @@ impl FrameSource for PacedSource {
     }
 }
 
+/// Longest time that passes in the simulated world between two pairs: after an interruption of the camera gripper and
+/// robot go on from where they were.
+const MAX_STEP_NS: u64 = 1_000_000_000;
+
+/// Images of a real camera in a simulated world: its time passes by their timestamps.
+pub struct TimedSource {
+    source: Box<dyn FrameSource>,
+    world: Rc<RefCell<World>>,
+    last_ns: Option<u64>,
+    /// Time that is less than a period of the world's.
+    rest_ns: u64,
+}
+
+impl TimedSource {
+    /// Pairs of `source`, by whose timestamps the time of `world` passes.
+    #[must_use]
+    pub fn new(source: Box<dyn FrameSource>, world: Rc<RefCell<World>>) -> Self {
+        Self { source, world, last_ns: None, rest_ns: 0 }
+    }
+}
+
+impl FrameSource for TimedSource {
+    fn next_pair(&mut self, timeout: Duration, pair: &mut StereoPair) -> Result<Next, SourceError> {
+        let next = self.source.next_pair(timeout, pair)?;
+        if next == Next::Pair {
+            let last_ns = self.last_ns.replace(pair.time_ns).unwrap_or(pair.time_ns);
+            let mut world = self.world.borrow_mut();
+            let passed_ns = self.rest_ns + pair.time_ns.saturating_sub(last_ns).min(MAX_STEP_NS);
+            (0..passed_ns / world.period_ns).for_each(|_| world.tick());
+            self.rest_ns = passed_ns % world.period_ns;
+        }
+        Ok(next)
+    }
+
+    fn len_hint(&self) -> Option<usize> {
+        self.source.len_hint()
+    }
+}
+
 /// The simulated gripper.
 #[derive(Clone, Debug)]
 pub struct SimulatedGripper(pub Rc<RefCell<World>>);

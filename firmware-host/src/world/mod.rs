@@ -8,7 +8,7 @@ mod devices;
 mod hole;
 
 pub use bench::{Bench, BenchTruth};
-pub use devices::{PacedSource, SimulatedCamera, SimulatedGripper, SimulatedRobot};
+pub use devices::{PacedSource, SimulatedCamera, SimulatedGripper, SimulatedRobot, TimedSource};
 pub use hole::{Fit, Hole, Peg};
 
 use crate::config::{Config, SourceConfig};
@@ -107,6 +107,7 @@ impl World {
         let (bench, rate_hz) = match config.source {
             SourceConfig::Simulated => (Some(Bench::new(config)?), config.simulated.frame_rate_hz),
             SourceConfig::Folder { frame_rate_hz, .. } => (None, frame_rate_hz),
+            SourceConfig::Camera(ref camera) => (None, camera.frame_rate_hz),
         };
         let (_, max_width_mm) = config.mount.kinematics.width_range_mm();
         Ok(Rc::new(RefCell::new(Self {

@@ -1,0 +1,160 @@
+//! What is wanted of a camera.
+
+use super::{CaptureError, ControlSettings, PixelFormat};
+use crate::source::StereoLayout;
+use serde::{Deserialize, Serialize};
+use std::time::Duration;
+
+/// Which frames are handed over.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CaptureMode {
+    /// The newest; what came before it is passed over undecoded and counted.
+    #[default]
+    Latest,
+    /// All, in their order. What the reader leaves longer than `queue_frames` is lost, oldest first, and counted.
+    Every,
+}
+
+/// A stereo camera: one device that holds both views, or two devices.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CameraConfig {
+    /// `serial:` and the USB serial number, or a path such as `/dev/video0` or `/dev/v4l/by-id/..`. `gelstereo-host
+    /// doctor` lists what is connected. Always to be stated.
+    pub device: String,
+    /// The right camera, named in the same way, where each view has its own device. Default: one stereo device.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub right_device: Option<String>,
+    /// Where both views stand in the frames of one stereo device: `side_by_side`, `side_by_side_swapped`, `interleaved`
+    /// or `interleaved_swapped`. Not used with two devices. Default: `side_by_side`.
+    pub layout: StereoLayout,
+    /// `mjpg`, `yuyv`, `grey` or `y16`. On USB 2 only `mjpg` reaches the full frame rate. Default: `mjpg`.
+    pub format: PixelFormat,
+    /// Width and height of the device's frames, as the driver counts them: side by side, both views. Default:
+    /// `[1280, 480]` pixels.
+    pub size_px: [u32; 2],
+    /// Default: `30` Hz.
+    pub frame_rate_hz: f64,
+    /// `latest` or `every`. Default: `latest`.
+    pub mode: CaptureMode,
+    /// Two devices' images farther apart in time are no pair; at most half a frame's period. Default: `5` ms.
+    pub max_skew_ms: f64,
+    /// Frames that the driver can fill ahead, 2 to 32. More bridge longer interruptions. Default: `4`.
+    pub buffers: u32,
+    /// Frames of each device that wait for the reader, 1 to 256. Default: `8`.
+    pub queue_frames: u32,
+    /// A device that sends nothing for so long is started again. Default: `2000` ms.
+    pub stall_timeout_ms: u64,
+    /// First pause before a lost device is tried again; each failure doubles it. Default: `100` ms.
+    pub min_retry_ms: u64,
+    /// Longest such pause. Default: `5000` ms.
+    pub max_retry_ms: u64,
+    /// Whether JPEG images are handed over as the camera sent them too, for a recorder. Default: `true`.
+    pub keep_encoded: bool,
+    /// Exposure, gain, white balance and others. Default: the camera's own.
+    pub controls: ControlSettings,
+}
+
+impl Default for CameraConfig {
+    fn default() -> Self {
+        Self {
+            device: String::new(),
+            right_device: None,
+            layout: StereoLayout::default(),
+            format: PixelFormat::default(),
+            size_px: [1280, 480],
+            frame_rate_hz: 30.0,
+            mode: CaptureMode::default(),
+            max_skew_ms: 5.0,
+            buffers: 4,
+            queue_frames: 8,
+            stall_timeout_ms: 2000,
+            min_retry_ms: 100,
+            max_retry_ms: 5000,
+            keep_encoded: true,
+            controls: ControlSettings::default(),
+        }
+    }
+}
+
+impl CameraConfig {
+    /// Where both views stand in a frame; `None` where each has its own device.
+    #[must_use]
+    pub fn joint_layout(&self) -> Option<StereoLayout> {
+        self.right_device.is_none().then_some(self.layout)
+    }
+
+    /// Width and height of one view, pixels.
+    #[must_use]
+    pub fn view_size_px(&self) -> (usize, usize) {
+        let [width, height] = self.size_px.map(|side| side as usize);
+        self.format.view_size(self.joint_layout(), width, height)
+    }
+
+    pub(crate) fn max_skew_ns(&self) -> u64 {
+        (self.max_skew_ms * 1e6) as u64
+    }
+
+    pub(crate) fn stall_timeout(&self) -> Duration {
+        Duration::from_millis(self.stall_timeout_ms)
+    }
+
+    /// Checks every setting against its meaning; whether the camera can do it, opening it tells.
+    ///
+    /// # Errors
+    /// [`CaptureError::Name`] and [`CaptureError::Setting`].
+    pub fn validate(&self) -> Result<(), CaptureError> {
+        super::list::check_name("device", &self.device)?;
+        if let Some(right) = &self.right_device {
+            super::list::check_name("right_device", right)?;
+            if *right == self.device {
+                return Err(setting("right_device", right, "another device than `device`, or nothing"));
+            }
+        }
+        let [width, height] = self.size_px;
+        let sides = 1..=8192;
+        if !sides.contains(&width) || !sides.contains(&height) {
+            return Err(setting("size_px", format!("[{width}, {height}]"), "1 to 8192 pixels each"));
+        }
+        let conflict = match self.joint_layout() {
+            Some(layout) => self.format.conflict(layout, width as usize),
+            None if self.format == PixelFormat::Y16 => {
+                Some("format y16 is two views in one device; two devices need mjpg, yuyv or grey")
+            }
+            None => None,
+        };
+        if let Some(valid) = conflict {
+            let found = format!("{} with layout {:?} and width {width}", self.format, self.layout);
+            return Err(setting("format", found, valid));
+        }
+        let rate_hz = self.frame_rate_hz;
+        within("frame_rate_hz", rate_hz, (0.1, 1000.0), "0.1 to 1000 Hz")?;
+        let half_period_ms = 500.0 / rate_hz;
+        if self.right_device.is_some() && !(self.max_skew_ms > 0.0 && self.max_skew_ms <= half_period_ms) {
+            let valid = "above 0 and at most half a frame's period (500 / frame_rate_hz)";
+            return Err(setting("max_skew_ms", self.max_skew_ms, valid));
+        }
+        within("buffers", f64::from(self.buffers), (2.0, 32.0), "2 to 32 frames")?;
+        within("queue_frames", f64::from(self.queue_frames), (1.0, 256.0), "1 to 256 frames")?;
+        within("stall_timeout_ms", self.stall_timeout_ms as f64, (10.0, 3.6e6), "10 to 3600000 ms")?;
+        if (self.stall_timeout_ms as f64) < 2000.0 / rate_hz {
+            let valid = "at least two frames' periods (2000 / frame_rate_hz)";
+            return Err(setting("stall_timeout_ms", self.stall_timeout_ms, valid));
+        }
+        within("min_retry_ms", self.min_retry_ms as f64, (10.0, 3.6e6), "10 to 3600000 ms")?;
+        within("max_retry_ms", self.max_retry_ms as f64, (10.0, 3.6e6), "10 to 3600000 ms")?;
+        if self.max_retry_ms < self.min_retry_ms {
+            return Err(setting("max_retry_ms", self.max_retry_ms, "at least min_retry_ms"));
+        }
+        self.controls.validate()
+    }
+}
+
+fn within(name: &'static str, found: f64, (low, high): (f64, f64), valid: &str) -> Result<(), CaptureError> {
+    if found >= low && found <= high { Ok(()) } else { Err(setting(name, found, valid)) }
+}
+
+pub(super) fn setting(name: &'static str, found: impl ToString, valid: &str) -> CaptureError {
+    CaptureError::Setting { name, found: found.to_string(), valid: valid.to_owned() }
+}

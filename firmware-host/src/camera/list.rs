@@ -1,0 +1,269 @@
+//! What is connected, and which device a name means.
+
+use super::CaptureError;
+use super::config::setting;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+const SERIAL: &str = "serial:";
+
+/// What a video node gives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NodeKind {
+    /// Frames, in one plane: it can be used.
+    Capture,
+    /// Frames in several planes, as camera interfaces of boards give them; it cannot be used.
+    Multiplanar,
+    /// Metadata of a camera's frames. The frames are in another node of the same camera.
+    Metadata,
+    /// An output, a codec or a radio.
+    Other,
+    /// It could not be opened.
+    Unknown,
+}
+
+/// A video node of this computer.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct CameraInfo {
+    /// Device node, `/dev/video0`.
+    pub path: PathBuf,
+    /// The driver's name for it.
+    pub name: String,
+    /// What it gives.
+    pub kind: NodeKind,
+    /// USB serial number.
+    pub serial: Option<String>,
+    /// USB vendor, four hexadecimal digits.
+    pub vendor_id: Option<String>,
+    /// USB product, four hexadecimal digits.
+    pub product_id: Option<String>,
+    /// USB manufacturer in words.
+    pub manufacturer: Option<String>,
+    /// USB product in words.
+    pub product: Option<String>,
+    /// The node's number among those of one camera; frames are usually in 0.
+    pub index: u32,
+    /// Why it cannot be opened.
+    pub problem: Option<String>,
+}
+
+impl CameraInfo {
+    /// A node of which only the path is known.
+    fn bare(path: PathBuf) -> Self {
+        Self {
+            path,
+            name: String::new(),
+            kind: NodeKind::Unknown,
+            serial: None,
+            vendor_id: None,
+            product_id: None,
+            manufacturer: None,
+            product: None,
+            index: 0,
+            problem: None,
+        }
+    }
+
+    /// Whether frames can be read from it, as far as that is known.
+    #[must_use]
+    pub fn gives_frames(&self) -> bool {
+        self.kind == NodeKind::Capture || (self.kind == NodeKind::Unknown && self.index == 0)
+    }
+}
+
+impl std::fmt::Display for CameraInfo {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}", self.path.display())?;
+        let mut details = Vec::new();
+        if !self.name.is_empty() {
+            details.push(self.name.clone());
+        }
+        if let Some(serial) = &self.serial {
+            details.push(format!("{SERIAL}{serial}"));
+        }
+        match self.kind {
+            NodeKind::Capture => {}
+            NodeKind::Multiplanar => details.push("multiplanar".to_owned()),
+            NodeKind::Metadata => details.push("metadata".to_owned()),
+            NodeKind::Other => details.push("no camera".to_owned()),
+            NodeKind::Unknown => details.extend(self.problem.clone()),
+        }
+        if details.is_empty() { Ok(()) } else { write!(f, " ({})", details.join(", ")) }
+    }
+}
+
+/// Lists this computer's video nodes by their numbers. Each is opened for a moment to learn its kind.
+///
+/// # Errors
+/// [`CaptureError::Unsupported`].
+pub fn list() -> Result<Vec<CameraInfo>, CaptureError> {
+    if !cfg!(target_os = "linux") {
+        return Err(CaptureError::Unsupported);
+    }
+    let mut cameras = nodes(Path::new("/sys/class/video4linux"), Path::new("/dev"));
+    #[cfg(target_os = "linux")]
+    for camera in &mut cameras {
+        match super::device::kind(&camera.path) {
+            Ok(kind) => camera.kind = kind,
+            Err(error) => camera.problem = Some(error.to_string()),
+        }
+    }
+    cameras.sort_by_key(|camera| number(&camera.path));
+    Ok(cameras)
+}
+
+/// Formats and sizes that a camera offers, in words; none where it cannot be asked.
+#[must_use]
+pub fn offers(path: &Path) -> Vec<String> {
+    #[cfg(target_os = "linux")]
+    if let Ok(device) = super::device::Device::open(path, &path.display().to_string()) {
+        return device.offers();
+    }
+    #[cfg(not(target_os = "linux"))]
+    let _ = path;
+    Vec::new()
+}
+
+/// The nodes that the kernel lists, with the attributes of the USB device that each belongs to.
+fn nodes(class: &Path, dev: &Path) -> Vec<CameraInfo> {
+    // Without the folder there is no video driver, hence no camera.
+    let entries = std::fs::read_dir(class).into_iter().flatten().flatten();
+    entries
+        .filter(|entry| number(&entry.path()).is_some())
+        .map(|entry| {
+            let node = entry.path();
+            let mut camera = CameraInfo::bare(dev.join(entry.file_name()));
+            camera.name = attribute(&node, "name").unwrap_or_default();
+            camera.index = attribute(&node, "index").and_then(|text| text.parse().ok()).unwrap_or(0);
+            // `device` is the USB interface, whose parent is the USB device.
+            let device = node.join("device").canonicalize().unwrap_or_default();
+            if let Some(usb) = device.ancestors().find(|folder| folder.join("idVendor").exists()) {
+                camera.serial = attribute(usb, "serial");
+                camera.vendor_id = attribute(usb, "idVendor");
+                camera.product_id = attribute(usb, "idProduct");
+                camera.manufacturer = attribute(usb, "manufacturer");
+                camera.product = attribute(usb, "product");
+            }
+            camera
+        })
+        .collect()
+}
+
+fn attribute(folder: &Path, name: &str) -> Option<String> {
+    let text = std::fs::read_to_string(folder.join(name)).ok()?;
+    let text = text.trim();
+    (!text.is_empty()).then(|| text.to_owned())
+}
+
+/// 12 of `/dev/video12`.
+fn number(path: &Path) -> Option<u32> {
+    path.file_name()?.to_str()?.strip_prefix("video")?.parse().ok()
+}
+
+/// Refuses what is no name of a device.
+pub(super) fn check_name(setting_name: &'static str, name: &str) -> Result<(), CaptureError> {
+    let serial = name.strip_prefix(SERIAL);
+    if serial.is_some_and(|serial| !serial.is_empty()) || name.starts_with('/') {
+        return Ok(());
+    }
+    let valid = "serial: and the USB serial number, or a path such as /dev/video0 or /dev/v4l/by-id/..";
+    Err(setting(setting_name, format!("\"{name}\""), valid))
+}
+
+/// The camera that a name means. A path may be a link to the node.
+///
+/// # Errors
+/// [`CaptureError::Setting`], [`CaptureError::NotFound`] and [`CaptureError::Ambiguous`], which list what is there.
+pub fn select(name: &str, cameras: &[CameraInfo]) -> Result<CameraInfo, CaptureError> {
+    check_name("device", name)?;
+    let present = || cameras.iter().filter(|camera| camera.gives_frames()).cloned().collect();
+    let not_found = || CaptureError::NotFound { name: name.to_owned(), present: present() };
+    let Some(serial) = name.strip_prefix(SERIAL) else {
+        let path = Path::new(name).canonicalize().map_err(|_| not_found())?;
+        let known = cameras.iter().find(|camera| camera.path == path).cloned();
+        return Ok(known.unwrap_or_else(|| CameraInfo::bare(path)));
+    };
+    let mut matches: Vec<_> = cameras
+        .iter()
+        .filter(|camera| camera.serial.as_deref() == Some(serial) && camera.gives_frames())
+        .cloned()
+        .collect();
+    match matches.len() {
+        0 => Err(not_found()),
+        1 => Ok(matches.remove(0)),
+        _ => Err(CaptureError::Ambiguous { name: name.to_owned(), matches }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use std::fs;
+
+    /// A camera with the nodes that uvcvideo makes: frames, then metadata.
+    fn plug(root: &Path, port: &str, serial: &str, first: u32) {
+        let usb = root.join("devices/usb1").join(port);
+        let interface = usb.join(format!("{port}:1.0"));
+        for (name, text) in
+            [("idVendor", "2560"), ("idProduct", "c114"), ("serial", serial), ("product", "Tara")]
+        {
+            fs::create_dir_all(&interface).unwrap();
+            fs::write(usb.join(name), format!("{text}\n")).unwrap();
+        }
+        for index in 0..2 {
+            let node = root.join("class").join(format!("video{}", first + index));
+            fs::create_dir_all(&node).unwrap();
+            fs::write(node.join("name"), "Tara: Tara\n").unwrap();
+            fs::write(node.join("index"), format!("{index}\n")).unwrap();
+            std::os::unix::fs::symlink(&interface, node.join("device")).unwrap();
+        }
+    }
+
+    fn listed(root: &Path) -> Vec<CameraInfo> {
+        let mut cameras = nodes(&root.join("class"), &root.join("dev"));
+        cameras.sort_by_key(|camera| number(&camera.path));
+        cameras
+    }
+
+    #[test]
+    fn cameras_are_found_by_serial_number_and_by_path() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path();
+        plug(root, "1-1", "GS0001", 0);
+        plug(root, "1-2", "GS0002", 9);
+        let cameras = listed(root);
+        assert_eq!(cameras.iter().map(|c| number(&c.path).unwrap()).collect::<Vec<_>>(), [0, 1, 9, 10]);
+        let second = select("serial:GS0002", &cameras).unwrap();
+        assert_eq!(second.path, root.join("dev/video9"));
+        assert_eq!((second.vendor_id.as_deref(), second.product.as_deref()), (Some("2560"), Some("Tara")));
+        // By a link, as udev makes them.
+        fs::create_dir_all(root.join("dev")).unwrap();
+        fs::write(root.join("dev/video9"), "").unwrap();
+        std::os::unix::fs::symlink(root.join("dev/video9"), root.join("link")).unwrap();
+        assert_eq!(select(root.join("link").to_str().unwrap(), &cameras).unwrap(), second);
+    }
+
+    #[test]
+    fn absence_and_ambiguity_list_what_is_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path();
+        assert!(listed(root).is_empty());
+        plug(root, "1-1", "GS0001", 0);
+        plug(root, "1-2", "GS0001", 2);
+        let cameras = listed(root);
+        let several = select("serial:GS0001", &cameras).unwrap_err().to_string();
+        assert!(several.contains("dev/video0 (Tara: Tara, serial:GS0001)"), "{several}");
+        assert!(several.contains("dev/video2 (") && several.contains("by-path"), "{several}");
+        let none = select("serial:GS0009", &cameras).unwrap_err().to_string();
+        assert!(
+            none.contains("there is no camera serial:GS0009; connected are: ") && none.contains("dev/video2")
+        );
+        assert!(!none.contains("video1"), "metadata nodes are no cameras: {none}");
+        let gone = select("/dev/no-such-video", &[]).unwrap_err().to_string();
+        assert_eq!(gone, "there is no camera /dev/no-such-video; connected are: none");
+        let odd = select("0", &cameras).unwrap_err().to_string();
+        assert!(odd.starts_with("device is \"0\"; valid is serial:"), "{odd}");
+    }
+}

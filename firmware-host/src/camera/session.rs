@@ -1,0 +1,99 @@
+//! One connection to a device: from its opening to its first fault.
+
+use super::abi;
+use super::control_calls;
+use super::device::Device;
+use super::list::{list, select};
+use super::ring::{Dequeued, Ring};
+use super::{CameraConfig, CameraInfo, CaptureError, Control, ControlSettings, FrameShape};
+use std::os::fd::{AsFd, BorrowedFd};
+use std::time::Duration;
+
+/// What to open, and how.
+#[derive(Clone, Debug)]
+pub(super) struct Wanted {
+    /// As the configuration names it.
+    pub device: String,
+    /// Format, size, rate and buffers.
+    pub config: CameraConfig,
+    /// Controls, with all that was set since.
+    pub controls: ControlSettings,
+    /// Serial number of the camera that was opened first: no other one may take its place.
+    pub serial: Option<String>,
+}
+
+/// A streaming device.
+#[derive(Debug)]
+pub(super) struct Session {
+    ring: Ring,
+    /// What it is.
+    pub info: CameraInfo,
+    /// Shape of its frames.
+    pub shape: FrameShape,
+}
+
+/// What came of waiting for a frame.
+#[derive(Debug)]
+pub(super) enum Wait {
+    /// A frame can be fetched.
+    Frame,
+    /// Somebody wants something of the thread.
+    Woken,
+    /// Neither.
+    Nothing,
+}
+
+impl Session {
+    /// Finds the device, sets format, rate and controls, and starts the stream.
+    pub fn open(wanted: &Wanted) -> Result<Self, CaptureError> {
+        let info = select(&wanted.device, &list()?)?;
+        if wanted.serial.is_some() && info.serial != wanted.serial {
+            return Err(CaptureError::Replaced {
+                path: info.path,
+                expected: wanted.serial.clone().unwrap_or_default(),
+                found: info.serial,
+            });
+        }
+        let device = Device::open(&info.path, &info.to_string())?;
+        let shape = device.set_format(&wanted.config)?;
+        device.set_rate(&wanted.config)?;
+        control_calls::apply(&device, &wanted.controls)?;
+        let ring = Ring::start(device, wanted.config.buffers)?;
+        Ok(Self { ring, info, shape })
+    }
+
+    /// Waits for a frame or for `wake`.
+    ///
+    /// A faulty device answers at once and for ever, so that a fault without an error of the queue is an error too.
+    pub fn wait(&mut self, wake: BorrowedFd<'_>, timeout: Duration) -> Result<Wait, CaptureError> {
+        let device = self.ring.device();
+        let ready =
+            abi::poll(Some(device.as_fd()), wake, timeout).map_err(|error| device.failed("poll", error))?;
+        if ready.woken {
+            return Ok(Wait::Woken);
+        }
+        if let Some(name) = ready.fault {
+            // The queue's own error says more.
+            return match self.ring.dequeue(&mut Vec::new()) {
+                Err(error) => Err(error),
+                Ok(_) => Err(self.ring.device().failed("poll", std::io::Error::other(name))),
+            };
+        }
+        Ok(if ready.frame { Wait::Frame } else { Wait::Nothing })
+    }
+
+    /// Copies the oldest frame, if there is one.
+    pub fn fetch(&mut self, bytes: &mut Vec<u8>) -> Result<Option<Dequeued>, CaptureError> {
+        self.ring.dequeue(bytes)
+    }
+
+    /// All controls with their values.
+    pub fn controls(&self) -> Vec<Control> {
+        control_calls::controls(self.ring.device())
+    }
+
+    /// Sets controls.
+    pub fn apply(&self, settings: &ControlSettings) -> Result<(), CaptureError> {
+        control_calls::apply(self.ring.device(), settings)
+    }
+}

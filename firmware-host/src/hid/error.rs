@@ -1,0 +1,134 @@
+//! Why a HID device cannot be used.
+
+use super::{HidInfo, HidSelector};
+use crate::codec::blink1::Blink1Error;
+use crate::codec::tara::TaraError;
+use std::fmt;
+use std::io;
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Why a HID device cannot be used.
+#[derive(Debug)]
+pub enum HidError {
+    /// No device is the one wanted.
+    NotFound {
+        /// What was wanted.
+        wanted: HidSelector,
+        /// HID devices that are there.
+        found: Vec<HidInfo>,
+    },
+    /// Several devices are as wanted.
+    Ambiguous {
+        /// They.
+        found: Vec<HidInfo>,
+    },
+    /// This user may not open the device.
+    PermissionDenied {
+        /// Its node.
+        path: PathBuf,
+        /// The udev rule that would allow it.
+        rule: String,
+    },
+    /// The device went away.
+    Disconnected {
+        /// Its node.
+        path: PathBuf,
+    },
+    /// No answer came in time.
+    Timeout {
+        /// What was asked of the device.
+        command: &'static str,
+        /// How long it was waited for.
+        waited: Duration,
+    },
+    /// The system refuses.
+    Io {
+        /// What: "open", "read".
+        action: &'static str,
+        /// The node or file.
+        path: PathBuf,
+        /// The system's answer.
+        error: io::Error,
+    },
+    /// The camera refuses a command, or a value has no meaning.
+    Tara(TaraError),
+    /// The light does not answer as it should, or a value has no meaning.
+    Blink1(Blink1Error),
+    /// The kernel has no light of this name.
+    NoLed {
+        /// The name.
+        wanted: String,
+        /// Names that it has.
+        found: Vec<String>,
+    },
+    /// This system has no hidraw.
+    Unsupported,
+}
+
+impl fmt::Display for HidError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NotFound { wanted, found } if found.is_empty() => {
+                write!(f, "there is no HID device {wanted}, nor any other; is it plugged in?")
+            }
+            Self::NotFound { wanted, found } => {
+                write!(f, "there is no HID device {wanted}; there are {}", names(found))
+            }
+            Self::Ambiguous { found } => {
+                write!(f, "several HID devices fit: {}; give the serial number of one", names(found))
+            }
+            Self::PermissionDenied { path, rule } => write!(
+                f,
+                "permission denied for {}; put this line into /etc/udev/rules.d/70-gelstereo.rules, add yourself to \
+                 the group plugdev and plug the device in again: {rule}",
+                path.display()
+            ),
+            Self::Disconnected { path } => write!(f, "the HID device {} was unplugged", path.display()),
+            Self::Timeout { command, waited } => write!(
+                f,
+                "no answer within {} ms when the device was to {command}; plug it in again if this stays",
+                waited.as_millis()
+            ),
+            Self::Io { action, path, error } => write!(f, "cannot {action} {}: {error}", path.display()),
+            Self::Tara(error) => error.fmt(f),
+            Self::Blink1(error) => error.fmt(f),
+            Self::NoLed { wanted, found } => write!(
+                f,
+                "the kernel has no light \"{wanted}\" in /sys/class/leds; it has {}",
+                if found.is_empty() { "none".to_owned() } else { found.join(", ") }
+            ),
+            Self::Unsupported => f.write_str(
+                "HID devices are opened by Linux's hidraw, which this system does not have; use gelstereo.hid in \
+                 Python, which goes by hidapi",
+            ),
+        }
+    }
+}
+
+impl std::error::Error for HidError {}
+
+impl From<TaraError> for HidError {
+    fn from(error: TaraError) -> Self {
+        Self::Tara(error)
+    }
+}
+
+impl From<Blink1Error> for HidError {
+    fn from(error: Blink1Error) -> Self {
+        Self::Blink1(error)
+    }
+}
+
+fn names(devices: &[HidInfo]) -> String {
+    devices.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
+}
+
+/// The udev rule that lets the group plugdev, and whoever sits at the computer, open the HID nodes of a product.
+#[must_use]
+pub fn udev_rule(vendor: u16, product: u16) -> String {
+    format!(
+        "KERNEL==\"hidraw*\", ATTRS{{idVendor}}==\"{vendor:04x}\", ATTRS{{idProduct}}==\"{product:04x}\", \
+         MODE=\"0660\", GROUP=\"plugdev\", TAG+=\"uaccess\""
+    )
+}
