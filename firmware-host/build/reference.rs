@@ -9,8 +9,8 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use syn::punctuated::Punctuated;
 use syn::{
-    Attribute, Expr, ExprLit, Fields, FieldsNamed, GenericArgument, Item, Lit, Meta, PathArguments, Token,
-    Type,
+    Attribute, Expr, ExprLit, Fields, FieldsNamed, GenericArgument, Item, ItemEnum, Lit, Meta, PathArguments,
+    Token, Type,
 };
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
@@ -19,6 +19,9 @@ type Result<T> = std::result::Result<T, Box<dyn Error>>;
 const ROOTS: [&str; 3] = ["Config", "Rig", "Scene"];
 /// Where the settings' types are declared.
 const SOURCES: [&str; 3] = ["src", "../crates/gelstereo-core/src", "../crates/gelstereo-sim/src"];
+
+/// All types by name; some names are used by several that no file holds.
+type Types = BTreeMap<String, Vec<Result<TypeDoc>>>;
 
 #[derive(Default)]
 struct TypeDoc {
@@ -46,7 +49,7 @@ struct FieldDoc {
 /// Writes `$OUT_DIR/config_reference.rs`.
 pub fn generate() -> Result<()> {
     let here = PathBuf::from(std::env::var("CARGO_MANIFEST_DIR")?);
-    let mut types = BTreeMap::new();
+    let mut types = Types::new();
     for source in SOURCES {
         let folder = here.join(source);
         println!("cargo:rerun-if-changed={}", folder.display());
@@ -62,7 +65,7 @@ pub fn generate() -> Result<()> {
     Ok(())
 }
 
-fn collect(folder: &Path, types: &mut BTreeMap<String, Vec<TypeDoc>>) -> Result<()> {
+fn collect(folder: &Path, types: &mut Types) -> Result<()> {
     let mut entries = std::fs::read_dir(folder)?.collect::<std::io::Result<Vec<_>>>()?;
     entries.sort_by_key(std::fs::DirEntry::path);
     for path in entries.into_iter().map(|entry| entry.path()) {
@@ -74,59 +77,56 @@ fn collect(folder: &Path, types: &mut BTreeMap<String, Vec<TypeDoc>>) -> Result<
         // Most files declare no settings; they need not be parsed.
         if path.extension().is_some_and(|e| e == "rs") && source.contains("Deserialize") {
             let file = syn::parse_file(&source).map_err(|error| format!("{}: {error}", path.display()))?;
-            for item in file.items {
-                if let Some((name, doc)) =
-                    item_doc(item).map_err(|error| format!("{}: {error}", path.display()))?
-                {
-                    types.entry(name).or_default().push(doc);
-                }
+            for (name, doc) in file.items.into_iter().filter_map(item_doc) {
+                types.entry(name).or_default().push(doc);
             }
         }
     }
     Ok(())
 }
 
-fn item_doc(item: Item) -> Result<Option<(String, TypeDoc)>> {
-    Ok(match item {
+/// The name and description of a type that files hold; the fault, if it is written in a way that is not read here.
+fn item_doc(item: Item) -> Option<(String, Result<TypeDoc>)> {
+    match item {
         Item::Struct(item) if is_read(&item.attrs) => {
-            let Fields::Named(fields) = &item.fields else { return Ok(None) };
-            let doc = TypeDoc { doc: doc(&item.attrs), fields: fields_doc(fields)?, ..TypeDoc::default() };
-            Some((item.ident.to_string(), doc))
+            let Fields::Named(fields) = &item.fields else { return None };
+            let fields = fields_doc(fields);
+            let of = fields.map(|fields| TypeDoc { doc: doc(&item.attrs), fields, ..TypeDoc::default() });
+            Some((item.ident.to_string(), of))
         }
-        Item::Enum(item) if is_read(&item.attrs) => {
-            let of = serde_words(&item.attrs)?;
-            if let Some(case) = of.get("rename_all").filter(|case| *case != "snake_case") {
-                return Err(format!("{}: rename_all = \"{case}\" is not read here", item.ident).into());
-            }
-            let variants = item.variants.iter().map(|variant| {
-                let (fields, inner) = match &variant.fields {
-                    Fields::Named(fields) => (fields_doc(fields)?, None),
-                    Fields::Unnamed(one) if one.unnamed.len() == 1 => {
-                        (Vec::new(), Some(peel(&one.unnamed[0].ty)?.0))
-                    }
-                    _ => (Vec::new(), None),
-                };
-                let renamed = serde_words(&variant.attrs)?.remove("rename");
-                let name = renamed.unwrap_or_else(|| snake_case(&variant.ident.to_string()));
-                Ok(VariantDoc { name, doc: doc(&variant.attrs), fields, inner })
-            });
-            let variants = variants.collect::<Result<Vec<_>>>()?;
-            let doc = doc(&item.attrs);
-            Some((
-                item.ident.to_string(),
-                TypeDoc { doc, tag: of.get("tag").cloned(), fields: Vec::new(), variants },
-            ))
-        }
+        Item::Enum(item) if is_read(&item.attrs) => Some((item.ident.to_string(), enum_doc(&item))),
         // The simulator lists its effects once, in a macro.
         Item::Macro(item) if item.mac.path.is_ident("effects") => {
-            let tokens = &item.mac.tokens;
-            let fields: FieldsNamed = syn::parse_str(&format!("{{ {tokens} }}"))?;
-            let mut fields = fields_doc(&fields)?;
-            fields.iter_mut().for_each(|field| field.optional = true);
-            Some(("Effects".to_owned(), TypeDoc { fields, ..TypeDoc::default() }))
+            Some(("Effects".to_owned(), effects_doc(&item.mac.tokens.to_string())))
         }
         _ => None,
-    })
+    }
+}
+
+fn enum_doc(item: &ItemEnum) -> Result<TypeDoc> {
+    let of = serde_words(&item.attrs)?;
+    if let Some(case) = of.get("rename_all").filter(|case| *case != "snake_case") {
+        return Err(format!("{}: rename_all = \"{case}\" is not read here", item.ident).into());
+    }
+    let variants = item.variants.iter().map(|variant| {
+        let (fields, inner) = match &variant.fields {
+            Fields::Named(fields) => (fields_doc(fields)?, None),
+            Fields::Unnamed(one) if one.unnamed.len() == 1 => (Vec::new(), Some(peel(&one.unnamed[0].ty)?.0)),
+            _ => (Vec::new(), None),
+        };
+        let renamed = serde_words(&variant.attrs)?.remove("rename");
+        let name = renamed.unwrap_or_else(|| snake_case(&variant.ident.to_string()));
+        Ok(VariantDoc { name, doc: doc(&variant.attrs), fields, inner })
+    });
+    let variants = variants.collect::<Result<Vec<_>>>()?;
+    Ok(TypeDoc { doc: doc(&item.attrs), tag: of.get("tag").cloned(), fields: Vec::new(), variants })
+}
+
+fn effects_doc(tokens: &str) -> Result<TypeDoc> {
+    let fields: FieldsNamed = syn::parse_str(&format!("{{ {tokens} }}"))?;
+    let mut fields = fields_doc(&fields)?;
+    fields.iter_mut().for_each(|field| field.optional = true);
+    Ok(TypeDoc { fields, ..TypeDoc::default() })
 }
 
 /// Whether serde's derive reads the type.
@@ -244,11 +244,7 @@ fn snake_case(name: &str) -> String {
 }
 
 /// Moves a type and all that it holds over to `reachable`.
-fn reach(
-    name: &str,
-    types: &mut BTreeMap<String, Vec<TypeDoc>>,
-    reachable: &mut BTreeMap<String, TypeDoc>,
-) -> Result<()> {
+fn reach(name: &str, types: &mut Types, reachable: &mut BTreeMap<String, TypeDoc>) -> Result<()> {
     if reachable.contains_key(name) {
         return Ok(());
     }
@@ -260,7 +256,7 @@ fn reach(
             format!("{} types of the configuration are named {name}; valid is one", found.len()).into()
         );
     }
-    let Some(found) = found.pop() else { return Ok(()) };
+    let Some(found) = found.pop().transpose()? else { return Ok(()) };
     let fields = found.fields.iter().chain(found.variants.iter().flat_map(|variant| &variant.fields));
     let in_variants = found.variants.iter().filter_map(|variant| variant.inner.clone());
     let inner: Vec<String> = fields.map(|field| field.type_name.clone()).chain(in_variants).collect();

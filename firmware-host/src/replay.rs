@@ -145,7 +145,7 @@ impl Replay {
                 }
             }
             Topic::Stage => self.request(messages::read_string(data).map_err(fail)?)?,
-            Topic::Points | Topic::Pose | Topic::Gripper | Topic::Robot => {}
+            Topic::Points | Topic::Pose | Topic::Gripper | Topic::Robot | Topic::Capture => {}
         }
         Ok(())
     }

@@ -15,7 +15,7 @@ mod task;
 
 pub use error::ConfigError;
 pub use light::{CameraHidConfig, LightConfig, StreamModeConfig};
-pub use recording::RecordingConfig;
+pub use recording::{ImageFormat, RecordingConfig, RecordingMode};
 pub use simulated::SimulatedConfig;
 pub use source::SourceConfig;
 pub use task::{PoseConfig, TaskConfig};
@@ -201,6 +201,10 @@ impl Config {
         self.camera_hid.validate()?;
         self.task.validate(&self.mount.kinematics)?;
         self.recording.validate()?;
+        if self.recording.path.file_name().is_none() {
+            let advice = "name a file, for example \"out/run.mcap\"";
+            return Err(ConfigError::NoPath { name: "recording.path", advice });
+        }
         self.simulated.validate()?;
         if matches!(self.source, SourceConfig::Simulated) {
             self.simulated.validate_scene(&rig, &self.part.shape)?;

@@ -1,30 +1,87 @@
 //! Where the recording goes, and what of the frames it keeps.
 
 use super::ConfigError;
+use super::range::{TIME_S, check};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
-/// Where the recording goes.
+/// Where the recording goes, and what of the frames it keeps.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RecordingConfig {
-    /// MCAP file; it is replaced. A relative path starts at the working folder, and missing folders are made.
-    /// Default: `out/run.mcap`. Change it for every run that is to be kept.
+    /// MCAP file; it is replaced. Further parts of a long recording stand beside it: `run_0001.mcap` and so
+    /// on. Default: `out/run.mcap`. Change it for every run that is to be kept.
     pub path: PathBuf,
+    /// How plain images are stored; Motion JPEG of a camera is stored as it came. Default: `png`. Change it
+    /// to `raw` where time matters more than space.
+    pub images: ImageFormat,
+    /// Images of every so many pairs are kept, results of all of them. Valid: 1 to 100000 pairs. Default:
+    /// `1`. Raise it to save space; only pairs with images can be computed again.
+    pub every_nth: u32,
+    /// What is kept. Default: `all`. Change it to `ring` where only moments around triggers matter.
+    pub mode: RecordingMode,
+    /// A file that has grown to this size is closed, and a new part begins. Valid: 1 to 1000000 MB. Default:
+    /// `1024` MB. Change it to what your tools and disks handle well.
+    pub split_mb: u32,
+    /// With the mode `ring`: the time before a trigger that is kept. Valid: 0.001 to 3600 s. Default: `60` s.
+    /// Raise it with `ring_mb`.
+    pub ring_s: f64,
+    /// With the mode `ring`: memory for that time; the oldest messages are forgotten beyond it. Valid: 1 to
+    /// 100000 MB. Default: `512` MB. Change it to the memory that can be spared.
+    pub ring_mb: u32,
+    /// With the mode `ring`: the time after a trigger that is kept. Valid: 0.001 to 3600 s. Default: `5` s.
+    /// Raise it where what follows a trigger matters.
+    pub ring_after_s: f64,
+}
+
+/// How plain images are stored. Every format is lossless.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ImageFormat {
+    /// `sensor_msgs/CompressedImage` with the format `png`.
+    #[default]
+    Png,
+    /// `sensor_msgs/Image`, mono8.
+    Raw,
+}
+
+/// What a recording keeps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RecordingMode {
+    /// Everything.
+    #[default]
+    All,
+    /// The time around each trigger.
+    Ring,
 }
 
 impl Default for RecordingConfig {
     fn default() -> Self {
-        Self { path: PathBuf::from("out/run.mcap") }
+        Self {
+            path: PathBuf::from("out/run.mcap"),
+            images: ImageFormat::default(),
+            every_nth: 1,
+            mode: RecordingMode::default(),
+            split_mb: 1024,
+            ring_s: 60.0,
+            ring_mb: 512,
+            ring_after_s: 5.0,
+        }
     }
 }
 
 impl RecordingConfig {
     pub(super) fn validate(&self) -> Result<(), ConfigError> {
-        if self.path.file_name().is_none() {
-            let advice = "name a file, for example \"out/run.mcap\"";
-            return Err(ConfigError::NoPath { name: "recording.path", advice });
+        let counts = [
+            ("recording.every_nth", self.every_nth, 1..=100_000, "1 to 100000 pairs"),
+            ("recording.split_mb", self.split_mb, 1..=1_000_000, "1 to 1000000 MB"),
+            ("recording.ring_mb", self.ring_mb, 1..=100_000, "1 to 100000 MB"),
+        ];
+        for (name, found, valid, words) in counts {
+            check(valid.contains(&found), name, f64::from(found), words)?;
         }
-        Ok(())
+        TIME_S.check("recording.ring_s", self.ring_s)?;
+        TIME_S.check("recording.ring_after_s", self.ring_after_s)
     }
 }
