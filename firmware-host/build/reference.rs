@@ -15,8 +15,8 @@ use syn::{
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
-/// Types that files hold as a whole: the configuration, the rig, and the scene of a simulation.
-const ROOTS: [&str; 3] = ["Config", "Rig", "Scene"];
+/// Types that files hold as a whole.
+const ROOTS: [&str; 2] = ["Config", "Rig"];
 /// Where the settings' types are declared.
 const SOURCES: [&str; 3] = ["src", "../crates/gelstereo-core/src", "../crates/gelstereo-sim/src"];
 
@@ -281,12 +281,9 @@ fn text(types: &BTreeMap<String, TypeDoc>) -> Result<String> {
             .variants
             .iter()
             .map(|v| {
-                format!(
-                    "VariantDoc {{ name: {:?}, doc: {:?}, fields: {} }}, ",
-                    v.name,
-                    v.doc,
-                    fields(&v.fields)
-                )
+                let inner = v.inner.as_ref().and_then(|name| types.get(name));
+                let keys = fields(inner.map_or(&v.fields, |inner| &inner.fields));
+                format!("VariantDoc {{ name: {:?}, doc: {:?}, fields: {keys} }}, ", v.name, v.doc)
             })
             .collect();
         writeln!(

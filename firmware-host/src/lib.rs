@@ -12,6 +12,8 @@ pub mod codec;
 #[cfg(feature = "host")]
 pub mod config;
 #[cfg(feature = "host")]
+pub mod doctor;
+#[cfg(feature = "host")]
 pub mod finding;
 #[cfg(feature = "host")]
 pub mod gripper;

@@ -59,7 +59,7 @@ fn bad_input_is_an_error_in_words_with_code_2() {
         (&["run", "--config", "seconds.toml"], "valid is 0.001 to 3600 s"),
         (&["run", "--config", "rate.toml"], "valid is 0.1 to 1000 Hz"),
         (&["run", "--record", "file/run.mcap"], "cannot create the folder of file/run.mcap: "),
-        (&["run", "--record", "."], "cannot create .: "),
+        (&["run", "--record", "."], "recording.path is \".\", which names no file"),
         (&["replay", "missing.mcap"], "cannot open missing.mcap: "),
         (&["replay", "."], "cannot be written or read: Is a directory"),
         (&["replay", "unknown.toml"], "this is no intact MCAP recording: "),

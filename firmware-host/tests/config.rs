@@ -79,10 +79,8 @@ fn errors_name_what_was_found_and_what_is_valid() {
     let folder = error("[source]\nkind = \"folder\"\npath = \"pairs\"\nframe_rate_hz = 30");
     assert!(folder.contains("add rig_file"), "{folder}");
     let kind = error("[source]\nkind = \"webcam\"");
-    assert_eq!(
-        kind,
-        "cell.toml, line 2: source.kind is \"webcam\"; valid is one of \"simulated\", \"folder\""
-    );
+    let words = "cell.toml, line 2: source.kind is \"webcam\"; valid is one of \"simulated\", \"folder\"";
+    assert!(kind.starts_with(words), "{kind}");
 }
 
 #[test]

@@ -138,14 +138,12 @@ fn the_printed_default_has_a_comment_on_every_line() {
 /// A doc comment's default is the default.
 #[test]
 fn stated_defaults_are_the_defaults() {
-    let mut config = Config::default();
     // The pipeline's types state the paper's defaults; presets differ from them.
-    config.params = Params::default();
+    let config = Config { params: Params::default(), ..Config::default() };
     let mut compared = 0;
     for (path, value) in leaves(&table(&config)) {
         let Some(setting) = documented().get(&path).and_then(|all| all.first().cloned()) else { continue };
-        let Some((_, stated)) = setting.text.split_once("Default: `") else { continue };
-        let stated = stated.split('`').next().unwrap();
+        let Some(stated) = setting.stated_default() else { continue };
         let agrees = match value {
             Value::Float(value) if stated == "1/3" => value == 1.0 / 3.0,
             Value::Float(value) => stated.parse() == Ok(value),
@@ -178,7 +176,11 @@ fn names(message: &str, path: &str) -> bool {
     let word = if name.starts_with("rotation") { "the rotation" } else { "the translation" };
     let in_pose = message.contains(word) && message.contains(table);
     let in_rig = table.starts_with("rig.") && (message.contains(name) || message.starts_with("rig: "));
-    message.contains(&key) || in_pose || in_rig
+    // A number of the wrong kind is shown in its line.
+    let in_line = message.contains("TOML parse error") && message.contains(&format!("{name} = "));
+    // A scene names its own settings, as in "valid is below gel.bright_level".
+    let in_scene = key.strip_prefix("simulated.").is_some_and(|key| message.contains(key));
+    message.contains(&key) || in_scene || in_pose || in_rig || in_line
 }
 
 /// Each number in turn is replaced by what is not a number, by what is far too large, and by what its comment says is
@@ -426,8 +428,7 @@ fn run_with_any_valid_extreme_stops_and_writes_no_more_than_its_frames() {
                     stop.store(true, Ordering::Relaxed);
                 }
             });
-            let result =
-                run(&config, &config.recording.path, &stop, &mut |stage| frames += stage.frames as u64);
+            let result = run(&config, &config.recording.path, &stop, &mut |stage| frames += stage.frames);
             let _ = sender.send(());
             result
         });
@@ -461,4 +462,30 @@ fn extremes(folder: &Path) -> Vec<(String, Value, Config)> {
     }
     assert!(found.len() > 150, "{}", found.len());
     found
+}
+
+/// The examples say of each setting what it means, name only what exists, and are valid once there is a rig.
+#[test]
+fn examples_are_commented_and_valid() {
+    let mut examples = 0;
+    for entry in std::fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/configs")).unwrap() {
+        let path = entry.unwrap().path();
+        let text = std::fs::read_to_string(&path).unwrap();
+        let mut before = "";
+        for line in text.lines() {
+            let is_setting = line.contains(" = ") && !line.starts_with('#') && !line.starts_with("kind = ");
+            assert!(
+                !is_setting || before.starts_with("# "),
+                "{}: no comment before {line:?}",
+                path.display()
+            );
+            assert!(line.chars().count() <= 112, "{}: {line}", path.display());
+            before = line;
+        }
+        let mut config = Config::parse(&text, &path.display().to_string()).unwrap();
+        config.rig = Some(Scene::default_rig());
+        config.validate().unwrap();
+        examples += 1;
+    }
+    assert!(examples >= 4);
 }

@@ -38,7 +38,7 @@ pub enum FingerKinematics {
         offset_mm: f64,
         /// Constant part of the pad's z. Valid: -1000 to 1000 mm. Change it to your gripper's own.
         reach_mm: f64,
-        /// Crank angle when closed. Valid: 0.001 to 1.5707 rad. Change it to your gripper's own.
+        /// Crank angle when closed. Valid: 0.001 to 1.57 rad. Change it to your gripper's own.
         max_theta_rad: f64,
     },
 }
@@ -76,7 +76,7 @@ impl FingerKinematics {
                 link("kinematics.b_mm", b_mm)?;
                 place("kinematics.offset_mm", offset_mm)?;
                 place("kinematics.reach_mm", reach_mm)?;
-                let (turn, valid) = (max_theta_rad, "0.001 to 1.5707 rad");
+                let (turn, valid) = (max_theta_rad, "0.001 to 1.57 rad");
                 check((1e-3..=MAX_THETA_RAD).contains(&turn), "kinematics.max_theta_rad", turn, valid)?;
                 let (min_mm, max_mm) = self.width_range_mm();
                 let valid = "such that the fingers open, by a_mm and offset_mm";
@@ -159,7 +159,7 @@ impl MountError {
 const FAR_MM: f64 = 1e3;
 
 /// Largest crank angle, just below a right angle: beyond it the fingers would open again.
-const MAX_THETA_RAD: f64 = 1.5707;
+const MAX_THETA_RAD: f64 = 1.57;
 
 /// A width that the gripper cannot have.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -5,7 +5,7 @@ use gelstereo_core::math::{DVec3, Pose};
 use proptest::prelude::*;
 
 fn parallelogram() -> impl Strategy<Value = FingerKinematics> {
-    (0.0..200.0_f64, 0.0..200.0_f64, -100.0..100.0_f64, -500.0..500.0_f64, 0.001..1.5707_f64).prop_map(
+    (0.0..200.0_f64, 0.0..200.0_f64, -100.0..100.0_f64, -500.0..500.0_f64, 0.001..1.57_f64).prop_map(
         |(a_mm, b_mm, offset_mm, reach_mm, max_theta_rad)| FingerKinematics::Parallelogram {
             a_mm,
             b_mm,

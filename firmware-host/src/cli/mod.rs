@@ -1,6 +1,7 @@
 //! The command line. Progress goes to stderr, results to stdout.
 
 mod check;
+mod doctor;
 mod replay;
 mod run;
 mod simulate;
@@ -27,7 +28,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
         gelstereo-host run --config cell.toml --json     your own cell; the summary as JSON\n  \
         gelstereo-host replay out/run.mcap               compute a recording again and compare every bit\n  \
         gelstereo-host simulate scene.toml out/pairs     image pairs and truth from a scene\n  \
-        gelstereo-host check --print-default > cell.toml all settings to start from\n\n\
+        gelstereo-host check --print-default > cell.toml all settings to start from\n  \
+        gelstereo-host doctor                            what is connected, and whether the job would start\n\n\
         Exit code: 0 when the job is done or all is well, 1 when not, 2 for an error."
 )]
 struct Arguments {
@@ -45,6 +47,8 @@ enum Command {
     Simulate(simulate::Arguments),
     /// Say whether a configuration would work here; nothing moves.
     Check(check::Arguments),
+    /// Say what is connected, who may use it, how fast camera and disk are, and whether `run` would start.
+    Doctor(doctor::Arguments),
 }
 
 /// What can go wrong at the edge: told in one line, exit code 2.
@@ -81,6 +85,7 @@ pub fn main() -> ExitCode {
         Command::Replay(arguments) => replay::command(&arguments),
         Command::Simulate(arguments) => simulate::command(&arguments),
         Command::Check(arguments) => check::command(&arguments),
+        Command::Doctor(arguments) => doctor::command(&arguments),
     };
     match result {
         Ok(true) => ExitCode::SUCCESS,

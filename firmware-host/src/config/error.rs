@@ -88,10 +88,12 @@ pub enum ConfigError {
         /// What is wrong.
         error: SceneError,
     },
-    /// A path is empty.
-    NoPath {
-        /// Where it should stand.
+    /// A path names no file.
+    NoFile {
+        /// Where it stands.
         name: &'static str,
+        /// What was found.
+        found: PathBuf,
         /// What to do.
         advice: &'static str,
     },
@@ -132,7 +134,9 @@ impl std::fmt::Display for ConfigError {
             }
             Self::Mount(error) => write!(f, "mount.{error}"),
             Self::Scene { table, error } => f.write_str(&scene_text(table, error)),
-            Self::NoPath { name, advice } => write!(f, "{name} is empty; {advice}"),
+            Self::NoFile { name, found, advice } => {
+                write!(f, "{name} is \"{}\", which names no file; {advice}", found.display())
+            }
             Self::Camera(error) => write!(f, "source.{error}"),
             Self::RigSource { message } => f.write_str(message),
             Self::Rig(error) => write!(f, "rig: {error}"),

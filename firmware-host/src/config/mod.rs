@@ -194,7 +194,7 @@ impl Config {
         self.mount.validate().map_err(ConfigError::Mount)?;
         let rig = self.rig()?;
         rig.validate().map_err(ConfigError::Rig)?;
-        range::check_images(&rig)?;
+        range::check_rig(&rig)?;
         self.source.validate()?;
         part::validate(&self.part)?;
         self.light.validate()?;
@@ -202,8 +202,8 @@ impl Config {
         self.task.validate(&self.mount.kinematics)?;
         self.recording.validate()?;
         if self.recording.path.file_name().is_none() {
-            let advice = "name a file, for example \"out/run.mcap\"";
-            return Err(ConfigError::NoPath { name: "recording.path", advice });
+            let (found, advice) = (self.recording.path.clone(), "name one, for example \"out/run.mcap\"");
+            return Err(ConfigError::NoFile { name: "recording.path", found, advice });
         }
         self.simulated.validate()?;
         if matches!(self.source, SourceConfig::Simulated) {

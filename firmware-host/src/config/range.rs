@@ -5,7 +5,7 @@ use gelstereo_core::rig::Rig;
 
 /// Farther than this no arm reaches: such a number is in another unit.
 pub(super) const FAR_MM: f64 = 1e4;
-pub(super) const FULL_TURN_RAD: f64 = 6.2832;
+pub(super) const FULL_TURN_RAD: f64 = 6.3;
 /// Below a tenth of a second no stage can end; within an hour every one does.
 pub(super) const STAGE_S: Range = Range { low: 0.1, high: 3600.0, words: "0.1 to 3600 s" };
 
@@ -34,8 +34,8 @@ impl Range {
 
 pub(super) const LENGTH_MM: Range = Range { low: 1e-3, high: 1e3, words: "0.001 to 1000 mm" };
 pub(super) const SIGMA_MM: Range = Range { low: 1e-4, high: 100.0, words: "0.0001 to 100 mm" };
-/// Half a turn as the standard deviation says that nothing is known.
-pub(super) const SIGMA_RAD: Range = Range { low: 1e-4, high: 3.1416, words: "0.0001 to 3.1416 rad" };
+/// Beyond half a turn a standard deviation says nothing more.
+pub(super) const SIGMA_RAD: Range = Range { low: 1e-4, high: 3.2, words: "0.0001 to 3.2 rad" };
 pub(super) const SPACING_MM: Range = Range { low: 0.01, high: 100.0, words: "0.01 to 100 mm" };
 pub(super) const HOLE_MM: Range = Range { low: 0.1, high: 1e3, words: "0.1 to 1000 mm" };
 pub(super) const SPEED_MM_S: Range = Range { low: 0.01, high: 1e4, words: "0.01 to 10000 mm/s" };
@@ -52,7 +52,11 @@ pub(super) fn check_seed(name: &'static str, seed: u64) -> Result<(), ConfigErro
 /// Widest and tallest image: none of the sensor's kind is larger, and buffers are made for it.
 const MAX_SIDE_PX: usize = 8192;
 
-pub(super) fn check_images(rig: &Rig) -> Result<(), ConfigError> {
+/// Cameras farther apart are no sensor.
+const MAX_BASELINE_MM: f64 = 1e3;
+
+/// What a sensor's rig may be, beyond what makes a rig.
+pub(super) fn check_rig(rig: &Rig) -> Result<(), ConfigError> {
     let sides = [
         ("rig.left.width_px", rig.left.width_px),
         ("rig.left.height_px", rig.left.height_px),
@@ -61,5 +65,9 @@ pub(super) fn check_images(rig: &Rig) -> Result<(), ConfigError> {
     ];
     sides.into_iter().try_for_each(|(name, side)| {
         check((16..=MAX_SIDE_PX).contains(&side), name, side as f64, "16 to 8192 px")
+    })?;
+    rig.t_right_left.translation_mm.to_array().into_iter().try_for_each(|found| {
+        let (name, ok) = ("rig.t_right_left.translation_mm", found.abs() <= MAX_BASELINE_MM);
+        check(ok, name, found, "-1000 to 1000 mm")
     })
 }

@@ -15,7 +15,7 @@ pub struct PoseConfig {
     /// Origin of the inner frame in the outer one, x y z. Valid: -10000 to 10000 mm. Change it to your
     /// cell's.
     pub position_mm: [f64; 3],
-    /// Rotation vector: axis times angle. Valid: -6.2832 to 6.2832 rad. Default: none. Change it to your
+    /// Rotation vector: axis times angle. Valid: -6.3 to 6.3 rad. Default: none. Change it to your
     /// cell's.
     #[serde(default)]
     pub rotation_rad: [f64; 3],
@@ -37,7 +37,7 @@ impl PoseConfig {
             check(ok, name, found, valid).map_err(|error| error.within("position_mm"))?;
         }
         for found in self.rotation_rad {
-            let (ok, valid) = (found.abs() <= FULL_TURN_RAD, "-6.2832 to 6.2832 rad");
+            let (ok, valid) = (found.abs() <= FULL_TURN_RAD, "-6.3 to 6.3 rad");
             check(ok, name, found, valid).map_err(|error| error.within("rotation_rad"))?;
         }
         Ok(())
@@ -54,7 +54,7 @@ pub struct TaskConfig {
     /// stays at the expectation with this uncertainty. Valid: 0.0001 to 100 mm. Default: `0.6` mm. Change it
     /// to how well the part's place is known.
     pub part_sigma_mm: f64,
-    /// The same for its rotation. Valid: 0.0001 to 3.1416 rad. Default: `0.03` rad. Change it to how well the
+    /// The same for its rotation. Valid: 0.0001 to 3.2 rad. Default: `0.03` rad. Change it to how well the
     /// part's rotation is known.
     pub part_sigma_rad: f64,
     /// Where the gripper closes (`t_base_gripper`). Change it to your cell's.
@@ -80,17 +80,17 @@ pub struct TaskConfig {
     /// Opening before the gripper closes, within what `mount.kinematics` can have. Valid: 0.001 to 1000 mm.
     /// Default: `14` mm. Change it to the part's width and some room.
     pub open_width_mm: f64,
-    /// Speed at which the gripper opens. Valid: 0.1 to 5000 mm/s. Default: `150` mm/s, the fastest of a
+    /// Speed at which the gripper opens. Valid: 0.01 to 10000 mm/s. Default: `150` mm/s, the fastest of a
     /// Robotiq 2F-85. Change it to your gripper's.
     pub opening_speed_mm_s: f64,
-    /// Speed at which the gripper closes. Valid: 0.1 to 5000 mm/s. Default: `20` mm/s, the slowest of a
+    /// Speed at which the gripper closes. Valid: 0.01 to 10000 mm/s. Default: `20` mm/s, the slowest of a
     /// Robotiq 2F-85. Lower it for fragile parts: between two frames the fingers go on.
     pub closing_speed_mm_s: f64,
     /// Share of the gripper's range. Valid: 0 to 1. Default: `0.2`. Raise it for heavy parts.
     pub closing_force: f64,
-    /// Speed of free moves. Valid: 0.1 to 5000 mm/s. Default: `400` mm/s. Lower it while you set up a cell.
+    /// Speed of free moves. Valid: 0.01 to 10000 mm/s. Default: `400` mm/s. Lower it while you set up a cell.
     pub move_speed_mm_s: f64,
-    /// Speed of the insertion. Valid: 0.1 to 5000 mm/s. Default: `10` mm/s. Lower it for tight fits: the part
+    /// Speed of the insertion. Valid: 0.01 to 10000 mm/s. Default: `10` mm/s. Lower it for tight fits: the part
     /// goes on for one frame after the gel feels the hole's bottom.
     pub insertion_speed_mm_s: f64,
     /// How long to wait for a stereo pair. Valid: 0.001 to 3600 s. Default: `2` s. Raise it for a slow

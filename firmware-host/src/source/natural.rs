@@ -133,6 +133,18 @@ mod tests {
         );
     }
 
+    /// Python's `gelstereo.cli.files.natural_key` is tested against the same list.
+    #[test]
+    fn the_order_is_that_of_python() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/natural_order.txt");
+        let text = std::fs::read_to_string(path).unwrap_or_default();
+        let expected: Vec<&str> = text.lines().collect();
+        assert!(expected.len() > 30, "{path}");
+        let mut reversed = expected.clone();
+        reversed.reverse();
+        assert_eq!(sorted(&reversed), expected);
+    }
+
     proptest! {
         /// The order of generated names is that of the tuples that they are made of.
         #[test]

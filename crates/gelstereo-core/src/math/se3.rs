@@ -184,7 +184,7 @@ impl Mul for Pose {
 struct PoseFields {
     /// Rotation as a unit quaternion x y z w. Valid: -2 to 2, and a length of about 1. Change it with the mounting.
     rotation_xyzw: [f64; 4],
-    /// Origin of the inner frame in the outer one. Valid: -1000 to 1000 mm for a mount. Change it with the
+    /// Origin of the inner frame in the outer one. Valid: -1000 to 1000 mm. Change it with the
     /// mounting.
     translation_mm: [f64; 3],
 }

@@ -54,7 +54,7 @@ fn section(
         let key = row.path.rsplit('.').next().unwrap_or(&row.path);
         let kind = row.kind.map_or(String::new(), |kind| format!("With kind \"{kind}\": "));
         let text = format!("{kind}{}", without_default(&row.text));
-        let default = default_of(&row.path, defaults)?;
+        let default = default_of(row, defaults)?;
         let _ = writeln!(out, "| `{key}` | {default} | {} |", cell(&text));
         for (word, meaning) in &row.choices {
             let _ = writeln!(out, "| | `\"{word}\"` | {} |", cell(meaning));
@@ -72,9 +72,15 @@ fn section(
 }
 
 /// The default, and those of the presets that have another one.
-fn default_of(path: &str, defaults: &toml::Table) -> Result<String, ConfigError> {
-    let own = lookup(defaults, path);
-    let shown = own.as_ref().map_or("not set".to_owned(), |value| format!("`{value}`"));
+fn default_of(row: &SettingDoc, defaults: &toml::Table) -> Result<String, ConfigError> {
+    let path = row.path.as_str();
+    let own = lookup(defaults, path).filter(|_| is_of_default(row, defaults));
+    // What another kind of table would have is not in the default, but said of it.
+    let stated = row.stated_default().filter(|_| row.kind.is_some()).map(|stated| format!("`{stated}`"));
+    let shown = match &own {
+        Some(value) => format!("`{value}`"),
+        None => stated.unwrap_or_else(|| "not set".to_owned()),
+    };
     let Some(setting) = path.strip_prefix("params.") else { return Ok(shown) };
     let mut others = String::new();
     for name in Params::PRESETS {
@@ -87,6 +93,13 @@ fn default_of(path: &str, defaults: &toml::Table) -> Result<String, ConfigError>
         }
     }
     Ok(shown + &others)
+}
+
+/// Whether the default's table is of the kind that has this key.
+fn is_of_default(row: &SettingDoc, defaults: &toml::Table) -> bool {
+    let Some(kind) = row.kind else { return true };
+    let table = row.path.rfind('.').map_or("", |dot| &row.path[..=dot]);
+    lookup(defaults, &format!("{table}kind")).is_some_and(|found| found.as_str() == Some(kind))
 }
 
 fn lookup(table: &toml::Table, path: &str) -> Option<toml::Value> {

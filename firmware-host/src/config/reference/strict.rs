@@ -53,7 +53,11 @@ impl std::fmt::Display for Unknown {
         if !suggestions.is_empty() {
             write!(f, "; did you mean `{}`?", suggestions.join("` or `"))?;
         }
-        if valid.is_empty() { Ok(()) } else { write!(f, "; valid is one of {}", valid.join(", ")) }
+        match (valid.is_empty(), suggestions.is_empty()) {
+            (true, _) => Ok(()),
+            (false, true) => write!(f, "; valid is one of {}", valid.join(", ")),
+            (false, false) => write!(f, " (valid is one of {})", valid.join(", ")),
+        }
     }
 }
 

@@ -35,6 +35,12 @@ impl SettingDoc {
         Self { path, kind, text, valid, optional: false, table: false, choices: Vec::new() }
     }
 
+    /// The default, as the text states it.
+    #[must_use]
+    pub fn stated_default(&self) -> Option<&str> {
+        self.text.split_once("Default: `")?.1.split('`').next()
+    }
+
     /// Whether it says when to change the setting.
     #[must_use]
     pub fn says_when(&self) -> bool {
