@@ -11,6 +11,10 @@ pub mod check;
 pub mod codec;
 #[cfg(feature = "host")]
 pub mod config;
+#[cfg(feature = "host")]
+pub mod doctor;
+#[cfg(feature = "host")]
+pub mod finding;
 pub mod gripper;
 pub mod hid;
 #[cfg(feature = "host")]

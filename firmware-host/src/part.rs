@@ -12,11 +12,14 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PartConfig {
-    /// Distance of the template's points. Default: `0.25` mm.
+    /// Distance of the template's points. Valid: 0.01 to 100 mm. Default: `0.25` mm. Raise it for large
+    /// parts, of which a template holds no more points.
     pub spacing_mm: f64,
-    /// Seed of the template's points. Default: `1`.
+    /// Seed of the template's points. Valid: 0 to 9223372036854775807. Default: `1`. Change it to see how
+    /// results depend on the points.
     pub seed: u64,
-    /// Default: a peg, 8 mm in diameter and 40 mm long.
+    /// The part's shape: a mesh file or dimensions. Its diagonal is 2 to 500 mm. Default: a peg, 8 mm in
+    /// diameter and 40 mm long. Change it to your part.
     pub shape: Shape,
 }
 
@@ -66,6 +69,11 @@ pub enum PartError {
         /// A unit in which the size would make sense.
         guess: Option<&'static str>,
     },
+    /// A part by its dimensions is too small or too large to be held.
+    Size {
+        /// Diagonal of its bounding box.
+        diagonal_mm: f64,
+    },
     /// The triangles are no surface.
     Mesh(MeshError),
     /// The surface makes no template.
@@ -92,6 +100,11 @@ impl std::fmt::Display for PartError {
                     None => Ok(()),
                 }
             }
+            Self::Size { diagonal_mm } => write!(
+                f,
+                "part.shape is {diagonal_mm:.3} mm across; a part that is held between fingers has {MIN_DIAGONAL_MM} to \
+                 {MAX_DIAGONAL_MM} mm"
+            ),
             Self::Mesh(error) => write!(f, "part: {error}"),
             Self::Template(error) => write!(f, "part: {error}"),
         }
@@ -145,6 +158,10 @@ impl Part {
             return Ok(Self { mesh, file: Some((name, bytes)) });
         }
         let mesh = shape.mesh(FACET_TOLERANCE_MM).ok_or(PartError::Mesh(MeshError::Empty))?;
+        let diagonal_mm = diagonal_mm(&mesh);
+        if !fits(diagonal_mm) {
+            return Err(PartError::Size { diagonal_mm });
+        }
         Ok(Self { mesh, file: None })
     }
 
@@ -169,14 +186,22 @@ fn decode(path: &Path, bytes: &[u8], units: &str) -> Result<TriangleMesh, PartEr
     };
     let mesh = TriangleMesh::new(vertices.into_iter().map(|v| v * mm).collect(), triangles)
         .map_err(PartError::Mesh)?;
-    let (low, high) = mesh.bounds_mm();
-    let diagonal_mm = (high - low).length();
-    let fits = |diagonal: f64| (MIN_DIAGONAL_MM..=MAX_DIAGONAL_MM).contains(&diagonal);
+    let diagonal_mm = diagonal_mm(&mesh);
     if !fits(diagonal_mm) {
         let guess = UNITS.iter().find(|(_, other)| fits(diagonal_mm / mm * other)).map(|(name, _)| *name);
         return Err(PartError::Scale { diagonal_mm, units: units.to_owned(), guess });
     }
     Ok(mesh)
+}
+
+fn diagonal_mm(mesh: &TriangleMesh) -> f64 {
+    let (low, high) = mesh.bounds_mm();
+    (high - low).length()
+}
+
+/// Whether a part of that size can be held between fingers.
+fn fits(diagonal_mm: f64) -> bool {
+    (MIN_DIAGONAL_MM..=MAX_DIAGONAL_MM).contains(&diagonal_mm)
 }
 
 type Triangles = (Vec<DVec3>, Vec<[u32; 3]>);

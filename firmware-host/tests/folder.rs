@@ -45,6 +45,47 @@ fn pairs_come_in_order_whatever_their_format_and_layout() {
     assert_eq!(read_all(folder.path()).unwrap().len(), 1);
 }
 
+/// As text, left_29 comes before left_3, and the motion between pairs is wrong.
+#[test]
+fn pairs_come_in_the_order_of_their_numbers_with_gaps_reported() {
+    let folder = tempfile::tempdir().unwrap();
+    for number in [3, 29, 4, 100] {
+        grey(&folder.path().join(format!("left_{number}.png")), 8, 6, number);
+        grey(&folder.path().join(format!("right_{number}.png")), 8, 6, number + 1);
+    }
+    let pairs = read_all(folder.path()).unwrap();
+    let found: Vec<_> = pairs
+        .iter()
+        .map(|p| (p.left.pixels[0], p.right.pixels[0], p.capture.sequence, p.capture.dropped, p.time_ns))
+        .collect();
+    let at = |number: u64| (number - 3) * 50_000_000;
+    assert_eq!(
+        found,
+        [(3, 4, 0, 0, 0), (4, 5, 1, 0, at(4)), (29, 30, 26, 24, at(29)), (100, 101, 97, 70, at(100))]
+    );
+    assert_eq!(FolderSource::open(folder.path(), 20.0).unwrap().dropped(), 94);
+}
+
+#[test]
+fn leading_zeros_make_a_pair_where_only_one_image_has_the_number() {
+    let folder = tempfile::tempdir().unwrap();
+    let add = |name: &str| grey(&folder.path().join(name), 8, 6, 0);
+    ["left_3.png", "right_03.png", "left_04.png", "right_0004.png"].into_iter().for_each(add);
+    assert_eq!(read_all(folder.path()).unwrap().len(), 2);
+    add("left_003.png");
+    let message = read_all(folder.path()).unwrap_err().to_string();
+    assert!(
+        message.contains("left_003.png and ") && message.contains("left_3.png are images of"),
+        "{message}"
+    );
+    add("right_003.png");
+    let message = read_all(folder.path()).unwrap_err().to_string();
+    assert!(message.contains("same view and number"), "left_3 may belong to either: {message}");
+    add("right_3.png");
+    let message = read_all(folder.path()).unwrap_err().to_string();
+    assert!(message.contains("right_03.png has no partner"), "{message}");
+}
+
 #[test]
 fn faults_of_a_folder_are_named() {
     let folder = tempfile::tempdir().unwrap();

@@ -19,9 +19,10 @@ use crate::math::{DMat3, DQuat, DVec3, Pose, acos, atan2, cos, hypot, sin};
 pub enum FingerKinematics {
     /// Fingers that slide along x: the pad stands at x = width / 2 and z = `reach_mm`.
     Parallel {
-        /// Distance of the pad's middle from the mount.
+        /// Distance of the pad's middle from the mount. Valid: -1000 to 1000 mm. Change it to your gripper's
+        /// own.
         reach_mm: f64,
-        /// Largest opening.
+        /// Largest opening. Valid: 0.1 to 1000 mm. Change it to your gripper's own.
         max_width_mm: f64,
     },
     /// Four-bar fingers: the pads stay parallel, but advance along z while they close.
@@ -29,15 +30,15 @@ pub enum FingerKinematics {
     /// With the crank at θ from open (0) to `max_theta_rad`:
     /// width = 2 (offset + a cos θ - b sin θ), z = reach + a sin θ + b cos θ.
     Parallelogram {
-        /// Crank's share along x when open.
+        /// Crank's share along x when open. Valid: 0 to 1000 mm. Change it to your gripper's own.
         a_mm: f64,
-        /// Crank's share along z when open.
+        /// Crank's share along z when open. Valid: 0 to 1000 mm. Change it to your gripper's own.
         b_mm: f64,
-        /// Constant part of half the width.
+        /// Constant part of half the width. Valid: -1000 to 1000 mm. Change it to your gripper's own.
         offset_mm: f64,
-        /// Constant part of the pad's z.
+        /// Constant part of the pad's z. Valid: -1000 to 1000 mm. Change it to your gripper's own.
         reach_mm: f64,
-        /// Crank angle when closed.
+        /// Crank angle when closed. Valid: 0.001 to 1.57 rad. Change it to your gripper's own.
         max_theta_rad: f64,
     },
 }
@@ -53,6 +54,34 @@ impl FingerKinematics {
             offset_mm: 5.0808,
             reach_mm: 87.324,
             max_theta_rad: 0.8,
+        }
+    }
+
+    /// Checks that the numbers describe fingers.
+    ///
+    /// # Errors
+    /// [`MountError`] naming the field.
+    pub fn validate(&self) -> Result<(), MountError> {
+        let check = MountError::check;
+        let place = |field, mm: f64| check(mm.abs() <= FAR_MM, field, mm, "-1000 to 1000 mm");
+        let link = |field, mm: f64| check((0.0..=FAR_MM).contains(&mm), field, mm, "0 to 1000 mm");
+        match *self {
+            Self::Parallel { reach_mm, max_width_mm } => {
+                place("kinematics.reach_mm", reach_mm)?;
+                let ok = (0.1..=FAR_MM).contains(&max_width_mm);
+                check(ok, "kinematics.max_width_mm", max_width_mm, "0.1 to 1000 mm")
+            }
+            Self::Parallelogram { a_mm, b_mm, offset_mm, reach_mm, max_theta_rad } => {
+                link("kinematics.a_mm", a_mm)?;
+                link("kinematics.b_mm", b_mm)?;
+                place("kinematics.offset_mm", offset_mm)?;
+                place("kinematics.reach_mm", reach_mm)?;
+                let (turn, valid) = (max_theta_rad, "0.001 to 1.57 rad");
+                check((1e-3..=MAX_THETA_RAD).contains(&turn), "kinematics.max_theta_rad", turn, valid)?;
+                let (min_mm, max_mm) = self.width_range_mm();
+                let valid = "such that the fingers open, by a_mm and offset_mm";
+                check(max_mm > min_mm.max(0.1), "kinematics.offset_mm", offset_mm, valid)
+            }
         }
     }
 
@@ -94,11 +123,43 @@ impl FingerKinematics {
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
 pub struct SensorMount {
-    /// Motion of the pad that carries the sensor.
+    /// Motion of the pad that carries the sensor. Default: a Robotiq 2F-85. Change it to your gripper's.
     pub kinematics: FingerKinematics,
-    /// Maps sensor coordinates to pad coordinates.
+    /// Maps sensor coordinates to pad coordinates: rotation as a unit quaternion and translation in
+    /// millimetres, or four rows of a matrix. Change it to where your sensor is mounted.
     pub t_pad_sensor: Pose,
 }
+
+/// A number that makes no mount.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MountError {
+    /// Which field, for example `kinematics.reach_mm`.
+    pub field: &'static str,
+    /// What was found.
+    pub found: f64,
+    /// What would be valid.
+    pub valid: &'static str,
+}
+
+impl core::fmt::Display for MountError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(f, "{} is {}; valid is {}", self.field, self.found, self.valid)
+    }
+}
+
+impl core::error::Error for MountError {}
+
+impl MountError {
+    fn check(ok: bool, field: &'static str, found: f64, valid: &'static str) -> Result<(), Self> {
+        if ok { Ok(()) } else { Err(Self { field, found, valid }) }
+    }
+}
+
+/// Larger than any gripper's finger: a metre.
+const FAR_MM: f64 = 1e3;
+
+/// Largest crank angle, just below a right angle: beyond it the fingers would open again.
+const MAX_THETA_RAD: f64 = 1.57;
 
 /// A width that the gripper cannot have.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -132,6 +193,21 @@ impl SensorMount {
     pub fn facing(kinematics: FingerKinematics, gel_centre_mm: DVec3) -> Self {
         let rotation = DQuat::from_mat3(&DMat3::from_cols(-DVec3::Y, DVec3::Z, -DVec3::X));
         Self { kinematics, t_pad_sensor: Pose { rotation, translation_mm: -(rotation * gel_centre_mm) } }
+    }
+
+    /// Checks that the numbers describe a mount.
+    ///
+    /// # Errors
+    /// [`MountError`] naming the field.
+    pub fn validate(&self) -> Result<(), MountError> {
+        self.kinematics.validate()?;
+        for found in self.t_pad_sensor.translation_mm.to_array() {
+            let ok = found.abs() <= FAR_MM;
+            MountError::check(ok, "t_pad_sensor.translation_mm", found, "-1000 to 1000 mm")?;
+        }
+        let length = self.t_pad_sensor.rotation.length();
+        let unit = (length - 1.0).abs() < 1e-9;
+        MountError::check(unit, "t_pad_sensor.rotation_xyzw", length, "a quaternion of length 1")
     }
 
     /// gTgs of Eq. 8: maps sensor coordinates to gripper coordinates at this opening width.

@@ -126,24 +126,28 @@ impl Control {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ControlSettings {
-    /// Exposure time, a multiple of 100 µs; automatic exposure is turned off. Default: not changed.
+    /// Exposure time, a multiple of 100 µs; automatic exposure is turned off. Valid: 100 to 10000000 us.
+    /// Default: not changed. Set it so that the gel is neither dark nor saturated, and moving markers are not
+    /// smeared.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub exposure_us: Option<f64>,
     /// Whether the camera chooses the exposure time. Markers change their brightness then. Default: not
-    /// changed.
+    /// changed. Set it to false for sensing.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub auto_exposure: Option<bool>,
-    /// Gain in the camera's own unit; automatic gain is turned off. Default: not changed.
+    /// Gain in the camera's own unit; automatic gain is turned off. `v4l2-ctl --list-ctrls` shows its range.
+    /// Default: not changed. Set it low, and light the gel instead.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gain: Option<i64>,
-    /// White balance in kelvin; the automatic one is turned off. Default: not changed.
+    /// White balance in kelvin; the automatic one is turned off. Default: not changed. Set it for colour
+    /// cameras, so that grey levels stay the same.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub white_balance_k: Option<i64>,
-    /// Whether the camera chooses the white balance. Default: not changed.
+    /// Whether the camera chooses the white balance. Default: not changed. Set it to false for sensing.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub auto_white_balance: Option<bool>,
     /// Any other control by its name, as `v4l2-ctl --list-ctrls` shows it: `{ sharpness = 2 }`. Default:
-    /// none.
+    /// none. Set it where your camera sharpens or smooths its images.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub other: BTreeMap<String, i64>,
 }
@@ -164,8 +168,9 @@ impl ControlSettings {
 
     pub(super) fn validate(&self) -> Result<(), CaptureError> {
         if let Some(exposure_us) = self.exposure_us {
-            if !(exposure_us.is_finite() && exposure_us > 0.0) {
-                return Err(setting("controls.exposure_us", exposure_us, "above 0 us, in steps of 100 us"));
+            if !(100.0..=1e7).contains(&exposure_us) {
+                let valid = "100 to 10000000 us, in steps of 100 us";
+                return Err(setting("controls.exposure_us", exposure_us, valid));
             }
             if self.auto_exposure == Some(true) {
                 return Err(setting("controls.auto_exposure", true, "false, or no exposure_us"));

@@ -129,6 +129,18 @@ fn inspect(camera: &mut CameraInfo) {
     }
 }
 
+/// Formats and sizes that a camera offers, in words; none where it cannot be asked.
+#[must_use]
+pub fn offers(path: &Path) -> Vec<String> {
+    #[cfg(target_os = "linux")]
+    if let Ok(device) = super::device::Device::open(path, &path.display().to_string()) {
+        return device.offers();
+    }
+    #[cfg(not(target_os = "linux"))]
+    let _ = path;
+    Vec::new()
+}
+
 /// The nodes that the kernel lists, with the attributes of the USB device that each belongs to.
 fn nodes(class: &Path, dev: &Path) -> Vec<CameraInfo> {
     // Without the folder there is no video driver, hence no camera.

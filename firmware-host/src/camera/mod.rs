@@ -42,7 +42,7 @@ pub use controls::{Control, ControlKind, ControlSettings, MenuItem};
 pub use error::CaptureError;
 pub(crate) use format::trim_jpeg;
 pub use format::{FrameDecoder, FrameFault, FrameShape, PixelFormat};
-pub use list::{CameraInfo, NodeKind, list, select};
+pub use list::{CameraInfo, NodeKind, list, offers, select};
 pub use mailbox::Side;
 pub(crate) use mailbox::{Mailbox, Message, RawFrame};
 pub use sequence::{SequenceCheck, Step};

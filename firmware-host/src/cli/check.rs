@@ -4,6 +4,7 @@ use super::{CliError, load, say};
 use clap::Args;
 use gelstereo_host::check;
 use gelstereo_host::config::Config;
+use gelstereo_host::finding::all_right;
 use std::path::PathBuf;
 
 #[derive(Args)]
@@ -11,23 +12,19 @@ pub struct Arguments {
     /// Configuration; without it the embedded default.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
-    /// Print the embedded default as TOML and stop.
+    /// Print the embedded default as TOML, with a comment on every setting, and stop.
     #[arg(long)]
     print_default: bool,
 }
 
 pub fn command(Arguments { config, print_default }: &Arguments) -> Result<bool, CliError> {
     if *print_default {
-        say(Config::default().to_toml()?.trim_end())?;
+        say(Config::default().to_commented_toml()?.trim_end())?;
         return Ok(true);
     }
     let findings = check::check(&load(config.as_deref())?);
     for finding in &findings {
-        let (mark, text) = match &finding.result {
-            Ok(text) => ("ok", text),
-            Err(text) => ("WRONG", text),
-        };
-        say(format_args!("{mark:<6} {:<14} {text}", finding.subject))?;
+        say(finding)?;
     }
-    Ok(findings.iter().all(|finding| finding.result.is_ok()))
+    Ok(all_right(&findings))
 }

@@ -1,6 +1,7 @@
 //! The command line. Progress goes to stderr, results to stdout.
 
 mod check;
+mod doctor;
 mod gripper;
 mod health;
 mod recover;
@@ -34,7 +35,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
         gelstereo-host replay out/run.mcap               compute a recording again and compare every bit\n  \
         gelstereo-host recover out/run.mcap              copy a recording that was cut off, with an index\n  \
         gelstereo-host simulate scene.toml out/pairs     image pairs and truth from a scene\n  \
-        gelstereo-host check --print-default > cell.toml all settings to start from\n\n\
+        gelstereo-host check --print-default > cell.toml all settings to start from\n  \
+        gelstereo-host doctor                            what is connected, and whether the job would start\n\n\
         Exit code: 0 when the job is done or all is well, 1 when not, 2 for an error."
 )]
 struct Arguments {
@@ -60,6 +62,8 @@ enum Command {
     Check(check::Arguments),
     /// Look at the configured gripper or move it, for bench work.
     Gripper(gripper::Arguments),
+    /// Say what is connected, who may use it, how fast camera and disk are, and whether `run` would start.
+    Doctor(doctor::Arguments),
 }
 
 /// What can go wrong at the edge: told in one line, exit code 2.
@@ -106,6 +110,7 @@ pub fn main() -> ExitCode {
         Command::Simulate(arguments) => simulate::command(&arguments),
         Command::Check(arguments) => check::command(&arguments),
         Command::Gripper(arguments) => gripper::command(&arguments),
+        Command::Doctor(arguments) => doctor::command(&arguments),
     };
     match result {
         Ok(true) => ExitCode::SUCCESS,

@@ -14,21 +14,22 @@ pub enum LightConfig {
     None,
     /// A blink(1) on USB.
     Blink1 {
-        /// Serial number, if several are plugged in.
+        /// Serial number of the light. Set it if several are plugged in.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         serial: Option<String>,
-        /// Red, green, blue, 0 to 255. Default: `[255, 255, 255]`, white.
+        /// Red, green, blue. Valid: 0 to 255. Default: `[255, 255, 255]`, white. Change it to the colour that
+        /// shows the markers best.
         #[serde(default = "white")]
         color: [u8; 3],
-        /// Share of that colour, 0 to 1. Default: `1`.
+        /// Share of that colour. Valid: 0 to 1. Default: `1`. Lower it where the image saturates.
         #[serde(default = "full")]
         brightness: f64,
     },
     /// A light that the kernel drives, such as `thingm0:red:led0`.
     Led {
-        /// Its name in `/sys/class/leds`.
+        /// Its name in `/sys/class/leds`. Set it to your light's.
         name: String,
-        /// Share of its brightest, 0 to 1. Default: `1`.
+        /// Share of its brightest. Valid: 0 to 1. Default: `1`. Lower it where the image saturates.
         #[serde(default = "full")]
         brightness: f64,
     },
@@ -43,16 +44,18 @@ pub enum CameraHidConfig {
     None,
     /// An e-con Tara.
     Tara {
-        /// Serial number, if several are plugged in.
+        /// Serial number of the camera. Set it if several are plugged in.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         serial: Option<String>,
-        /// Exposure, 10 to 1000000 us, or 1 for the camera's own control. Default: as it is.
+        /// Exposure, or 1 for the camera's own control. Valid: 1 to 1000000 us, but not 2 to 9. Default: as
+        /// it is. Set it so that the gel is neither dark nor saturated.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         exposure_us: Option<u32>,
-        /// What starts a frame. Default: as it is.
+        /// What starts a frame. Default: as it is. Set it to `trigger` with an external trigger.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         stream_mode: Option<StreamModeConfig>,
-        /// High dynamic range, which changes grey levels from frame to frame. Default: as it is.
+        /// High dynamic range, which changes grey levels from frame to frame. Default: as it is. Set it to
+        /// false for sensing.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         hdr: Option<bool>,
     },

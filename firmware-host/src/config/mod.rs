@@ -6,8 +6,10 @@
 mod error;
 mod gripper;
 mod light;
+mod part;
 mod range;
 mod recording;
+pub mod reference;
 mod robot;
 mod sense;
 mod simulated;
@@ -30,7 +32,6 @@ use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::params::Params;
 use gelstereo_core::rig::Rig;
 use gelstereo_sim::{Gel, Scene, Shape};
-use range::LENGTH_MM;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -38,9 +39,11 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// Preset that `params` starts from; see [`Params::preset`]. Default: `balanced`.
+    /// Preset that `params` starts from; see [`Params::preset`]. Default: `balanced`. Change it to `fast` for
+    /// time, to `exact` for accuracy, to `paper` to compare with the paper.
     pub preset: String,
-    /// File with the calibrated rig; not together with `rig`. A relative path starts at the configuration's folder.
+    /// File with the calibrated rig; not together with `rig`. A relative path starts at the configuration's
+    /// folder. Default: none. Set it for real images, to what `gelstereo calibrate` wrote.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rig_file: Option<PathBuf>,
     /// Where stereo pairs come from. Default: the simulated sensor.
@@ -55,7 +58,7 @@ pub struct Config {
     pub camera_hid: CameraHidConfig,
     /// The part to be grasped.
     pub part: PartConfig,
-    /// The job.
+    /// The job: grasp the part, find it in the hand, align it, insert it. The base frame has z upwards.
     pub task: TaskConfig,
     /// Where the recording goes.
     pub recording: RecordingConfig,
@@ -63,7 +66,8 @@ pub struct Config {
     pub sense: SenseConfig,
     /// The simulated world behind simulated sensors, grippers and robots.
     pub simulated: SimulatedConfig,
-    /// Where the sensor stands in the gripper. Default: in the middle of a Robotiq 2F-85's pad, looking across.
+    /// Where the sensor stands in the gripper. Default: in the middle of a Robotiq 2F-85's pad, looking
+    /// across.
     pub mount: SensorMount,
     /// Settings of the pipeline and of registration.
     pub params: Params,
@@ -117,8 +121,7 @@ impl Config {
                 });
             }
             let file = folder.join(file);
-            let rig = toml::from_str(&read(&file)?)
-                .map_err(|error| ConfigError::Parse { origin: file.display().to_string(), error })?;
+            let rig = from_toml("Rig", &read(&file)?, &file.display().to_string())?;
             config.rig = Some(rig);
         }
         match &mut config.source {
@@ -142,7 +145,7 @@ impl Config {
     pub fn parse(text: &str, origin: &str) -> Result<Self, ConfigError> {
         let fail = |error| ConfigError::Parse { origin: origin.to_owned(), error };
         // This pass finds errors and their lines; the next one lays the text's settings over the preset's.
-        let mut config: Self = toml::from_str(text).map_err(fail)?;
+        let mut config: Self = from_toml("Config", text, origin)?;
         let preset = Params::preset(&config.preset)
             .ok_or_else(|| ConfigError::Preset { found: config.preset.clone() })?;
         let mut params = toml::Table::try_from(preset).map_err(ConfigError::Write)?;
@@ -160,6 +163,14 @@ impl Config {
     /// [`ConfigError::Write`].
     pub fn to_toml(&self) -> Result<String, ConfigError> {
         toml::to_string(self).map_err(ConfigError::Write)
+    }
+
+    /// As [`Self::to_toml`], with a comment on every setting: its meaning, its unit, and when to change it.
+    ///
+    /// # Errors
+    /// [`ConfigError::Write`].
+    pub fn to_commented_toml(&self) -> Result<String, ConfigError> {
+        self.to_toml().map(|text| reference::commented(&text))
     }
 
     /// The rig: the file's, or that of the simulated sensor.
@@ -198,18 +209,38 @@ impl Config {
     /// The first [`ConfigError`] found.
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.params.validate().map_err(ConfigError::Params)?;
-        self.rig()?.validate().map_err(ConfigError::Rig)?;
+        range::check_seed("params.register.seed", self.params.register.seed)?;
+        self.mount.validate().map_err(ConfigError::Mount)?;
+        let rig = self.rig()?;
+        rig.validate().map_err(ConfigError::Rig)?;
+        range::check_rig(&rig)?;
         self.source.validate()?;
         self.gripper.validate()?;
         self.robot.validate()?;
+        part::validate(&self.part)?;
         self.light.validate()?;
         self.camera_hid.validate()?;
-        LENGTH_MM.check("part.spacing_mm", self.part.spacing_mm)?;
         self.task.validate(&self.mount.kinematics)?;
         self.recording.validate()?;
         self.sense.validate(&self.mount.kinematics)?;
-        self.simulated.validate()
+        if self.recording.path.file_name().is_none() {
+            let (found, advice) = (self.recording.path.clone(), "name one, for example \"out/run.mcap\"");
+            return Err(ConfigError::NoFile { name: "recording.path", found, advice });
+        }
+        self.simulated.validate()?;
+        if matches!(self.source, SourceConfig::Simulated) {
+            self.simulated.validate_scene(&rig, &self.part.shape)?;
+            self.simulated.validate_against(&self.params)?;
+        }
+        Ok(())
     }
+}
+
+/// Reads a text as the type of that name, whose keys the reference knows.
+fn from_toml<T: serde::de::DeserializeOwned>(name: &str, text: &str, origin: &str) -> Result<T, ConfigError> {
+    reference::check_keys(text, name)
+        .map_err(|unknown| ConfigError::Unknown { origin: origin.to_owned(), unknown })?;
+    toml::from_str(text).map_err(|error| ConfigError::Parse { origin: origin.to_owned(), error })
 }
 
 /// Lays `over` over `base`, table by table.

@@ -1,10 +1,13 @@
 //! What a number of the configuration may be. A number outside is in another unit, or would make the job wait for ever.
 
 use super::ConfigError;
+use gelstereo_core::rig::Rig;
 
 /// Farther than this no arm reaches: such a number is in another unit.
 pub(super) const FAR_MM: f64 = 1e4;
-pub(super) const FULL_TURN_RAD: f64 = 2.0 * core::f64::consts::PI;
+pub(super) const FULL_TURN_RAD: f64 = 6.3;
+/// Below a tenth of a second no stage can end; within an hour every one does.
+pub(super) const STAGE_S: Range = Range { low: 0.1, high: 3600.0, words: "0.1 to 3600 s" };
 
 pub(super) fn check(
     ok: bool,
@@ -29,8 +32,42 @@ impl Range {
     }
 }
 
-pub(super) const LENGTH_MM: Range = Range { low: 1e-6, high: FAR_MM, words: "0.000001 to 10000 mm" };
-pub(super) const ANGLE_RAD: Range = Range { low: 1e-6, high: FULL_TURN_RAD, words: "0.000001 to 6.2832 rad" };
+pub(super) const LENGTH_MM: Range = Range { low: 1e-3, high: 1e3, words: "0.001 to 1000 mm" };
+pub(super) const SIGMA_MM: Range = Range { low: 1e-4, high: 100.0, words: "0.0001 to 100 mm" };
+/// Beyond half a turn a standard deviation says nothing more.
+pub(super) const SIGMA_RAD: Range = Range { low: 1e-4, high: 3.2, words: "0.0001 to 3.2 rad" };
+pub(super) const SPACING_MM: Range = Range { low: 0.01, high: 100.0, words: "0.01 to 100 mm" };
+pub(super) const HOLE_MM: Range = Range { low: 0.1, high: 1e3, words: "0.1 to 1000 mm" };
 pub(super) const SPEED_MM_S: Range = Range { low: 0.01, high: 1e4, words: "0.01 to 10000 mm/s" };
 pub(super) const TIME_S: Range = Range { low: 1e-3, high: 3600.0, words: "0.001 to 3600 s" };
-pub(super) const RATE_HZ: Range = Range { low: 0.1, high: 1e4, words: "0.1 to 10000 Hz" };
+pub(super) const RATE_HZ: Range = Range { low: 0.1, high: 1e3, words: "0.1 to 1000 Hz" };
+
+/// TOML has no larger whole numbers.
+const MAX_SEED: u64 = i64::MAX as u64;
+
+pub(super) fn check_seed(name: &'static str, seed: u64) -> Result<(), ConfigError> {
+    check(seed <= MAX_SEED, name, seed as f64, "0 to 9223372036854775807")
+}
+
+/// Widest and tallest image: none of the sensor's kind is larger, and buffers are made for it.
+const MAX_SIDE_PX: usize = 8192;
+
+/// Cameras farther apart are no sensor.
+const MAX_BASELINE_MM: f64 = 1e3;
+
+/// What a sensor's rig may be, beyond what makes a rig.
+pub(super) fn check_rig(rig: &Rig) -> Result<(), ConfigError> {
+    let sides = [
+        ("rig.left.width_px", rig.left.width_px),
+        ("rig.left.height_px", rig.left.height_px),
+        ("rig.right.width_px", rig.right.width_px),
+        ("rig.right.height_px", rig.right.height_px),
+    ];
+    sides.into_iter().try_for_each(|(name, side)| {
+        check((16..=MAX_SIDE_PX).contains(&side), name, side as f64, "16 to 8192 px")
+    })?;
+    rig.t_right_left.translation_mm.to_array().into_iter().try_for_each(|found| {
+        let (name, ok) = ("rig.t_right_left.translation_mm", found.abs() <= MAX_BASELINE_MM);
+        check(ok, name, found, "-1000 to 1000 mm")
+    })
+}

@@ -10,22 +10,27 @@ use std::path::PathBuf;
 #[serde(default, deny_unknown_fields)]
 pub struct RecordingConfig {
     /// MCAP file; it is replaced. Further parts of a long recording stand beside it: `run_0001.mcap` and so
-    /// on. Default: `out/run.mcap`.
+    /// on. Default: `out/run.mcap`. Change it for every run that is to be kept.
     pub path: PathBuf,
-    /// How plain images are stored; Motion JPEG of a camera is stored as it came. Default: `png`.
+    /// How plain images are stored; Motion JPEG of a camera is stored as it came. Default: `png`. Change it
+    /// to `raw` where time matters more than space.
     pub images: ImageFormat,
-    /// Images of every so many pairs are kept, results of all of them. Default: `1`.
+    /// Images of every so many pairs are kept, results of all of them. Valid: 1 to 100000 pairs. Default:
+    /// `1`. Raise it to save space; only pairs with images can be computed again.
     pub every_nth: u32,
-    /// What is kept. Default: `all`.
+    /// What is kept. Default: `all`. Change it to `ring` where only moments around triggers matter.
     pub mode: RecordingMode,
-    /// A file that has grown to this size is closed, and a new part begins. Default: `1024` MB.
+    /// A file that has grown to this size is closed, and a new part begins. Valid: 1 to 1000000 MB. Default:
+    /// `1024` MB. Change it to what your tools and disks handle well.
     pub split_mb: u32,
-    /// With the mode `ring`: the time before a trigger that is kept. Default: `60` s.
+    /// With the mode `ring`: the time before a trigger that is kept. Valid: 0.001 to 3600 s. Default: `60` s.
+    /// Raise it with `ring_mb`.
     pub ring_s: f64,
-    /// With the mode `ring`: memory for that time; the oldest messages are forgotten beyond it. Default:
-    /// `512` MB.
+    /// With the mode `ring`: memory for that time; the oldest messages are forgotten beyond it. Valid: 1 to
+    /// 100000 MB. Default: `512` MB. Change it to the memory that can be spared.
     pub ring_mb: u32,
-    /// With the mode `ring`: the time after a trigger that is kept. Default: `5` s.
+    /// With the mode `ring`: the time after a trigger that is kept. Valid: 0.001 to 3600 s. Default: `5` s.
+    /// Raise it where what follows a trigger matters.
     pub ring_after_s: f64,
 }
 

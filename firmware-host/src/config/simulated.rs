@@ -1,32 +1,41 @@
 //! The simulated world behind simulated sensors, grippers and robots.
 
 use super::ConfigError;
-use super::range::{LENGTH_MM, RATE_HZ, check};
+use super::part::check_shape;
+use super::range::{HOLE_MM, RATE_HZ, check, check_seed};
+use gelstereo_core::params::{Params, Polarity};
+use gelstereo_core::rig::Rig;
 use gelstereo_sim::effects::{Defocus, SensorNoise};
-use gelstereo_sim::{Effects, Gel, Shape};
+use gelstereo_sim::{Effects, Gel, Scene, Shape};
 use serde::{Deserialize, Serialize};
 
 /// The simulated world: what is really there, of which the job knows only what it measures.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SimulatedConfig {
-    /// Seed of the part's place and of the images' noise. Default: `1`.
+    /// Seed of the part's place and of the images' noise. Valid: 0 to 9223372036854775807. Default: `1`.
+    /// Change it to try another part's place; the same seed gives the same bits.
     pub seed: u64,
-    /// Default: `30` Hz.
+    /// Rate of the simulated camera. Valid: 0.1 to 1000 Hz. Default: `30` Hz. Change it to the rate of the
+    /// camera that you plan with.
     pub frame_rate_hz: f64,
-    /// Largest distance of the part from where it is expected, along each axis. Default: `1` mm.
+    /// Largest distance of the part from where it is expected, along each axis. Valid: 0 to 10 mm. Default:
+    /// `1` mm. Raise it to try worse guesses.
     pub offset_mm: f64,
-    /// Largest tilt from where it is expected, about each axis; the spin about a round part's axis is any. Default:
-    /// `0.05` rad.
+    /// Largest tilt from where it is expected, about each axis; the spin about a round part's axis is any.
+    /// Valid: 0 to 0.5 rad. Default: `0.05` rad. Raise it to try worse guesses.
     pub tilt_rad: f64,
-    /// Diameter of the round hole. Default: `8.2` mm, 0.2 mm more than the peg's.
+    /// Diameter of the round hole. Valid: 0.1 to 1000 mm. Default: `8.2` mm, 0.2 mm more than the peg's.
+    /// Change it with the part's diameter.
     pub hole_diameter_mm: f64,
-    /// What stands in the holder, if it is not the part that the job expects.
+    /// What stands in the holder, if it is not the part that the job expects. Default: none. Set it to try a
+    /// wrong part.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub shape: Option<Shape>,
     /// The gel and its lattice.
     pub gel: Gel,
-    /// What a real gel and camera do. Default: shoulder, spread and drag of the gel, blur and noise of the camera.
+    /// What a real gel and camera do. Default: shoulder, spread and drag of the gel, blur and noise of the
+    /// camera. Change it to try the others; docs/simulator.md has them all.
     pub effects: Effects,
 }
 
@@ -49,12 +58,76 @@ impl Default for SimulatedConfig {
     }
 }
 
+/// A print that differs from what the pipeline expects by a tenth is another print: neighbours are told apart by it.
+const MAX_PITCH_RATIO: f64 = 1.1;
+
 impl SimulatedConfig {
+    /// The scene of the simulated sensor, with what stands in the holder.
+    #[must_use]
+    pub fn scene(&self, rig: Rig, shape: Shape) -> Scene {
+        Scene {
+            seed: self.seed,
+            frame_rate_hz: self.frame_rate_hz,
+            rig,
+            gel: self.gel.clone(),
+            indenter: Some(shape),
+            effects: self.effects.clone(),
+            ..Scene::default()
+        }
+    }
+
     pub(super) fn validate(&self) -> Result<(), ConfigError> {
+        check_seed("simulated.seed", self.seed)?;
         RATE_HZ.check("simulated.frame_rate_hz", self.frame_rate_hz)?;
-        LENGTH_MM.check("simulated.hole_diameter_mm", self.hole_diameter_mm)?;
+        HOLE_MM.check("simulated.hole_diameter_mm", self.hole_diameter_mm)?;
         let (offset_mm, tilt_rad) = (self.offset_mm, self.tilt_rad);
         check((0.0..=10.0).contains(&offset_mm), "simulated.offset_mm", offset_mm, "0 to 10 mm")?;
-        check((0.0..=0.5).contains(&tilt_rad), "simulated.tilt_rad", tilt_rad, "0 to 0.5 rad")
+        check((0.0..=0.5).contains(&tilt_rad), "simulated.tilt_rad", tilt_rad, "0 to 0.5 rad")?;
+        match &self.shape {
+            Some(shape) => check_shape("simulated.shape", shape),
+            None => Ok(()),
+        }
+    }
+
+    /// Whether the sensor can be simulated: the gel, its effects, and the cameras' sight of it.
+    pub(super) fn validate_scene(&self, rig: &Rig, shape: &Shape) -> Result<(), ConfigError> {
+        let scene = self.scene(rig.clone(), self.shape.as_ref().unwrap_or(shape).clone());
+        scene.validate().map_err(|error| ConfigError::Scene { table: "simulated", error })
+    }
+
+    /// Whether the pipeline expects the gel that is simulated.
+    pub(super) fn validate_against(&self, params: &Params) -> Result<(), ConfigError> {
+        let (expected_mm, printed_mm) = (params.lattice.pitch_mm, self.gel.pitch_mm);
+        let ratio = (expected_mm / printed_mm).max(printed_mm / expected_mm);
+        if ratio > MAX_PITCH_RATIO {
+            return Err(ConfigError::Contradiction {
+                name: "params.lattice.pitch_mm",
+                found: format!("{expected_mm} mm"),
+                other: format!("simulated.gel.pitch_mm is {printed_mm} mm"),
+                advice: "make them agree to a tenth",
+            });
+        }
+        let sides = [
+            ("params.lattice.rows", params.lattice.rows, "rows", self.gel.rows),
+            ("params.lattice.cols", params.lattice.cols, "cols", self.gel.cols),
+        ];
+        for (name, expected, side, printed) in sides {
+            if let Some(expected) = expected.filter(|&expected| expected != printed) {
+                let other = format!("simulated.gel.{side} is {printed}");
+                let advice = "make them agree, or remove the former";
+                return Err(ConfigError::Contradiction { name, found: expected.to_string(), other, advice });
+            }
+        }
+        let bright = params.detect.polarity == Polarity::Bright;
+        if bright != self.gel.bright_dots {
+            let word = if bright { "bright" } else { "dark" };
+            return Err(ConfigError::Contradiction {
+                name: "params.detect.polarity",
+                found: format!("\"{word}\""),
+                other: format!("simulated.gel.bright_dots is {}", self.gel.bright_dots),
+                advice: "make them agree",
+            });
+        }
+        Ok(())
     }
 }

@@ -17,9 +17,10 @@ pub enum SourceConfig {
     Simulated,
     /// Image pairs in a folder.
     Folder {
-        /// The folder.
+        /// The folder, with images such as `left_1.png` and `right_1.png` in natural order of their names. A
+        /// relative path starts at the configuration's folder. Set it to your images.
         path: PathBuf,
-        /// Rate at which they were taken.
+        /// Rate at which they were taken. Valid: 0.1 to 1000 Hz. Set it to the camera's.
         frame_rate_hz: f64,
     },
     /// A stereo camera by Video4Linux2: one device with both views, or two devices.

@@ -1,7 +1,9 @@
 //! The robot task: poses, speeds and limits.
 
 use super::ConfigError;
-use super::range::{ANGLE_RAD, FAR_MM, FULL_TURN_RAD, LENGTH_MM, SPEED_MM_S, TIME_S, check};
+use super::range::{
+    FAR_MM, FULL_TURN_RAD, LENGTH_MM, SIGMA_MM, SIGMA_RAD, SPEED_MM_S, STAGE_S, TIME_S, check,
+};
 use gelstereo_core::frames::FingerKinematics;
 use gelstereo_core::math::{DVec3, Pose, so3};
 use serde::{Deserialize, Serialize};
@@ -10,9 +12,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PoseConfig {
-    /// Origin of the inner frame in the outer one.
+    /// Origin of the inner frame in the outer one, x y z. Valid: -10000 to 10000 mm. Change it to your
+    /// cell's.
     pub position_mm: [f64; 3],
-    /// Rotation vector: axis times angle. Default: none.
+    /// Rotation vector: axis times angle. Valid: -6.3 to 6.3 rad. Default: none. Change it to your
+    /// cell's.
     #[serde(default)]
     pub rotation_rad: [f64; 3],
 }
@@ -29,15 +33,12 @@ impl PoseConfig {
 
     pub(super) fn validate(&self, name: &'static str) -> Result<(), ConfigError> {
         for found in self.position_mm {
-            check(found.abs() <= FAR_MM, name, found, "positions up to 10000 mm")?;
+            let (ok, valid) = (found.abs() <= FAR_MM, "-10000 to 10000 mm");
+            check(ok, name, found, valid).map_err(|error| error.within("position_mm"))?;
         }
         for found in self.rotation_rad {
-            check(
-                found.abs() <= FULL_TURN_RAD,
-                name,
-                found,
-                "rotation vectors up to a full turn, 6.2832 rad",
-            )?;
+            let (ok, valid) = (found.abs() <= FULL_TURN_RAD, "-6.3 to 6.3 rad");
+            check(ok, name, found, valid).map_err(|error| error.within("rotation_rad"))?;
         }
         Ok(())
     }
@@ -47,45 +48,61 @@ impl PoseConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TaskConfig {
-    /// Where the part is expected before it is grasped (`t_base_object`).
+    /// Where the part is expected before it is grasped (`t_base_object`). Change it to your cell's.
     pub part_pose: PoseConfig,
-    /// How far it may be from there, one standard deviation per axis. What the contact does not determine stays at
-    /// the expectation with this uncertainty. Default: `0.6` mm.
+    /// How far it may be from there, one standard deviation per axis. What the contact does not determine
+    /// stays at the expectation with this uncertainty. Valid: 0.0001 to 100 mm. Default: `0.6` mm. Change it
+    /// to how well the part's place is known.
     pub part_sigma_mm: f64,
-    /// The same for its rotation. Default: `0.03` rad.
+    /// The same for its rotation. Valid: 0.0001 to 3.2 rad. Default: `0.03` rad. Change it to how well the
+    /// part's rotation is known.
     pub part_sigma_rad: f64,
-    /// Where the gripper closes (`t_base_gripper`).
+    /// Where the gripper closes (`t_base_gripper`). Change it to your cell's.
     pub grasp_pose: PoseConfig,
-    /// Where the part is when it is inserted (`t_base_object`): the template pose of the hole.
+    /// Where the part is when it is inserted (`t_base_object`): the template pose of the hole. Change it to
+    /// your cell's.
     pub goal_pose: PoseConfig,
-    /// Direction of insertion in the part's frame. Default: `[0, 0, -1]`.
+    /// Direction of insertion in the part's frame, of any length. Valid: -1000000 to 1000000. Default: `[0,
+    /// 0, -1]`. Change it to the part's.
     pub insertion_axis: [f64; 3],
-    /// Length of the way from the rim of the hole to the goal. Default: `10` mm.
+    /// Length of the way from the rim of the hole to the goal. Valid: 0.001 to 1000 mm. Default: `10` mm.
+    /// Change it to the hole's.
     pub insertion_depth_mm: f64,
-    /// The part is aligned this far above the rim. Default: `3` mm.
+    /// The part is aligned this far above the rim. Valid: 0.001 to 1000 mm. Default: `3` mm. Raise it where
+    /// the part may touch the rim while it is aligned.
     pub approach_mm: f64,
-    /// The robot gives up this far beyond the goal when nothing stops it. Default: `4` mm.
+    /// The robot gives up this far beyond the goal when nothing stops it. Valid: 0.001 to 1000 mm. Default:
+    /// `4` mm. Lower it where the robot would hit something below the hole.
     pub overtravel_mm: f64,
-    /// How far the part is lifted out of its holder. Default: `45` mm.
+    /// How far the part is lifted out of its holder. Valid: 0.001 to 1000 mm. Default: `45` mm. Change it to
+    /// clear the holder and what stands around.
     pub lift_mm: f64,
-    /// Opening before the gripper closes. Default: `14` mm.
+    /// Opening before the gripper closes, within what `mount.kinematics` can have. Valid: 0.001 to 1000 mm.
+    /// Default: `14` mm. Change it to the part's width and some room.
     pub open_width_mm: f64,
-    /// Default: `150` mm/s, the fastest of a Robotiq 2F-85.
+    /// Speed at which the gripper opens. Valid: 0.01 to 10000 mm/s. Default: `150` mm/s, the fastest of a
+    /// Robotiq 2F-85. Change it to your gripper's.
     pub opening_speed_mm_s: f64,
-    /// Default: `20` mm/s, the slowest of a Robotiq 2F-85.
+    /// Speed at which the gripper closes. Valid: 0.01 to 10000 mm/s. Default: `20` mm/s, the slowest of a
+    /// Robotiq 2F-85. Lower it for fragile parts: between two frames the fingers go on.
     pub closing_speed_mm_s: f64,
-    /// Share of the gripper's range, 0 to 1. Default: `0.2`.
+    /// Share of the gripper's range. Valid: 0 to 1. Default: `0.2`. Raise it for heavy parts.
     pub closing_force: f64,
-    /// Speed of free moves. Default: `400` mm/s.
+    /// Speed of free moves. Valid: 0.01 to 10000 mm/s. Default: `400` mm/s. Lower it while you set up a cell.
     pub move_speed_mm_s: f64,
-    /// Default: `10` mm/s.
+    /// Speed of the insertion. Valid: 0.01 to 10000 mm/s. Default: `10` mm/s. Lower it for tight fits: the part
+    /// goes on for one frame after the gel feels the hole's bottom.
     pub insertion_speed_mm_s: f64,
-    /// How long to wait for a stereo pair. Default: `2` s.
+    /// How long to wait for a stereo pair. Valid: 0.001 to 3600 s. Default: `2` s. Raise it for a slow
+    /// camera.
     pub frame_timeout_s: f64,
-    /// The job breaks off when one stage takes longer, on the frame source's clock. Default: `120` s.
+    /// The job breaks off when one stage takes longer, on the frame source's clock. No stage may be planned
+    /// to take longer. Valid: 0.1 to 3600 s. Default: `120` s. Raise it for long or slow moves; the recording
+    /// may grow with it.
     pub stage_timeout_s: f64,
-    /// So many stereo pairs in a row may show no markers (black, covered, blurred) before the job breaks off. While they
-    /// last nothing is felt: at 30 Hz and 10 mm/s the part moves 0.33 mm with each. Default: `2`.
+    /// So many stereo pairs in a row may show no markers (black, covered, blurred) before the job breaks off.
+    /// While they last nothing is felt: at 30 Hz and 10 mm/s the part moves 0.33 mm with each. Valid: 0 to
+    /// 1000 pairs. Default: `2`. Raise it only for slow moves.
     pub max_bad_frames: u32,
 }
 
@@ -132,8 +149,8 @@ impl TaskConfig {
             pose.validate(name)?;
         }
         let within = [
-            ("task.part_sigma_mm", t.part_sigma_mm, LENGTH_MM),
-            ("task.part_sigma_rad", t.part_sigma_rad, ANGLE_RAD),
+            ("task.part_sigma_mm", t.part_sigma_mm, SIGMA_MM),
+            ("task.part_sigma_rad", t.part_sigma_rad, SIGMA_RAD),
             ("task.insertion_depth_mm", t.insertion_depth_mm, LENGTH_MM),
             ("task.approach_mm", t.approach_mm, LENGTH_MM),
             ("task.overtravel_mm", t.overtravel_mm, LENGTH_MM),
@@ -143,16 +160,47 @@ impl TaskConfig {
             ("task.move_speed_mm_s", t.move_speed_mm_s, SPEED_MM_S),
             ("task.insertion_speed_mm_s", t.insertion_speed_mm_s, SPEED_MM_S),
             ("task.frame_timeout_s", t.frame_timeout_s, TIME_S),
-            ("task.stage_timeout_s", t.stage_timeout_s, TIME_S),
+            ("task.stage_timeout_s", t.stage_timeout_s, STAGE_S),
         ];
         for (name, found, range) in within {
             range.check(name, found)?;
         }
         check((0.0..=1.0).contains(&t.closing_force), "task.closing_force", t.closing_force, "0 to 1")?;
+        for found in t.insertion_axis {
+            check(found.abs() <= 1e6, "task.insertion_axis", found, "-1000000 to 1000000")?;
+        }
         let length = DVec3::from_array(t.insertion_axis).length();
-        check(length > 1e-6 && length.is_finite(), "task.insertion_axis", length, "a direction, not zero")?;
+        check(length > 1e-6, "task.insertion_axis", length, "a direction, not zero")?;
+        let bad = t.max_bad_frames;
+        check(bad <= 1000, "task.max_bad_frames", f64::from(bad), "0 to 1000 pairs")?;
+        self.check_times()?;
         let (min_mm, max_mm) = kinematics.width_range_mm();
         let opens = t.open_width_mm > min_mm && t.open_width_mm <= max_mm;
         check(opens, "task.open_width_mm", t.open_width_mm, "a width that mount.kinematics can have")
+    }
+
+    /// How long the stages take that the task alone determines, by name: lifting and aligning, and inserting.
+    pub(crate) fn planned_s(&self) -> [(&'static str, f64); 2] {
+        let goal = self.goal_pose.pose();
+        let back_mm = self.insertion_depth_mm + self.approach_mm;
+        let axis = DVec3::from_array(self.insertion_axis).normalize_or_zero();
+        let above_mm = goal.transform_point(axis * -back_mm);
+        let lifted_mm = self.part_pose.pose().translation_mm + DVec3::Z * self.lift_mm;
+        let align_mm = self.lift_mm + (above_mm - lifted_mm).length();
+        let insert_mm = self.approach_mm + self.insertion_depth_mm + self.overtravel_mm;
+        [
+            ("task.move_speed_mm_s", align_mm / self.move_speed_mm_s),
+            ("task.insertion_speed_mm_s", insert_mm / self.insertion_speed_mm_s),
+        ]
+    }
+
+    /// A stage that cannot end in time would always break off, after it has recorded all that while.
+    fn check_times(&self) -> Result<(), ConfigError> {
+        match self.planned_s().into_iter().find(|(_, planned_s)| !(*planned_s <= self.stage_timeout_s)) {
+            Some((name, planned_s)) => {
+                Err(ConfigError::TooSlow { name, planned_s, limit_s: self.stage_timeout_s })
+            }
+            None => Ok(()),
+        }
     }
 }

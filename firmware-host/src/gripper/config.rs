@@ -143,7 +143,7 @@ impl RobotiqModel {
             Self::TwoFinger140 => (140.0, 6.5),
             Self::HandE => (50.0, 0.7),
         };
-        WidthTable::new(vec![(3.0, stroke_mm), (230.0, 0.0)], max_error_mm)
+        WidthTable::new(vec![[3.0, stroke_mm], [230.0, 0.0]], max_error_mm)
             .map_err(|error| GripperError::Device { message: error.to_string() })
     }
 }
@@ -164,15 +164,28 @@ const REPLY_TIMEOUT: Duration = Duration::from_millis(100);
 const NETWORK_TIMEOUT: Duration = Duration::from_millis(300);
 
 impl GripperConfig {
-    /// Where a real gripper is connected, and how fast.
-    fn port(&self) -> Option<(&str, u32)> {
+    /// Where a real gripper is connected: a serial port's path, or `tcp://host:port`.
+    #[must_use]
+    pub fn port(&self) -> Option<&str> {
         match self {
             Self::Simulated => None,
-            Self::RobotiqUrcap { port, .. } | Self::OnRobot { port, .. } => Some((port, 0)),
-            Self::Robotiq { port, baud_rate, .. }
-            | Self::Dh { port, baud_rate, .. }
-            | Self::Dynamixel { port, baud_rate, .. }
-            | Self::Feetech { port, baud_rate, .. } => Some((port, *baud_rate)),
+            Self::RobotiqUrcap { port, .. }
+            | Self::OnRobot { port, .. }
+            | Self::Robotiq { port, .. }
+            | Self::Dh { port, .. }
+            | Self::Dynamixel { port, .. }
+            | Self::Feetech { port, .. } => Some(port),
+        }
+    }
+
+    /// Rate of a serial port; TCP connections have none.
+    const fn baud_rate(&self) -> u32 {
+        match self {
+            Self::Simulated | Self::RobotiqUrcap { .. } | Self::OnRobot { .. } => 0,
+            Self::Robotiq { baud_rate, .. }
+            | Self::Dh { baud_rate, .. }
+            | Self::Dynamixel { baud_rate, .. }
+            | Self::Feetech { baud_rate, .. } => *baud_rate,
         }
     }
 
@@ -181,10 +194,10 @@ impl GripperConfig {
     /// # Errors
     /// [`GripperError::Port`].
     pub fn open(&self) -> Result<Option<Box<dyn Gripper + Send>>, GripperError> {
-        let Some((port, baud_rate)) = self.port() else {
+        let Some(port) = self.port() else {
             return Ok(None);
         };
-        self.driver(line::open(port, baud_rate)?)
+        self.driver(line::open(port, self.baud_rate())?)
     }
 
     /// The driver on an open line. `None` for the simulated gripper.

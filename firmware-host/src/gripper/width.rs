@@ -11,15 +11,15 @@ use std::fmt;
 #[serde(try_from = "WidthTableFields", into = "WidthTableFields")]
 pub struct WidthTable {
     /// Counts rise from point to point, and widths fall, or rise, all the way.
-    points: Vec<(f64, f64)>,
+    points: Vec<[f64; 2]>,
     max_error_mm: f64,
 }
 
 #[derive(Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct WidthTableFields {
-    /// Pairs of count and width in millimetres.
-    points: Vec<(f64, f64)>,
+    /// Pairs of count and width in millimetres, in the order of the counts.
+    points: Vec<[f64; 2]>,
     /// How far the true width may be from the table's.
     max_error_mm: f64,
 }
@@ -78,16 +78,16 @@ impl WidthTable {
     ///
     /// # Errors
     /// [`WidthTableError`].
-    pub fn new(points: Vec<(f64, f64)>, max_error_mm: f64) -> Result<Self, WidthTableError> {
+    pub fn new(points: Vec<[f64; 2]>, max_error_mm: f64) -> Result<Self, WidthTableError> {
         if points.len() < 2 {
             return Err(WidthTableError::TooFew { found: points.len() });
         }
         if !(max_error_mm >= 0.0 && max_error_mm.is_finite()) {
             return Err(WidthTableError::Bound { found: max_error_mm });
         }
-        let falls = points[1].1 < points[0].1;
+        let falls = points[1][1] < points[0][1];
         for (index, pair) in points.windows(2).enumerate() {
-            let [(count, width_mm), (next_count, next_width_mm)] = [pair[0], pair[1]];
+            let [[count, width_mm], [next_count, next_width_mm]] = [pair[0], pair[1]];
             let finite = [count, width_mm, next_count, next_width_mm].iter().all(|value| value.is_finite());
             let moves = if falls { next_width_mm < width_mm } else { next_width_mm > width_mm };
             if !(finite && next_count > count && moves) {
@@ -106,7 +106,7 @@ impl WidthTable {
     /// Smallest and largest width.
     #[must_use]
     pub fn range_mm(&self) -> (f64, f64) {
-        let (first, last) = (self.points[0].1, self.points[self.points.len() - 1].1);
+        let (first, last) = (self.points[0][1], self.points[self.points.len() - 1][1]);
         (first.min(last), first.max(last))
     }
 
@@ -114,8 +114,8 @@ impl WidthTable {
     #[must_use]
     pub fn width_mm(&self, count: f64) -> f64 {
         let last = self.points.len() - 2;
-        let segment = self.points.partition_point(|&(at, _)| at <= count).saturating_sub(1).min(last);
-        let [(low, from_mm), (high, to_mm)] = [self.points[segment], self.points[segment + 1]];
+        let segment = self.points.partition_point(|&[at, _]| at <= count).saturating_sub(1).min(last);
+        let [[low, from_mm], [high, to_mm]] = [self.points[segment], self.points[segment + 1]];
         from_mm + (to_mm - from_mm) * (count - low) / (high - low)
     }
 
@@ -127,10 +127,10 @@ impl WidthTable {
             return None;
         }
         let pair = self.points.windows(2).find(|pair| {
-            let (a, b) = (pair[0].1, pair[1].1);
+            let (a, b) = (pair[0][1], pair[1][1]);
             width_mm >= a.min(b) && width_mm <= a.max(b)
         })?;
-        let [(low, from_mm), (high, to_mm)] = [pair[0], pair[1]];
+        let [[low, from_mm], [high, to_mm]] = [pair[0], pair[1]];
         Some(low + (high - low) * (width_mm - from_mm) / (to_mm - from_mm))
     }
 }

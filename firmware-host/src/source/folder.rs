@@ -1,23 +1,40 @@
 //! Image pairs in a folder.
 
-use super::{Capture, FrameSource, Gray, Next, SourceError, StereoPair};
+use super::{Capture, FrameSource, Gray, Next, SourceError, StereoPair, natural};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 const NANOSECONDS_PER_SECOND: f64 = 1e9;
 
-/// PNG, PGM and JPEG files whose names hold `left` or `right`, paired by the rest of the name, in its order.
+/// PNG, PGM and JPEG files whose names hold `left` or `right`, paired by the rest of the name, in natural order: numbers
+/// count as numbers, so that `left_3` comes before `left_29`.
 ///
 /// Either all in one folder (`left_0001.png`, `right_0001.png`) or in its subfolders `left` and `right`. Colour is
-/// turned into grey. The time of pair i is i / frame rate.
+/// turned into grey. Images that differ in leading zeros (`left_3.png`, `right_03.png`) are a pair where no other image
+/// has that number. Numbers that are left out count as dropped pairs ([`Capture::dropped`]). The time of pair i, left-out
+/// ones counted, is i / frame rate.
 #[derive(Clone, Debug)]
 pub struct FolderSource {
-    pairs: Vec<(PathBuf, PathBuf)>,
+    pairs: Vec<FolderPair>,
     next: usize,
     period_ns: f64,
     size: Option<(usize, usize)>,
 }
+
+/// Two files of one moment.
+#[derive(Clone, Debug)]
+struct FolderPair {
+    left: PathBuf,
+    right: PathBuf,
+    /// Pairs before this one, those left out included.
+    sequence: u64,
+    /// Pairs left out since the one before.
+    dropped: u64,
+}
+
+/// Images of one view by the rest of their names.
+type View = BTreeMap<String, PathBuf>;
 
 impl FolderSource {
     /// Lists and pairs the images; none is read yet.
@@ -25,7 +42,7 @@ impl FolderSource {
     /// # Errors
     /// [`SourceError`] when the folder cannot be listed or an image has no partner.
     pub fn open(folder: &Path, frame_rate_hz: f64) -> Result<Self, SourceError> {
-        let mut views: [BTreeMap<String, PathBuf>; 2] = Default::default();
+        let mut views: [View; 2] = Default::default();
         let mut images = 0;
         for path in image_files(folder)? {
             images += 1;
@@ -40,21 +57,30 @@ impl FolderSource {
                 return Err(SourceError::Ambiguous { first, second: path });
             }
         }
-        let [lefts, mut rights] = views;
-        let mut pairs = Vec::with_capacity(lefts.len());
-        for (key, left) in lefts {
-            let Some(right) = rights.remove(&key) else {
-                return Err(SourceError::NoPartner { path: left, missing: "right" });
-            };
-            pairs.push((left, right));
-        }
-        if let Some(path) = rights.into_values().next() {
-            return Err(SourceError::NoPartner { path, missing: "left" });
-        }
-        if pairs.is_empty() {
+        let matched = match_views(views)?;
+        if matched.is_empty() {
             return Err(SourceError::NoPairs { folder: folder.to_owned(), images });
         }
+        let pairs = numbered(matched);
         Ok(Self { pairs, next: 0, period_ns: NANOSECONDS_PER_SECOND / frame_rate_hz, size: None })
+    }
+
+    /// Pairs that are missing in the numbering of the files.
+    #[must_use]
+    pub fn dropped(&self) -> u64 {
+        self.pairs.iter().map(|pair| pair.dropped).sum()
+    }
+
+    /// Width and height of the first image, pixels; all must have them.
+    ///
+    /// # Errors
+    /// [`SourceError::Decode`].
+    pub fn size_px(&self) -> Result<(usize, usize), SourceError> {
+        let path = &self.pairs[0].left;
+        let wrong =
+            |error: image::ImageError| SourceError::Decode { path: path.clone(), message: error.to_string() };
+        let (width, height) = image::image_dimensions(path).map_err(wrong)?;
+        Ok((width as usize, height as usize))
     }
 
     fn read(&mut self, path: &Path, gray: &mut Gray) -> Result<(), SourceError> {
@@ -73,13 +99,14 @@ impl FolderSource {
 
 impl FrameSource for FolderSource {
     fn next_pair(&mut self, _timeout: Duration, pair: &mut StereoPair) -> Result<Next, SourceError> {
-        let Some((left, right)) = self.pairs.get(self.next).cloned() else {
+        let Some(FolderPair { left, right, sequence, dropped }) = self.pairs.get(self.next).cloned() else {
             return Ok(Next::End);
         };
         self.read(&left, &mut pair.left)?;
         self.read(&right, &mut pair.right)?;
-        pair.time_ns = (self.next as f64 * self.period_ns) as u64;
-        pair.capture = Capture { sequence: self.next as u64, ..Capture::default() };
+        pair.time_ns = (sequence as f64 * self.period_ns) as u64;
+        pair.capture = Capture { sequence, dropped, ..Capture::default() };
+        pair.stale = false;
         self.next += 1;
         Ok(Next::Pair)
     }
@@ -87,6 +114,59 @@ impl FrameSource for FolderSource {
     fn len_hint(&self) -> Option<usize> {
         Some(self.pairs.len())
     }
+}
+
+/// Left and right path by the rest of the left name: equal names first, then what is left by equal numbers.
+fn match_views([lefts, mut rights]: [View; 2]) -> Result<Vec<(String, PathBuf, PathBuf)>, SourceError> {
+    let by_number = |view: &View| {
+        let mut names: BTreeMap<String, Vec<PathBuf>> = BTreeMap::new();
+        for (name, path) in view {
+            names.entry(natural::without_leading_zeros(name)).or_default().push(path.clone());
+        }
+        names
+    };
+    let numbers = [by_number(&lefts), by_number(&rights)];
+    let (mut matched, mut unmatched) = (Vec::with_capacity(lefts.len()), Vec::new());
+    for (name, left) in lefts {
+        match rights.remove(&name) {
+            Some(right) => matched.push((name, left, right)),
+            None => unmatched.push((name, left)),
+        }
+    }
+    for (name, left) in unmatched {
+        let number = natural::without_leading_zeros(&name);
+        let Some(right_name) =
+            rights.keys().find(|right| natural::without_leading_zeros(right) == number).cloned()
+        else {
+            return Err(SourceError::NoPartner { path: left, missing: "right" });
+        };
+        for view in &numbers {
+            if let Some([first, second, ..]) = view.get(&number).map(Vec::as_slice) {
+                return Err(SourceError::Ambiguous { first: first.clone(), second: second.clone() });
+            }
+        }
+        if let Some(right) = rights.remove(&right_name) {
+            matched.push((name, left, right));
+        }
+    }
+    match rights.into_values().next() {
+        Some(path) => Err(SourceError::NoPartner { path, missing: "left" }),
+        None => Ok(matched),
+    }
+}
+
+/// In natural order, with the gaps of their numbering.
+fn numbered(mut matched: Vec<(String, PathBuf, PathBuf)>) -> Vec<FolderPair> {
+    matched.sort_by(|(a, ..), (b, ..)| natural::compare(a, b));
+    let names: Vec<&str> = matched.iter().map(|(name, ..)| name.as_str()).collect();
+    let gaps = natural::gaps(&names);
+    let mut before = 0;
+    let place = |((_, left, right), dropped): ((String, PathBuf, PathBuf), u64)| {
+        let sequence = before + dropped;
+        before = sequence + 1;
+        FolderPair { left, right, sequence, dropped }
+    };
+    matched.into_iter().zip(gaps).map(place).collect()
 }
 
 /// Image files of the folder and its direct subfolders, sorted.

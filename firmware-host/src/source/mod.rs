@@ -7,6 +7,8 @@ mod folder;
 mod huffman;
 pub mod jpeg;
 mod layout;
+#[cfg(feature = "host")]
+mod natural;
 pub mod pairing;
 #[cfg(feature = "host")]
 pub mod stream;
@@ -18,6 +20,7 @@ pub(crate) use clock::{epoch_ns, monotonic_ns};
 #[cfg(feature = "host")]
 pub use folder::FolderSource;
 pub use layout::OddWidth;
+pub(crate) use natural::compare as compare_names;
 #[cfg(feature = "host")]
 pub use stream::StreamSource;
 

@@ -61,16 +61,7 @@ impl Bench {
         let peg = peg(&shape, config.insertion_axis()).ok_or(WorldError::NotRound)?;
         let rig = config.rig.clone().unwrap_or_else(Scene::default_rig);
         let size_px = [&rig.left, &rig.right].map(|camera| (camera.width_px, camera.height_px));
-        let scene = Scene {
-            seed: simulated.seed,
-            frame_rate_hz: simulated.frame_rate_hz,
-            rig,
-            gel: simulated.gel.clone(),
-            indenter: Some(shape),
-            effects: simulated.effects.clone(),
-            trajectory: Vec::new(),
-            ..Scene::default()
-        };
+        let scene = simulated.scene(rig, shape);
         let goal = task.goal_pose.pose();
         let inwards = goal.transform_vector(peg.axis);
         let bottom_mm = goal.transform_point(peg.axis * peg.half_length_mm);

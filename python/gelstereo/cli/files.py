@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +43,7 @@ def read_image(path: Path) -> npt.NDArray[np.uint8]:
 
 
 def stereo_pairs(folder: Path) -> list[tuple[Path, Path]]:
-    """Images of the same name in ``left`` and ``right`` of a folder, in the order of their names."""
+    """Images of the same name in ``left`` and ``right`` of a folder, in natural order: ``3.png`` before ``29.png``."""
     if not folder.is_dir():
         raise FileNotFoundError(2, "No such folder", str(folder))
     views = [{path.name: path for path in _images(folder / view)} for view in ("left", "right")]
@@ -53,7 +54,24 @@ def stereo_pairs(folder: Path) -> list[tuple[Path, Path]]:
         )
     if not views[0]:
         raise FileError(f"{folder} has no images; valid is left/NAME.png with right/NAME.png")
-    return [(views[0][name], views[1][name]) for name in sorted(views[0])]
+    return [(views[0][name], views[1][name]) for name in sorted(views[0], key=natural_key)]
+
+
+def natural_key(name: str) -> tuple[list[tuple[int, int, str]], str]:
+    """Sorting key by which numbers in names compare as numbers, as `gelstereo-host` sorts a folder's images.
+
+    Names that differ in leading zeros alone are in the order of their text.
+    """
+    pieces = [piece for piece in re.split(r"([0-9]+)", name) if piece]
+    return [_piece_key(piece) for piece in pieces], name
+
+
+def _piece_key(piece: str) -> tuple[int, int, str]:
+    # Digits stand where their text would: after what is below "0", before what is above "9".
+    if piece[0] in "0123456789":
+        digits = piece.lstrip("0")
+        return ord("0"), len(digits), digits
+    return ord(piece[0]), 0, piece
 
 
 def _images(folder: Path) -> list[Path]:

@@ -47,6 +47,9 @@ impl core::fmt::Display for LayersError {
 
 impl core::error::Error for LayersError {}
 
+/// Farther than any sensor reaches: ten metres.
+const FAR_MM: f64 = 1e4;
+
 impl Layers {
     /// Checks that the numbers describe layers.
     ///
@@ -60,11 +63,11 @@ impl Layers {
         check((length - 1.0).abs() < 1e-9, "normal's length", length, "1 within 1e-9")?;
         check(self.normal.z > 0.0, "normal.z", self.normal.z, "above 0: away from the cameras")?;
         let gap = self.gap_mm;
-        check(gap >= 0.0 && gap.is_finite(), "gap_mm", gap, "a finite number from 0 on")?;
+        check((0.0..=FAR_MM).contains(&gap), "gap_mm", gap, "0 to 10000 mm")?;
         for plate in &self.plates {
             let thickness = plate.thickness_mm;
-            let ok = thickness >= 0.0 && thickness.is_finite();
-            check(ok, "plates.thickness_mm", thickness, "a finite number from 0 on")?;
+            let ok = (0.0..=FAR_MM).contains(&thickness);
+            check(ok, "plates.thickness_mm", thickness, "0 to 10000 mm")?;
         }
         for index in self.plates.iter().map(|plate| plate.index).chain([self.gel_index]) {
             check((1.0..=4.0).contains(&index), "index", index, "1 to 4")?;

@@ -31,6 +31,11 @@ pub enum PoseError {
         /// How many of the 16 are.
         count: usize,
     },
+    /// A file's quaternion is far from unit length: it is another quantity.
+    QuaternionLength {
+        /// Its length.
+        length: f64,
+    },
     /// The last row is not (0, 0, 0, 1).
     LastRow([f64; 4]),
 }
@@ -46,6 +51,11 @@ impl core::fmt::Display for PoseError {
                 f,
                 "{count} of 16 entries are NaN or infinite, the first of them in row {row}, column {column}: {value}; valid \
                  is a rotation and a translation in finite numbers: does it come from a fit that failed?"
+            ),
+            Self::QuaternionLength { length } => write!(
+                f,
+                "the rotation rotation_xyzw has length {length}; valid is a unit quaternion, or one of length 0.5 to 2, \
+                 which is brought to 1"
             ),
             Self::LastRow(row) => write!(
                 f,
@@ -172,7 +182,10 @@ impl Mul for Pose {
 #[derive(serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PoseFields {
+    /// Rotation as a unit quaternion x y z w. Valid: -2 to 2, and a length of about 1. Change it with the mounting.
     rotation_xyzw: [f64; 4],
+    /// Origin of the inner frame in the outer one. Valid: -1000 to 1000 mm. Change it with the
+    /// mounting.
     translation_mm: [f64; 3],
 }
 
@@ -215,6 +228,10 @@ impl Pose {
         // What this type wrote is taken bit for bit; what somebody typed is brought to unit length.
         let written = (rotation.length_squared() - 1.0).abs() <= 4.0 * f64::EPSILON;
         let normalized = pose.normalized()?;
+        let length = rotation.length();
+        if !(0.5..=2.0).contains(&length) {
+            return Err(PoseError::QuaternionLength { length });
+        }
         Ok(if written { pose } else { normalized })
     }
 }

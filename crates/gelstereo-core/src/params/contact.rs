@@ -1,6 +1,6 @@
 //! Saliency and the stop triggers.
 
-use super::{ParamsError, check, positive};
+use super::{ParamsError, check, length, motion, share};
 
 /// How the markers in contact are told from the others.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -25,26 +25,35 @@ pub enum Saliency {
     serde(default, deny_unknown_fields)
 )]
 pub struct ContactParams {
-    /// Default: `depth`.
+    /// How markers in contact are told from the others. Default: `depth`. Change it to `depth` where the
+    /// gel's surface follows another law than `decay_mm` says.
     pub saliency: Saliency,
-    /// Length over which the gel's surface comes back to rest beside a contact, for `saliency = pressure` and `pressure_quick`: half of the gel's
-    /// thickness is a fair guess. Rather too long than too short: 20 % too short takes half of the shoulder. A few presses of
-    /// any part tell it to some percent: [`DecayFit`](crate::contact::DecayFit). Default: `2.5` mm.
+    /// Length over which the gel's surface comes back to rest beside a contact, for `saliency = pressure` and
+    /// `pressure_quick`: half of the gel's thickness is a fair guess. Rather too long than too short: 20 %
+    /// too short takes half of the shoulder. A few presses of any part tell it to some percent:
+    /// [`DecayFit`](crate::contact::DecayFit). Valid: 0.001 to 1000 mm. Default: `2.5` mm. Change it to your
+    /// gel's own length.
     pub decay_mm: f64,
-    /// Whether to learn the decay length from contacts, for `saliency = pressure`, beginning with `decay_mm`, which should then
-    /// be too long rather than too short. What was learned counts once it is known to 2 %, and is what
-    /// [`Pipeline::decay`](crate::pipeline::Pipeline::decay) says. Default: `false`.
+    /// Whether to learn the decay length from contacts, for `saliency = pressure`, beginning with `decay_mm`,
+    /// which should then be too long rather than too short. What was learned counts once it is known to 2 %,
+    /// and is what [`Pipeline::decay`](crate::pipeline::Pipeline::decay) says. Default: `false`. Set it for a
+    /// gel whose length is unknown.
     pub learn_decay: bool,
-    /// Indentation from which a marker is salient, for `saliency = depth` (Eq. 4). Default: `0.35` mm.
+    /// Indentation from which a marker is salient, for `saliency = depth` (Eq. 4). Valid: 0.000001 to 10000
+    /// mm. Default: `0.35` mm. Lower it for shallow contacts; keep it above the noise of heights at rest.
     pub saliency_mm: f64,
-    /// Share of the deepest indentation that a salient marker must reach to belong to the contact patch, which is what is
-    /// registered. For `saliency = depth`: beside a deep press the gel is lifted too, but shows no surface of the part; where a
-    /// ball or a cylinder leaves the gel, that has sunk about half as deep as in the middle (Hertz). By pressure the shoulder is
-    /// not salient, and a share would only cut off what a tilted part presses less. Default: `0`, all of them.
+    /// Share of the deepest indentation that a salient marker must reach to belong to the contact patch,
+    /// which is what is registered. For `saliency = depth`: beside a deep press the gel is lifted too, but
+    /// shows no surface of the part; where a ball or a cylinder leaves the gel, that has sunk about half as
+    /// deep as in the middle (Hertz). By pressure the shoulder is not salient, and a share would only cut off
+    /// what a tilted part presses less. Valid: 0 to 0.999. Default: `0`, all of them. Raise it to 0.5 for
+    /// round parts with `saliency = depth`.
     pub patch_share: f64,
-    /// Mean marker motion at which the gripper stops closing. Default: `10` px.
+    /// Mean marker motion at which the gripper stops closing. Valid: 0.000001 to 10000 px. Default: `10` px.
+    /// Lower it for fragile parts, raise it for a firmer grip.
     pub grasp_trigger_px: f64,
-    /// Mean marker motion at which insertion stops. Default: `5` px.
+    /// Mean marker motion at which insertion stops. Valid: 0.000001 to 10000 px. Default: `5` px. Lower it
+    /// for soft parts; raise it when friction ends insertions early.
     pub insertion_trigger_px: f64,
 }
 
@@ -71,14 +80,13 @@ impl ContactParams {
     /// # Errors
     /// The first [`ParamsError`] found.
     pub fn validate(&self) -> Result<(), ParamsError> {
-        positive("contact.saliency_mm", self.saliency_mm)?;
+        length("contact.saliency_mm", self.saliency_mm)?;
         let decay = self.decay_mm;
         check((1e-3..=1e3).contains(&decay), "contact.decay_mm", decay, "0.001 to 1000 mm")?;
         let learns = !self.learn_decay || self.saliency == Saliency::Pressure;
         check(learns, "contact.learn_decay", 1.0, "0 (false), or contact.saliency = pressure")?;
-        let share = self.patch_share;
-        check((0.0..1.0).contains(&share), "contact.patch_share", share, "from 0 to below 1")?;
-        positive("contact.grasp_trigger_px", self.grasp_trigger_px)?;
-        positive("contact.insertion_trigger_px", self.insertion_trigger_px)
+        share("contact.patch_share", self.patch_share)?;
+        motion("contact.grasp_trigger_px", self.grasp_trigger_px)?;
+        motion("contact.insertion_trigger_px", self.insertion_trigger_px)
     }
 }

@@ -1,6 +1,6 @@
 //! Finding markers in one image.
 
-use super::{ParamsError, check, positive};
+use super::{ParamsError, check};
 
 /// Whether markers are darker or brighter than the gel around them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -100,12 +100,13 @@ pub enum FindAt {
     serde(default, deny_unknown_fields)
 )]
 pub struct FitParams {
-    /// Standard deviation of all blur, a pixel's own width (0.29 px) included; absent: estimated from every image.
-    /// Default: absent.
+    /// Standard deviation of all blur, a pixel's own width (0.29 px) included; absent: estimated from every
+    /// image. Valid: 0.3 to 5 px. Default: absent. Set it where the lens was measured, to save the estimate.
     #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
     pub blur_px: Option<f64>,
     /// A fit has settled when a step moves the centre by less than this; what is left is a fraction of it.
-    /// Default: `0.02` px.
+    /// Valid: 1e-12 to 1 px. Default: `0.02` px. Lower it to compare fits; it costs time and gains nothing in
+    /// noise.
     pub step_px: f64,
 }
 
@@ -123,38 +124,49 @@ impl Default for FitParams {
     serde(default, deny_unknown_fields)
 )]
 pub struct DetectParams {
-    /// Default: `dark`.
+    /// Whether markers are darker or brighter than the gel. Default: `dark`. Change it for a gel with bright
+    /// dots.
     pub polarity: Polarity,
-    /// Default: `gaussian`.
+    /// How the surround's brightness is estimated. Default: `gaussian`. Change it to `blocks` to save time.
     pub background: Background,
-    /// Default: `binary`.
+    /// How a component becomes a centre. Default: `binary`. Change it to trade accuracy for time; see
+    /// docs/accuracy-vs-time.md.
     pub centre: Centre,
-    /// Default: `whole`.
+    /// Where later frames are searched for markers. Default: `whole`. Change it to `windows` to save time.
     pub search: Search,
-    /// Default: `full_size`.
+    /// At which size of the image markers are found. Default: `full_size`. Change it to `half_size` to save
+    /// time with `centre = band`.
     pub find_at: FindAt,
-    /// Side of the Gaussian kernel that removes pixel noise, odd. Default: `3` px.
+    /// Side of the Gaussian kernel that removes pixel noise, odd. Valid: 1 to 31 px. Default: `3` px. Raise
+    /// it for a noisy camera; 1 smooths nothing.
     pub smooth_kernel_px: usize,
-    /// Side of the kernel that estimates the surround, odd. Default: `51` px.
+    /// Side of the kernel that estimates the surround, odd. Valid: 1 to 255 px. Default: `51` px. Change it
+    /// to two or three pitches in the image.
     pub background_kernel_px: usize,
-    /// Default: `fixed`.
+    /// How different from its surround a pixel of a marker must be. Default: `fixed`. Change it to `auto`
+    /// where light or contrast vary.
     pub threshold: Threshold,
-    /// A pixel belongs to a marker when it differs from its surround by at least this, if `threshold` is `fixed`. The paper's threshold is 220
-    /// on the inverted, saturating difference, that is 255 - 220. Default: `35` grey levels.
+    /// A pixel belongs to a marker when it differs from its surround by at least this, if `threshold` is
+    /// `fixed`. The paper's threshold is 220 on the inverted, saturating difference, that is 255 - 220.
+    /// Valid: 1 to 255 grey levels. Default: `35` grey levels. Lower it for faint markers, raise it when
+    /// noise passes for markers.
     pub threshold_levels: u8,
-    /// Side of the elliptic kernel of dilation and erosion, odd; 1 changes nothing. Default: `1` px.
+    /// Side of the elliptic kernel of dilation and erosion, odd; 1 changes nothing. Valid: 1 to 31 px.
+    /// Default: `1` px. Raise it to 3 where markers break into pieces.
     pub morphology_kernel_px: usize,
-    /// Smallest marker. Default: `6` px².
+    /// Smallest marker. Valid: 1 to 1000000 px², up to `max_area_px2`. Default: `6` px². Raise it when specks
+    /// pass for markers; lower it for dense prints.
     pub min_area_px2: u32,
-    /// Largest marker. Default: `2000` px².
+    /// Largest marker. Valid: 1 to 100000000 px². Default: `2000` px². Raise it for large dots close to the
+    /// camera.
     pub max_area_px2: u32,
     /// Least area over that of the bounding box's inscribed ellipse; scratches and merged pairs have less.
-    /// Default: `0.5`.
+    /// Valid: 0 to 1. Default: `0.5`. Lower it for ragged dots; raise it when scratches pass for markers.
     pub min_fill: f64,
-    /// Standard deviation of a centre per axis, for rungs that do not measure their own. Default: `0.09` px, the paper's
-    /// binary centroid.
+    /// Standard deviation of a centre per axis, for rungs that do not measure their own. Valid: 0.0001 to 100
+    /// px. Default: `0.09` px, the paper's binary centroid. Change it to what a still gel shows.
     pub centre_sigma_px: f64,
-    /// The model fit.
+    /// The model fit of `centre = fit`.
     pub fit: FitParams,
 }
 
@@ -199,10 +211,15 @@ impl DetectParams {
         odd("detect.morphology_kernel_px", self.morphology_kernel_px, 31)?;
         let threshold = self.threshold_levels;
         check(threshold > 0, "detect.threshold_levels", f64::from(threshold), "1 to 255")?;
-        let areas_ok = self.min_area_px2 >= 1 && self.max_area_px2 >= self.min_area_px2;
-        check(areas_ok, "detect.min_area_px2", f64::from(self.min_area_px2), "1 to detect.max_area_px2")?;
+        let (min_area, max_area) = (self.min_area_px2, self.max_area_px2);
+        let valid = "1 to 100000000 px²";
+        check((1..=100_000_000).contains(&max_area), "detect.max_area_px2", f64::from(max_area), valid)?;
+        let valid = "1 to 1000000 px², up to detect.max_area_px2";
+        let areas_ok = (1..=max_area.min(1_000_000)).contains(&min_area);
+        check(areas_ok, "detect.min_area_px2", f64::from(min_area), valid)?;
         check((0.0..=1.0).contains(&self.min_fill), "detect.min_fill", self.min_fill, "from 0 to 1")?;
-        positive("detect.centre_sigma_px", self.centre_sigma_px)?;
+        let sigma = self.centre_sigma_px;
+        check((1e-4..=100.0).contains(&sigma), "detect.centre_sigma_px", sigma, "0.0001 to 100 px")?;
         if let Some(blur) = self.fit.blur_px {
             check((0.3..=5.0).contains(&blur), "detect.fit.blur_px", blur, "0.3 to 5 px, or absent")?;
         }

@@ -24,9 +24,11 @@ pub enum LabelMethod {
     serde(default, deny_unknown_fields)
 )]
 pub struct LabelParams {
-    /// Default: `foresight`.
+    /// How rows and columns are kept after the rest frame. Default: `foresight`. Keep `lattice`, the safest,
+    /// except to compare with the paper.
     pub method: LabelMethod,
-    /// l of Algorithm 1: markers of one row are at least this far apart in x. Default: `1/3` pitch.
+    /// l of Algorithm 1: markers of one row are at least this far apart in x. Valid: 0.001 to 0.999 pitches.
+    /// Default: `1/3` pitch. Raise it for a lattice that is turned in the image.
     pub tolerance_pitches: f64,
 }
 
@@ -43,6 +45,6 @@ impl LabelParams {
     /// The first [`ParamsError`] found.
     pub fn validate(&self) -> Result<(), ParamsError> {
         let l = self.tolerance_pitches;
-        check(l > 0.0 && l < 1.0, "label.tolerance_pitches", l, "above 0, below 1")
+        check((1e-3..=0.999).contains(&l), "label.tolerance_pitches", l, "0.001 to 0.999 pitches")
     }
 }

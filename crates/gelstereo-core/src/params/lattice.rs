@@ -1,6 +1,6 @@
 //! The printed lattice.
 
-use super::{ParamsError, check, positive};
+use super::{ParamsError, check};
 use alloc::vec::Vec;
 
 /// The printed lattice. Its rows and columns are counted in the rest frame; settings of them are only checked.
@@ -11,23 +11,31 @@ use alloc::vec::Vec;
     serde(default, deny_unknown_fields)
 )]
 pub struct LatticeParams {
-    /// Markers from top to bottom; a rest frame with another number is refused. Default: none, they are counted.
+    /// Markers from top to bottom; a rest frame with another number is refused. Valid: 2 to 1000 markers.
+    /// Default: none, they are counted. Set it where the print is known, so that a covered border is found
+    /// out.
     #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
     pub rows: Option<usize>,
-    /// Markers from left to right; a rest frame with another number is refused. Default: none, they are counted.
+    /// Markers from left to right; a rest frame with another number is refused. Valid: 2 to 1000 markers.
+    /// Default: none, they are counted. Set it where the print is known, so that a covered border is found
+    /// out.
     #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
     pub cols: Option<usize>,
-    /// Distance between neighbours. Default: `0.9` mm.
+    /// Distance between neighbours. Valid: 0.001 to 1000 mm. Default: `0.9` mm. Change it to the pitch of the
+    /// gel's print.
     pub pitch_mm: f64,
-    /// Radius of the dots, for `triangulate.disc_bias = corrected`. Default: none, it is told from the dots' areas in the
-    /// rest frame.
+    /// Radius of the dots, for `triangulate.disc_bias = corrected`. Valid: 0.0001 to 500 mm, below half of
+    /// `pitch_mm`. Default: none, it is told from the dots' areas in the rest frame. Set it where the print's
+    /// radius is known.
     #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
     pub dot_radius_mm: Option<f64>,
-    /// Share of the printed markers that may be missing in the rest frame; they are filled in from their neighbours, as
-    /// the paper does for the corner that its print lacks (Fig. 4). Default: `0.01`, 6 of 625.
+    /// Share of the printed markers that may be missing in the rest frame; they are filled in from their
+    /// neighbours, as the paper does for the corner that its print lacks (Fig. 4). Valid: 0 to 0.5. Default:
+    /// `0.01`, 6 of 625. Raise it for a worn print; lower it so that a bad rest frame is refused sooner.
     pub max_missing_share: f64,
-    /// Row and column of markers that were never printed. They are filled in, do not count as missing, and tell which
-    /// way a lattice is turned. Default: none.
+    /// Row and column, from 0, of markers that were never printed. They are filled in, do not count as
+    /// missing, and tell which way a lattice is turned. Valid: 0 to 999, within the lattice. Default: none.
+    /// Set it where the print has holes on purpose.
     #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Vec::is_empty"))]
     pub missing: Vec<[usize; 2]>,
 }
@@ -73,10 +81,11 @@ impl LatticeParams {
                 )?;
             }
         }
-        positive("lattice.pitch_mm", self.pitch_mm)?;
+        let pitch = self.pitch_mm;
+        check((1e-3..=1e3).contains(&pitch), "lattice.pitch_mm", pitch, "0.001 to 1000 mm")?;
         if let Some(radius) = self.dot_radius_mm {
-            let valid = radius > 0.0 && 2.0 * radius < self.pitch_mm;
-            check(valid, "lattice.dot_radius_mm", radius, "above 0 and below half of lattice.pitch_mm")?;
+            let valid = radius >= 1e-4 && 2.0 * radius < self.pitch_mm;
+            check(valid, "lattice.dot_radius_mm", radius, "0.0001 mm to below half of lattice.pitch_mm")?;
         }
         let share = self.max_missing_share;
         check((0.0..=0.5).contains(&share), "lattice.max_missing_share", share, "from 0 to 0.5")

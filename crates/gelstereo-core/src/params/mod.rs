@@ -83,6 +83,17 @@ fn check(ok: bool, name: &'static str, found: f64, valid: &'static str) -> Resul
     if ok { Ok(()) } else { Err(ParamsError { name, found, valid }) }
 }
 
-fn positive(name: &'static str, x: f64) -> Result<(), ParamsError> {
-    check(x > 0.0 && x.is_finite(), name, x, "a finite number above 0")
+/// A length of a sensor or part: from a nanometre, far below what is sensed, to ten metres.
+fn length(name: &'static str, mm: f64) -> Result<(), ParamsError> {
+    check((1e-6..=1e4).contains(&mm), name, mm, "0.000001 to 10000 mm")
+}
+
+/// A motion in the image: up to more than any image's width.
+fn motion(name: &'static str, px: f64) -> Result<(), ParamsError> {
+    check((1e-6..=1e4).contains(&px), name, px, "0.000001 to 10000 px")
+}
+
+/// A share of which something must be left.
+fn share(name: &'static str, x: f64) -> Result<(), ParamsError> {
+    check((0.0..=0.999).contains(&x), name, x, "0 to 0.999")
 }

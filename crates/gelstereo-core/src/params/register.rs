@@ -1,6 +1,6 @@
 //! Registration of a contact patch to a template.
 
-use super::{ParamsError, check, positive};
+use super::{ParamsError, check, length, share};
 
 /// How a contact patch is registered to a template.
 ///
@@ -50,48 +50,65 @@ pub enum RegisterMethod {
     serde(default, deny_unknown_fields)
 )]
 pub struct RegisterParams {
-    /// Default: `filterreg_point`.
+    /// How a contact patch is registered to the template. Default: `filterreg_point`. Change it to
+    /// `surface_track` or `surface_close` to save time where the guess is good.
     pub method: RegisterMethod,
-    /// Most iterations of the last stage. Default: `100`.
+    /// Most iterations of the last stage. Valid: 1 to 100000. Default: `100`. Raise it when results say that
+    /// they did not converge.
     pub max_iterations: u32,
     /// Converged when a step moves no point of the patch by more than this share of the template's spacing.
-    /// Default: `1e-3`, 0.3 µm at 0.3 mm: a hundredth of a point's noise. Only the directions that the contact
-    /// determines count; point-to-point rungs creep along flat faces and may run out of iterations there.
+    /// Only the directions that the contact determines count; point-to-point rungs creep along flat faces and
+    /// may run out of iterations there. Valid: 1e-12 to 1. Default: `1e-3`, 0.3 µm at 0.3 mm: a hundredth of
+    /// a point's noise. Raise it to save time.
     pub step_tolerance: f64,
-    /// Width of the first Gaussian of FilterReg. Default: `0.7` mm.
+    /// Width of the first Gaussian of FilterReg. Valid: 0.000001 to 10000 mm. Not below `sigma_floor_mm`.
+    /// Default: `0.7` mm. Raise it for worse guesses; faces closer than this are confused.
     pub sigma_start_mm: f64,
-    /// Width below which the Gaussian does not shrink. Default: `0.1` mm.
+    /// Width below which the Gaussian does not shrink. Valid: 0.000001 to 10000 mm. Default: `0.1` mm. Change
+    /// it with the noise of points, three times that.
     pub sigma_floor_mm: f64,
-    /// Share of points that lie on no surface (w of FilterReg). Default: `0.1`.
+    /// Share of points that lie on no surface (w of FilterReg). Valid: 0 to 0.999. Default: `0.1`. Raise it
+    /// where salient markers are often wrong.
     pub outlier_share: f64,
-    /// Pairs farther apart are no correspondences (ICP, RANSAC), and inliers are counted within it. Default: `1` mm.
+    /// Pairs farther apart are no correspondences (ICP, RANSAC), and inliers are counted within it. Valid:
+    /// 0.000001 to 10000 mm. Default: `1` mm. Raise it for worse guesses.
     pub max_distance_mm: f64,
     /// Standard deviation of a salient point along the surface's normal; it scales the information matrix.
-    /// Default: `0.03` mm.
+    /// Valid: 0.000001 to 10000 mm. Default: `0.03` mm. Change it to the noise of heights of a gel at rest.
     pub point_sigma_mm: f64,
-    /// Hypotheses of RANSAC. Default: `2000`.
+    /// Hypotheses of RANSAC. Valid: 1 to 1000000. Default: `2000`. Raise it for worse guesses; time grows
+    /// with it.
     pub ransac_hypotheses: u32,
-    /// Farthest a RANSAC hypothesis may move the patch's centroid from the guess, and farthest that FilterReg accepts the
-    /// patch from the template at the guess. Default: `3` mm: at 5 mm, the faces of a small box are taken for each other.
+    /// Farthest a RANSAC hypothesis may move the patch's centroid from the guess, and farthest that FilterReg
+    /// accepts the patch from the template at the guess. Valid: 0.000001 to 10000 mm. Default: `3` mm: at 5
+    /// mm, the faces of a small box are taken for each other. Change it with the uncertainty of the guess.
     pub search_radius_mm: f64,
-    /// Seed of RANSAC's random stream. Default: `1`.
+    /// Seed of RANSAC's random stream. Valid: 0 to 9223372036854775807. Default: `1`. Change it to repeat an
+    /// experiment with other draws.
     pub seed: u64,
-    /// Starts of `surface_search`, the guess among them. Default: `128`.
+    /// Starts of `surface_search`, the guess among them. Valid: 1 to 4096. Default: `128`. Raise it for worse
+    /// guesses; time grows with it.
     pub starts: u32,
-    /// Standard deviation of the guess's rotation, per axis: starts lie within 2.4 of it, and what the contact leaves
-    /// free is held by it. Default: `12` degrees.
+    /// Standard deviation of the guess's rotation, per axis: starts lie within 2.4 of it, and what the
+    /// contact leaves free is held by it. Valid: 0.000001 to 180 degrees. Default: `12` degrees. Change it to
+    /// how well the part's rotation is known.
     pub start_sigma_deg: f64,
-    /// The same of its place. Default: `2` mm.
+    /// The same of the guess's place. Valid: 0.000001 to 10000 mm. Default: `2` mm. Change it to how well the
+    /// part's place is known.
     pub start_sigma_mm: f64,
-    /// What the mesh may be wrong by, added to every point's noise. Default: `0.003` mm.
+    /// What the mesh may be wrong by, added to every point's noise. Valid: 0.000001 to 10000 mm. Default:
+    /// `0.003` mm. Raise it to the tolerance of the part's manufacture.
     pub surface_sigma_mm: f64,
-    /// How large gel, markers and presses are, over those that the surface rungs' own lengths are for: markers every 0.9
-    /// mm, presses of 0.4 to 1.5 mm. From 0.001 to 1000; default: `1`.
+    /// How large gel, markers and presses are, over those that the surface rungs' own lengths are for:
+    /// markers every 0.9 mm, presses of 0.4 to 1.5 mm. Valid: 0.001 to 1000. Default: `1`. Change it for a
+    /// sensor that is larger or smaller as a whole.
     pub gel_scale: f64,
-    /// Work after which the surface rungs stop with the best pose so far, in lookups of the field of distances, 24 ns each
-    /// by itself (example `nearest`) and several times that with what is done with it; one on the exact surface counts
-    /// as 16. A search has its first pose after some 120000; the rest goes into better and into equal ones. Work grows
-    /// with markers: the default is for contacts of up to some 300. Default: `370000`.
+    /// Work after which the surface rungs stop with the best pose so far, in lookups of the field of
+    /// distances, 24 ns each by itself (example `nearest`) and several times that with what is done with it;
+    /// one on the exact surface counts as 16. A search has its first pose after some 120000; the rest goes
+    /// into better and into equal ones. Work grows with markers: the default is for contacts of up to some
+    /// 300. Valid: 1 to 100000000. Default: `370000`. Lower it to bound the time; raise it for contacts of
+    /// more markers.
     pub budget: u32,
 }
 
@@ -134,35 +151,26 @@ impl RegisterParams {
     /// The first [`ParamsError`] found.
     pub fn validate(&self) -> Result<(), ParamsError> {
         let r = self;
-        let share = |name, x: f64| check((0.0..1.0).contains(&x), name, x, "from 0 to below 1");
-        check(r.max_iterations >= 1, "register.max_iterations", f64::from(r.max_iterations), "at least 1")?;
-        positive("register.step_tolerance", r.step_tolerance)?;
-        positive("register.sigma_floor_mm", r.sigma_floor_mm)?;
-        let start_ok = r.sigma_start_mm >= r.sigma_floor_mm && r.sigma_start_mm.is_finite();
-        check(
-            start_ok,
-            "register.sigma_start_mm",
-            r.sigma_start_mm,
-            "finite, at least register.sigma_floor_mm",
-        )?;
+        let count = |name, n: u32, max: u32, valid| check((1..=max).contains(&n), name, f64::from(n), valid);
+        count("register.max_iterations", r.max_iterations, 100_000, "1 to 100000")?;
+        let step = r.step_tolerance;
+        check((1e-12..=1.0).contains(&step), "register.step_tolerance", step, "1e-12 to 1")?;
+        length("register.sigma_floor_mm", r.sigma_floor_mm)?;
+        length("register.sigma_start_mm", r.sigma_start_mm)?;
+        let (start, valid) = (r.sigma_start_mm, "register.sigma_floor_mm to 10000 mm");
+        check(start >= r.sigma_floor_mm, "register.sigma_start_mm", start, valid)?;
         share("register.outlier_share", r.outlier_share)?;
-        positive("register.max_distance_mm", r.max_distance_mm)?;
-        positive("register.point_sigma_mm", r.point_sigma_mm)?;
-        check(
-            r.ransac_hypotheses >= 1,
-            "register.ransac_hypotheses",
-            f64::from(r.ransac_hypotheses),
-            "at least 1",
-        )?;
-        positive("register.search_radius_mm", r.search_radius_mm)?;
+        length("register.max_distance_mm", r.max_distance_mm)?;
+        length("register.point_sigma_mm", r.point_sigma_mm)?;
+        count("register.ransac_hypotheses", r.ransac_hypotheses, 1_000_000, "1 to 1000000")?;
+        length("register.search_radius_mm", r.search_radius_mm)?;
         let scale_ok = (1e-3..=1e3).contains(&r.gel_scale);
         check(scale_ok, "register.gel_scale", r.gel_scale, "from 0.001 to 1000")?;
-        let starts_ok = (1..=MOST_STARTS).contains(&r.starts);
-        check(starts_ok, "register.starts", f64::from(r.starts), "from 1 to 4096")?;
-        let turn_ok = r.start_sigma_deg > 0.0 && r.start_sigma_deg <= 180.0;
-        check(turn_ok, "register.start_sigma_deg", r.start_sigma_deg, "above 0, at most 180")?;
-        positive("register.start_sigma_mm", r.start_sigma_mm)?;
-        positive("register.surface_sigma_mm", r.surface_sigma_mm)?;
-        check(r.budget >= 1, "register.budget", f64::from(r.budget), "at least 1")
+        count("register.starts", r.starts, MOST_STARTS, "from 1 to 4096")?;
+        let turn = r.start_sigma_deg;
+        check((1e-6..=180.0).contains(&turn), "register.start_sigma_deg", turn, "0.000001 to 180 degrees")?;
+        length("register.start_sigma_mm", r.start_sigma_mm)?;
+        length("register.surface_sigma_mm", r.surface_sigma_mm)?;
+        count("register.budget", r.budget, 100_000_000, "1 to 100000000")
     }
 }

@@ -21,12 +21,15 @@ pub enum Motion {
     serde(default, deny_unknown_fields)
 )]
 pub struct TrackParams {
-    /// A detection farther than this from where a marker is expected is not that marker (Eq. 2); with `label.method` =
-    /// `lattice` this only starts the search. Default: `0.5` pitches.
+    /// A detection farther than this from where a marker is expected is not that marker (Eq. 2); with
+    /// `label.method` = `lattice` this only starts the search. Valid: 0.001 to 1 pitches. Default: `0.5`
+    /// pitches. Lower it only where markers move little between frames.
     pub gate_pitches: f64,
-    /// Where a marker is expected, with `label.method` = `lattice`; the others search where it was. Default: `still`.
+    /// Where a marker is expected, with `label.method` = `lattice`; the others search where it was. Default:
+    /// `still`. Change it to `constant_velocity` for fast motion at a steady frame rate.
     pub motion: Motion,
-    /// A marker unseen for more frames than this is lost until it is seen again. Default: `15`, half a second.
+    /// A marker unseen for more frames than this is lost until it is seen again. Valid: 0 to 1000000 frames.
+    /// Default: `15`, half a second. Change it with the frame rate.
     pub max_held_frames: u32,
 }
 
@@ -43,6 +46,8 @@ impl TrackParams {
     /// The first [`ParamsError`] found.
     pub fn validate(&self) -> Result<(), ParamsError> {
         let gate = self.gate_pitches;
-        check(gate > 0.0 && gate <= 1.0, "track.gate_pitches", gate, "above 0, at most 1")
+        check((1e-3..=1.0).contains(&gate), "track.gate_pitches", gate, "0.001 to 1 pitches")?;
+        let held = self.max_held_frames;
+        check(held <= 1_000_000, "track.max_held_frames", f64::from(held), "0 to 1000000 frames")
     }
 }

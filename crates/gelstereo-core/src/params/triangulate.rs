@@ -1,6 +1,6 @@
 //! From two views to millimetres.
 
-use super::{ParamsError, positive};
+use super::{ParamsError, length, motion};
 
 /// How two centres become a point.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -40,16 +40,21 @@ pub enum DiscBias {
     serde(default, deny_unknown_fields)
 )]
 pub struct TriangulateParams {
-    /// How two centres become a point. Default: the paper's [`TriangulateMethod::Q`].
+    /// How two centres become a point. Default: the paper's [`TriangulateMethod::Q`]. Change it to `rays` for
+    /// the most accurate points, at four times the time.
     pub method: TriangulateMethod,
-    /// What becomes of the bias of tilted dots' images. Default: `ignored`.
+    /// What becomes of the bias of tilted dots' images. Default: `ignored`. Change it to `corrected` for
+    /// steep surfaces.
     pub disc_bias: DiscBias,
-    /// Smallest disparity that has a meaning; it bounds the depth at f B / min. Default: `1` px.
+    /// Smallest disparity that has a meaning; it bounds the depth at f B / min. Valid: 0.000001 to 10000 px.
+    /// Default: `1` px. Raise it to refuse matches far behind the gel.
     pub min_disparity_px: f64,
-    /// Largest distance between the rectified rows of one marker. Default: `3` px, five times the paper's 0.64.
+    /// Largest distance between the rectified rows of one marker. Valid: 0.000001 to 10000 px. Default: `3` px, five
+    /// times the paper's 0.64. Lower it for a good calibration; raise it when rows of one marker differ more.
     pub max_epipolar_px: f64,
-    /// How far a marker may move from the rest surface, sideways and towards the cameras, for the polynomial to hold;
-    /// away from them it is a quarter. Default: `2.5` mm.
+    /// How far a marker may move from the rest surface, sideways and towards the cameras, for the polynomial
+    /// to hold; away from them it is a quarter. Valid: 0.000001 to 10000 mm. Default: `2.5` mm. Raise it for
+    /// a gel that is pressed deeper.
     pub map_reach_mm: f64,
 }
 
@@ -71,8 +76,8 @@ impl TriangulateParams {
     /// # Errors
     /// The first [`ParamsError`] found.
     pub fn validate(&self) -> Result<(), ParamsError> {
-        positive("triangulate.min_disparity_px", self.min_disparity_px)?;
-        positive("triangulate.max_epipolar_px", self.max_epipolar_px)?;
-        positive("triangulate.map_reach_mm", self.map_reach_mm)
+        motion("triangulate.min_disparity_px", self.min_disparity_px)?;
+        motion("triangulate.max_epipolar_px", self.max_epipolar_px)?;
+        length("triangulate.map_reach_mm", self.map_reach_mm)
     }
 }

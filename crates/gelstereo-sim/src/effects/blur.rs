@@ -16,7 +16,7 @@ use gelstereo_core::math::{ceil, erf};
     serde(default, deny_unknown_fields)
 )]
 pub struct Defocus {
-    /// Standard deviation. Default: `0.8` px.
+    /// Standard deviation. Valid: 0.1 to 20 px. Default: `0.8` px. Change it to the lens that is simulated.
     pub sigma_px: f64,
 }
 

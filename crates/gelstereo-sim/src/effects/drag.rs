@@ -19,8 +19,9 @@ use gelstereo_core::math::{DVec2, cos, sin};
     serde(default, deny_unknown_fields)
 )]
 pub struct Drag {
-    /// l in gel thicknesses. Default: `0.8`. A layer that follows its surface linearly has 1/√3 across the
-    /// motion and, if incompressible, √(4/3) along it; this is their geometric mean.
+    /// l in gel thicknesses. Valid: 0.01 to 4 thicknesses. Default: `0.8`. A layer that follows its surface
+    /// linearly has 1/√3 across the motion and, if incompressible, √(4/3) along it; this is their geometric
+    /// mean. Change it to the gel that is simulated.
     pub decay_thicknesses: f64,
 }
 

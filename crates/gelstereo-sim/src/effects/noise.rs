@@ -19,7 +19,8 @@ use gelstereo_core::math::{erf, exp, random::Stream, sqrt};
     serde(default, deny_unknown_fields)
 )]
 pub struct SensorNoise {
-    /// Standard deviation in grey levels. Default: `2`.
+    /// Standard deviation in grey levels. Valid: 0 to 128 grey levels. Default: `2`. Change it to the camera
+    /// that is simulated.
     pub sigma_levels: f64,
 }
 

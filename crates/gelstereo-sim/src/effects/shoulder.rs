@@ -22,8 +22,9 @@ use alloc::vec::Vec;
     serde(default, deny_unknown_fields)
 )]
 pub struct Shoulder {
-    /// l in gel thicknesses. Default: `0.5`. A layer whose interior follows its surface linearly has l² = t² /
-    /// (3 M / G), 0.17 t at Poisson's ratio 0.45; a half-space has no length at all and decays slowly.
+    /// l in gel thicknesses. Valid: 0.01 to 4 thicknesses. Default: `0.5`. A layer whose interior follows its
+    /// surface linearly has l² = t² / (3 M / G), 0.17 t at Poisson's ratio 0.45; a half-space has no length
+    /// at all and decays slowly. Change it to the gel that is simulated.
     pub decay_thicknesses: f64,
 }
 

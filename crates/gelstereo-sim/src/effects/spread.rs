@@ -23,10 +23,12 @@ use gelstereo_core::math::{DVec2, exp};
     serde(default, deny_unknown_fields)
 )]
 pub struct Spread {
-    /// Share of the frictionless, incompressible layer's motion, 0 to 1. Default: `1`: whether the part sticks
-    /// or not, the displaced volume has to pass beside it.
+    /// Share of the frictionless, incompressible layer's motion. Valid: 0 to 1. Default: `1`: whether the
+    /// part sticks or not, the displaced volume has to pass beside it. Lower it for a gel that is held at its
+    /// sides.
     pub strength: f64,
-    /// Distance over which the volume is taken up, in gel thicknesses. Default: `2`.
+    /// Distance over which the volume is taken up, in gel thicknesses. Valid: 0.01 to 4 thicknesses. Default:
+    /// `2`. Lower it for a more compressible gel.
     pub decay_thicknesses: f64,
 }
 

@@ -84,29 +84,40 @@ pub enum Images {
     serde(default, deny_unknown_fields)
 )]
 pub struct Gel {
-    /// Default: `25`.
+    /// Markers from top to bottom. Valid: 2 to 1000 markers. Default: `25`. Change it to the print that is
+    /// simulated.
     pub rows: usize,
-    /// Default: `25`.
+    /// Markers from left to right. Valid: 2 to 1000 markers. Default: `25`. Change it to the print that is
+    /// simulated.
     pub cols: usize,
-    /// Default: `0.9` mm.
+    /// Distance between neighbours. Valid: 0.001 to 1000 mm. Default: `0.9` mm. Change it to the print that
+    /// is simulated, and `params.lattice.pitch_mm` with it.
     pub pitch_mm: f64,
-    /// Default: `0.22` mm.
+    /// Radius of the dots. Valid: 0.0001 to 500 mm, below half of `pitch_mm`. Default: `0.22` mm. Change it
+    /// to the print that is simulated.
     pub dot_radius_mm: f64,
-    /// The lattice's centre, sensor x and y. Default: `[4, 0]` mm, between the cameras of the default rig.
+    /// The lattice's centre, sensor x and y. Valid: -10000 to 10000 mm. Default: `[4, 0]` mm, between the
+    /// cameras of the default rig. Change it with the rig.
     pub centre_mm: [f64; 2],
-    /// Depth of the undeformed surface. Default: `28.7` mm.
+    /// Depth of the undeformed surface, more than `thickness_mm`. Valid: 0.001 to 10000 mm. Default: `28.7`
+    /// mm. Change it with the rig.
     pub surface_mm: f64,
-    /// Default: `5` mm.
+    /// Thickness of the gel. Valid: 0.001 to 1000 mm. Default: `5` mm. Change it to the gel that is
+    /// simulated.
     pub thickness_mm: f64,
-    /// Rotation of the lattice in its plane from x towards y, radians. Default: `0`.
+    /// Rotation of the lattice in its plane from x towards y, radians. Valid: -7 to 7 rad. Default: `0`.
+    /// Change it to try a print that stands askew.
     pub rotation_rad: f64,
-    /// (row, column) of markers that were not printed. Default: none.
+    /// (row, column), from 0, of markers that were not printed. Valid: 0 to 999, within the lattice. Default:
+    /// none. Set it to try a print with holes.
     pub missing: Vec<[usize; 2]>,
-    /// Bright dots on a dark gel. Default: `false`.
+    /// Bright dots on a dark gel. Default: `false`. Set it together with `params.detect.polarity`.
     pub bright_dots: bool,
-    /// Grey level of the darker of dot and gel. Default: `50`.
+    /// Grey level of the darker of dot and gel, below `bright_level`. Valid: 0 to 254 grey levels. Default:
+    /// `50`. Raise it to try less contrast.
     pub dark_level: u8,
-    /// Grey level of the brighter of the two. Default: `170`.
+    /// Grey level of the brighter of the two. Valid: 1 to 255 grey levels. Default: `170`. Lower it to try
+    /// less contrast.
     pub bright_level: u8,
 }
 
@@ -326,12 +337,12 @@ impl Gel {
             check((2..=1000).contains(&side), name, side as f64, "2 to 1000 markers")?;
         }
         let lengths = [
-            ("gel.pitch_mm", self.pitch_mm),
-            ("gel.dot_radius_mm", self.dot_radius_mm),
-            ("gel.thickness_mm", self.thickness_mm),
+            ("gel.pitch_mm", self.pitch_mm, 1e-3, "0.001 to 1000 mm"),
+            ("gel.dot_radius_mm", self.dot_radius_mm, 1e-4, "0.0001 to 1000 mm"),
+            ("gel.thickness_mm", self.thickness_mm, 1e-3, "0.001 to 1000 mm"),
         ];
-        for (name, found) in lengths {
-            check(found > 0.0 && found <= 1e3, name, found, "above 0, at most 1000 mm")?;
+        for (name, found, low, valid) in lengths {
+            check(found >= low && found <= 1e3, name, found, valid)?;
         }
         let (radius, surface) = (self.dot_radius_mm, self.surface_mm);
         check(2.0 * radius < self.pitch_mm, "gel.dot_radius_mm", radius, "below half of gel.pitch_mm")?;

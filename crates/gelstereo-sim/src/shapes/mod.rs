@@ -23,36 +23,39 @@ pub const BOARD_THICKNESS_MM: f64 = 3.0;
 pub enum Shape {
     /// A ball about the origin.
     Sphere {
-        /// Radius.
+        /// Radius. Valid: 0.001 to 1000 mm. Change it to the part's.
         radius_mm: f64,
     },
     /// About the z axis, centred.
     Cylinder {
-        /// Radius.
+        /// Radius. Valid: 0.001 to 1000 mm. Change it to the part's.
         radius_mm: f64,
-        /// Length along z.
+        /// Length along z. Valid: 0.001 to 1000 mm. Change it to the part's.
         length_mm: f64,
     },
     /// Centred, edges along the axes.
     Box {
-        /// Edges along x, y, z.
+        /// Edges along x, y, z. Valid: 0.001 to 1000 mm. Change it to the part's.
         size_mm: [f64; 3],
     },
     /// A plate whose top face is z = 0 with a centred block of `protrusion_mm` on it, towards +z (the paper's
     /// boards, Fig. 9 b). Turn it by π about x to press the block into the gel.
     Board {
-        /// The plate's edges along x and y.
+        /// The plate's edges along x and y. Valid: 0.001 to 1000 mm. Change it to the part's.
         size_mm: [f64; 2],
-        /// The block's edges along x and y, smaller than the plate's.
+        /// The block's edges along x and y, smaller than the plate's. Valid: 0.001 to 1000 mm. Change it to
+        /// the part's.
         block_mm: [f64; 2],
-        /// The block's height above the plate.
+        /// The block's height above the plate. Valid: 0.001 to 1000 mm. Change it to the part's.
         protrusion_mm: f64,
     },
     /// A mesh file, read by whoever loads the scene and handed over as triangles in millimetres.
     Mesh {
-        /// Where the file is.
+        /// STL or OBJ file. A relative path starts at the folder of the file that names it. Change it to the
+        /// part's.
         path: String,
-        /// The file's unit, for whoever reads it.
+        /// The mesh file's unit: `mm`, `cm`, `m` or `in`. Change it to what the file was drawn in; neither
+        /// format says so.
         units: String,
     },
 }
@@ -63,7 +66,7 @@ impl Shape {
     /// # Errors
     /// [`SceneError::Invalid`] naming the dimension.
     pub fn validate(&self) -> Result<(), SceneError> {
-        let length = |name, found: f64| SceneError::check(found > 0.0 && found <= 1e4, name, found, LENGTH);
+        let length = |name, found: f64| SceneError::check((1e-3..=1e3).contains(&found), name, found, LENGTH);
         match self {
             Self::Sphere { radius_mm } => length("indenter.radius_mm", *radius_mm),
             Self::Cylinder { radius_mm, length_mm } => {
@@ -75,12 +78,12 @@ impl Shape {
                 length("indenter.protrusion_mm", *protrusion_mm)?;
                 size_mm.iter().zip(block_mm).try_for_each(|(&plate, &block)| {
                     length("indenter.size_mm", plate)?;
-                    let fits = block > 0.0 && block < plate;
+                    let fits = block >= 1e-3 && block < plate;
                     SceneError::check(
                         fits,
                         "indenter.block_mm",
                         block,
-                        "above 0 and below the plate's indenter.size_mm",
+                        "0.001 mm to below the plate's indenter.size_mm",
                     )
                 })
             }
@@ -110,4 +113,4 @@ impl Shape {
     }
 }
 
-const LENGTH: &str = "above 0, at most 10000 mm";
+const LENGTH: &str = "0.001 to 1000 mm";
