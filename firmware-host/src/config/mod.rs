@@ -196,6 +196,7 @@ impl Config {
         rig.validate().map_err(ConfigError::Rig)?;
         range::check_rig(&rig)?;
         self.source.validate()?;
+        self.source.validate_against(&rig, &self.task)?;
         part::validate(&self.part)?;
         self.light.validate()?;
         self.camera_hid.validate()?;
