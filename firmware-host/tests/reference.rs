@@ -277,6 +277,26 @@ fn accepted_nonsense_is_refused() {
     assert!(message.contains("layers.gap_mm is 1"), "{message}");
 }
 
+/// A camera's views must be as large as the rig's, and come before the task gives up.
+#[test]
+fn a_camera_agrees_with_rig_and_task() {
+    let error = |text: &str| {
+        let text = format!("[source]\nkind = \"camera\"\ndevice = \"serial:1\"\n{text}");
+        let mut config = Config::parse(&text, "cell.toml").unwrap();
+        config.rig = Some(Scene::default_rig());
+        config.validate().map_err(|error| error.to_string())
+    };
+    assert_eq!(error("size_px = [1280, 480]"), Ok(()));
+    let size = error("size_px = [2560, 720]").unwrap_err();
+    assert_eq!(
+        size,
+        "source.size_px is [2560, 720], which gives views of 1280 x 720 px, but the rig is of 640 x 480 px; calibrate at \
+         this size, or take images at the rig's"
+    );
+    let wait = error("frame_rate_hz = 1\n[task]\nframe_timeout_s = 1.5").unwrap_err();
+    assert!(wait.starts_with("task.frame_timeout_s is 1.5 s, but source.frame_rate_hz is 1 Hz"), "{wait}");
+}
+
 #[test]
 fn ways_that_take_longer_than_a_stage_may_are_refused() {
     let message = verdict("task.move_speed_mm_s", Value::Float(0.01)).unwrap_err();

@@ -217,6 +217,7 @@ impl Config {
         self.source.validate()?;
         self.gripper.validate()?;
         self.robot.validate()?;
+        self.source.validate_against(&rig, &self.task)?;
         part::validate(&self.part)?;
         self.light.validate()?;
         self.camera_hid.validate()?;

@@ -1,10 +1,11 @@
 //! Where stereo pairs come from.
 
-use super::ConfigError;
 use super::range::{RATE_HZ, check};
+use super::{ConfigError, TaskConfig};
 use crate::camera::CameraConfig;
 use crate::codec::frame_stream::{MAX_PAYLOAD_BYTES, MAX_SIDE_PX};
 use crate::source::stream::{StreamConfig, StreamMode};
+use gelstereo_core::rig::Rig;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -29,7 +30,35 @@ pub enum SourceConfig {
     Stream(StreamConfig),
 }
 
+/// Fewer periods of a camera than this are no time to wait for a pair: one is missed now and then.
+const MIN_WAIT_PERIODS: f64 = 2.0;
+
 impl SourceConfig {
+    /// Whether a camera's images are those of the rig, and come before the task gives up waiting.
+    pub(super) fn validate_against(&self, rig: &Rig, task: &TaskConfig) -> Result<(), ConfigError> {
+        let Self::Camera(camera) = self else { return Ok(()) };
+        let (width, height) = camera.view_size_px();
+        for view in [&rig.left, &rig.right] {
+            if (width, height) != (view.width_px, view.height_px) {
+                return Err(ConfigError::Contradiction {
+                    name: "source.size_px",
+                    found: format!("{:?}, which gives views of {width} x {height} px", camera.size_px),
+                    other: format!("the rig is of {} x {} px", view.width_px, view.height_px),
+                    advice: "calibrate at this size, or take images at the rig's",
+                });
+            }
+        }
+        if task.frame_timeout_s < MIN_WAIT_PERIODS / camera.frame_rate_hz {
+            return Err(ConfigError::Contradiction {
+                name: "task.frame_timeout_s",
+                found: format!("{} s", task.frame_timeout_s),
+                other: format!("source.frame_rate_hz is {} Hz", camera.frame_rate_hz),
+                advice: "wait for at least two periods",
+            });
+        }
+        Ok(())
+    }
+
     pub(super) fn validate(&self) -> Result<(), ConfigError> {
         match self {
             Self::Simulated => Ok(()),
