@@ -41,6 +41,8 @@ pub struct CameraInfo {
     product: Option<String>,
     /// The node's number among those of one camera; frames are usually in 0.
     index: u32,
+    /// Where it is connected: its device in ``/sys/devices``. A camera at the same USB port has the same one.
+    port: Option<String>,
     /// Why it cannot be opened.
     problem: Option<String>,
 }
@@ -64,6 +66,7 @@ impl CameraInfo {
             manufacturer: info.manufacturer.clone(),
             product: info.product.clone(),
             index: info.index,
+            port: info.port.as_ref().map(|port| port.display().to_string()),
             problem: info.problem.clone(),
         }
     }

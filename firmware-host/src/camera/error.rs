@@ -34,12 +34,10 @@ pub enum CaptureError {
     },
     /// Another camera is at the path of the one that was lost.
     Replaced {
-        /// The path.
-        path: PathBuf,
-        /// Serial number of the lost camera.
+        /// The lost camera.
         expected: String,
-        /// Serial number found, if there is one.
-        found: Option<String>,
+        /// The other one.
+        found: String,
     },
     /// A device cannot be opened.
     Open {
@@ -147,12 +145,9 @@ impl std::fmt::Display for CaptureError {
                 "{name} names several cameras: {}; name one by its path, such as /dev/v4l/by-path/..",
                 Cameras(matches)
             ),
-            Self::Replaced { path, expected, found } => write!(
-                f,
-                "{} is another camera now, with the serial number {}; expected is {expected}",
-                path.display(),
-                found.as_deref().unwrap_or("(none)")
-            ),
+            Self::Replaced { expected, found } => {
+                write!(f, "another camera is at this path now, {found}; expected is {expected}")
+            }
             Self::Open { path, error } => {
                 write!(f, "cannot open {}: {error}", path.display())?;
                 match error.kind() {

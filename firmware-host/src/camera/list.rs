@@ -46,6 +46,8 @@ pub struct CameraInfo {
     pub product: Option<String>,
     /// The node's number among those of one camera; frames are usually in 0.
     pub index: u32,
+    /// Where it is connected: its device in `/sys/devices`. A camera at the same USB port has the same one.
+    pub port: Option<PathBuf>,
     /// Why it cannot be opened.
     pub problem: Option<String>,
 }
@@ -63,8 +65,18 @@ impl CameraInfo {
             manufacturer: None,
             product: None,
             index: 0,
+            port: None,
             problem: None,
         }
+    }
+
+    /// Whether it is the same camera, as far as that can be told: of the same make and with the same serial
+    /// number.
+    fn is_same(&self, other: &Self) -> bool {
+        let identity = |info: &Self| {
+            (info.serial.clone(), info.vendor_id.clone(), info.product_id.clone(), info.name.clone())
+        };
+        identity(self) == identity(other)
     }
 
     /// Whether frames can be read from it, as far as that is known.
@@ -120,6 +132,15 @@ pub(super) fn find(name: &str) -> Result<CameraInfo, CaptureError> {
     select(name, &cameras)
 }
 
+/// The camera that was opened before by this name.
+#[cfg(target_os = "linux")]
+pub(super) fn find_again(name: &str, before: &CameraInfo) -> Result<CameraInfo, CaptureError> {
+    if name.starts_with(SERIAL) {
+        return find(name);
+    }
+    select_again(name, before, &nodes(Path::new(CLASS), Path::new(NODES)))
+}
+
 /// Opens a node for a moment to learn its kind.
 #[cfg(target_os = "linux")]
 fn inspect(camera: &mut CameraInfo) {
@@ -153,8 +174,10 @@ fn nodes(class: &Path, dev: &Path) -> Vec<CameraInfo> {
             camera.name = attribute(&node, "name").unwrap_or_default();
             camera.index = attribute(&node, "index").and_then(|text| text.parse().ok()).unwrap_or(0);
             // `device` is the USB interface, whose parent is the USB device.
-            let device = node.join("device").canonicalize().unwrap_or_default();
-            if let Some(usb) = device.ancestors().find(|folder| folder.join("idVendor").exists()) {
+            camera.port = node.join("device").canonicalize().ok();
+            let folders = camera.port.iter().flat_map(|device| device.ancestors());
+            let usb = folders.map(Path::to_owned).find(|folder| folder.join("idVendor").exists());
+            if let Some(usb) = &usb {
                 camera.serial = attribute(usb, "serial");
                 camera.vendor_id = attribute(usb, "idVendor");
                 camera.product_id = attribute(usb, "idProduct");
@@ -215,7 +238,27 @@ pub fn select(name: &str, cameras: &[CameraInfo]) -> Result<CameraInfo, CaptureE
     }
 }
 
-#[cfg(all(test, unix))]
+/// The camera that was found before by this path. Its node may have another number now, if it came back before
+/// the old one was closed: then it is the same camera at the same port.
+#[cfg(target_os = "linux")]
+fn select_again(name: &str, before: &CameraInfo, cameras: &[CameraInfo]) -> Result<CameraInfo, CaptureError> {
+    let at_path = select(name, cameras);
+    if let Ok(found) = &at_path
+        && found.is_same(before)
+    {
+        return at_path;
+    }
+    let at_port = |camera: &&CameraInfo| camera.port == before.port && camera.index == before.index;
+    if let Some(found) = cameras.iter().filter(at_port).find(|camera| camera.is_same(before)) {
+        return Ok(found.clone());
+    }
+    at_path.and_then(|found| {
+        let (expected, found) = (before.to_string(), found.to_string());
+        Err(CaptureError::Replaced { expected, found })
+    })
+}
+
+#[cfg(all(test, target_os = "linux"))]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
@@ -282,5 +325,37 @@ mod tests {
         assert_eq!(gone, "there is no camera /dev/no-such-video; connected are: none");
         let odd = select("0", &cameras).unwrap_err().to_string();
         assert!(odd.starts_with("device is \"0\"; valid is serial:"), "{odd}");
+    }
+
+    #[test]
+    fn a_camera_that_was_lost_is_found_by_its_path_or_at_its_port() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path();
+        fs::create_dir_all(root.join("dev")).unwrap();
+        let node = |number: u32| root.join(format!("dev/video{number}"));
+        plug(root, "1-1", "GS0001", 0);
+        fs::write(node(0), "").unwrap();
+        let (name, before) = (node(0).to_str().unwrap().to_owned(), listed(root).remove(0));
+        let again = || select_again(&name, &before, &listed(root));
+        assert_eq!(again().unwrap(), before);
+        // It came back with another number.
+        let unplug = |first: u32| {
+            for number in first..first + 2 {
+                fs::remove_dir_all(root.join(format!("class/video{number}"))).unwrap();
+            }
+        };
+        unplug(0);
+        fs::remove_file(node(0)).unwrap();
+        assert!(matches!(again(), Err(CaptureError::NotFound { .. })));
+        plug(root, "1-1", "GS0001", 4);
+        assert_eq!(again().unwrap().path, node(4));
+        // Another camera took its port, and then its number.
+        unplug(4);
+        plug(root, "1-1", "GS0009", 4);
+        assert!(matches!(again(), Err(CaptureError::NotFound { .. })));
+        plug(root, "1-2", "GS0008", 0);
+        fs::write(node(0), "").unwrap();
+        let refused = again().unwrap_err().to_string();
+        assert!(refused.contains("serial:GS0008") && refused.contains("serial:GS0001"), "{refused}");
     }
 }

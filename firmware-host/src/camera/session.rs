@@ -3,7 +3,7 @@
 use super::abi;
 use super::control_calls;
 use super::device::Device;
-use super::list::find;
+use super::list::{find, find_again};
 use super::ring::{Dequeued, Ring};
 use super::{CameraConfig, CameraInfo, CaptureError, Control, ControlSettings, FrameShape};
 use std::os::fd::{AsFd, BorrowedFd};
@@ -18,8 +18,8 @@ pub(super) struct Wanted {
     pub config: CameraConfig,
     /// Controls, with all that was set since.
     pub controls: ControlSettings,
-    /// Serial number of the camera that was opened first: no other one may take its place.
-    pub serial: Option<String>,
+    /// The camera that was opened first: no other one may take its place.
+    pub before: Option<CameraInfo>,
 }
 
 /// A streaming device.
@@ -46,14 +46,10 @@ pub(super) enum Wait {
 impl Session {
     /// Finds the device, sets format, rate and controls, and starts the stream.
     pub fn open(wanted: &Wanted) -> Result<Self, CaptureError> {
-        let info = find(&wanted.device)?;
-        if wanted.serial.is_some() && info.serial != wanted.serial {
-            return Err(CaptureError::Replaced {
-                path: info.path,
-                expected: wanted.serial.clone().unwrap_or_default(),
-                found: info.serial,
-            });
-        }
+        let info = match &wanted.before {
+            None => find(&wanted.device)?,
+            Some(before) => find_again(&wanted.device, before)?,
+        };
         let device = Device::open(&info.path, &info.to_string())?;
         let shape = device.set_format(&wanted.config)?;
         device.set_rate(&wanted.config)?;

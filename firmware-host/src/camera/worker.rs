@@ -65,7 +65,7 @@ impl CameraHandle {
                 device: device.to_owned(),
                 config: config.clone(),
                 controls: config.controls.clone(),
-                serial: None,
+                before: None,
             },
             backoff: Backoff::new(
                 Duration::from_millis(config.min_retry_ms),
@@ -164,7 +164,7 @@ impl Worker {
                 return;
             }
         };
-        self.wanted.serial = session.info.serial.clone();
+        self.wanted.before = Some(session.info.clone());
         let _ = opened.send(Ok(session.info.clone()));
         loop {
             let device = session.info.to_string();
