@@ -81,14 +81,15 @@ def running(program: str, *arguments: str, interactive: bool = False) -> Iterato
     command = [path(program), *arguments]
     given = subprocess.PIPE if interactive else subprocess.DEVNULL
     process = subprocess.Popen(
-        command, stdin=given, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        command, stdin=given, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )
     run = Run(process)
 
     def collect() -> None:
         assert process.stdout is not None
         for line in process.stdout:
-            run.lines.append(json.loads(line))
+            # What is no JSON is an error message.
+            run.lines.append(json.loads(line) if line.startswith("{") else {"line": "error", "text": line})
             run.times_s.append(time.monotonic())
 
     thread = threading.Thread(target=collect, daemon=True)
