@@ -5,6 +5,7 @@
 //! cargo run --example hid_probe -- tara firmware exposure exposure=12000 mode=master calibration=intrinsic
 //! cargo run --example hid_probe -- blink1 --serial SN1 version set=200,100,50 color fade=0,0,0,500
 //! cargo run --example hid_probe -- led thingm0:red:led0 0.5
+//! cargo run --example hid_probe -- settings cell.toml
 //! ```
 //!
 //! Each line is the JSON of one answer. Exit code: 0, or 2 for an error, which goes to stderr.
@@ -13,9 +14,12 @@
 use clap::{Parser, Subcommand};
 use gelstereo_host::codec::blink1::{Led, Rgb};
 use gelstereo_host::codec::tara::{CalibrationFile, Exposure, StreamMode};
+use gelstereo_host::config::Config;
 use gelstereo_host::hid::{Blink1Light, KernelLed, TaraControl, kernel_leds, list};
+use gelstereo_host::light::{LightOn, set_up_camera};
 use serde_json::{Value, json};
 use std::error::Error;
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 /// Talk to HID devices.
@@ -45,6 +49,11 @@ enum Device {
         serial: Option<String>,
         /// What to do, in this order.
         commands: Vec<String>,
+    },
+    /// Make the settings of `[light]` and `[camera_hid]`, wait for the end of standard input, switch the light off.
+    Settings {
+        /// Configuration of `gelstereo-host`.
+        config: PathBuf,
     },
     /// A light of the kernel.
     Led {
@@ -136,6 +145,15 @@ fn run(device: Device) -> Result<(), Box<dyn Error>> {
             for command in commands {
                 println!("{}", blink1(&mut device, &command)?);
             }
+        }
+        Device::Settings { config } => {
+            let config = Config::load(&config)?;
+            set_up_camera(&config.camera_hid)?;
+            let light = LightOn::new(&config.light)?;
+            println!("{}", json!({ "line": "on" }));
+            std::io::copy(&mut std::io::stdin(), &mut std::io::sink())?;
+            light.off()?;
+            println!("{}", json!({ "line": "off" }));
         }
         Device::Led { name, brightness } => {
             let led = KernelLed::open(&name)?;

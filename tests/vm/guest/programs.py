@@ -36,6 +36,11 @@ class Run:
         """Lines whose ``line`` is this."""
         return [line for line in list(self.lines) if line.get("line") == kind]
 
+    def end_input(self) -> None:
+        """Closes the program's standard input."""
+        assert self.process.stdin is not None
+        self.process.stdin.close()
+
     def wait_for(self, condition: Callable[[Run], bool], what: str, limit_s: float = 30.0) -> None:
         """Waits until what the program has said fulfils a condition."""
         end = time.monotonic() + limit_s
@@ -71,16 +76,20 @@ def python_answers(code: str) -> list[Any]:
 
 
 @contextmanager
-def running(program: str, *arguments: str) -> Iterator[Run]:
-    """A program that runs beside the check and is ended with it."""
+def running(program: str, *arguments: str, interactive: bool = False) -> Iterator[Run]:
+    """A program that runs beside the check and is ended with it; an interactive one has a standard input."""
     command = [path(program), *arguments]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    given = subprocess.PIPE if interactive else subprocess.DEVNULL
+    process = subprocess.Popen(
+        command, stdin=given, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
     run = Run(process)
 
     def collect() -> None:
         assert process.stdout is not None
         for line in process.stdout:
-            run.lines.append(json.loads(line))
+            # What is no JSON is an error message.
+            run.lines.append(json.loads(line) if line.startswith("{") else {"line": "error", "text": line})
             run.times_s.append(time.monotonic())
 
     thread = threading.Thread(target=collect, daemon=True)

@@ -7,10 +7,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from guest.checks import Figures, check
+from guest.devices import camera
 from guest.modules import modprobe
-from guest.programs import answers, ended, python_answers
+from guest.programs import answers, ended, python_answers, running
 from guest.uhid import Blink1
-from guest.usb.camera import wait_for
+from guest.usb.camera import plugged, wait_for
 
 
 @contextmanager
@@ -86,6 +87,26 @@ def the_host_sets_a_light_of_the_kernel() -> None:
         code, _, error = ended("hid_probe", "led", "thingm9:red:led0", "1")
     assert abs(found[0]["brightness"] - 0.5) < 0.01, found
     assert code == 2 and "thingm9:red:led0" in error and name in error, error
+
+
+@check()
+def the_configured_light_is_on_until_the_end() -> None:
+    config = Path("/tmp/cell.toml")
+    config.write_text(
+        '[light]\nkind = "blink1"\nserial = "SN1"\ncolor = [200, 100, 50]\nbrightness = 0.5\n'
+        '[camera_hid]\nkind = "tara"\nexposure_us = 4321\nstream_mode = "trigger"\nhdr = true\n',
+        encoding="ascii",
+    )
+    stereo = camera("GS0001")
+    with blink1() as device, plugged(stereo):
+        with running("hid_probe", "settings", str(config), interactive=True) as run:
+            run.wait_for(lambda run: bool(run.of("on")), "light")
+            assert device.color == (100, 50, 25), device.color
+            run.end_input()
+            run.wait_for(lambda run: bool(run.of("off")), "darkness")
+        assert device.color == (0, 0, 0), device.color
+    tara = stereo.tara
+    assert (tara.exposure_us, tara.stream_mode, tara.hdr) == (4321, 0, 1), tara
 
 
 @check(limit_s=120)

@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import gelstereo as gs
+
 from guest.checks import Figures, check
 from guest.devices import MODES, camera
 from guest.usb.camera import Camera, plugged
@@ -27,7 +28,7 @@ Frame = gs.cameras.CameraFrame
 @contextmanager
 def opened(device: Camera, **settings: Any) -> Iterator[gs.cameras.Camera]:
     """The camera as a user opens it, by its serial number."""
-    size = {"size_px": (MODE.width, MODE.height), "frame_rate_hz": MODE.rate_hz}
+    size: dict[str, Any] = {"size_px": (MODE.width, MODE.height), "frame_rate_hz": MODE.rate_hz}
     with gs.cameras.open(f"serial:{device.serial}", **size, **settings) as stream:
         yield stream
 
