@@ -30,7 +30,9 @@ def camera(index: int) -> Iterator[Joint]:
     while True:
         arrived, colours = capture.read()
         if not arrived:
-            raise SystemExit(f"camera {index} sends nothing; is it connected, and not used by another program?")
+            raise SystemExit(
+                f"camera {index} sends nothing; is it connected, and not used by another program?"
+            )
         yield cv2.cvtColor(colours, cv2.COLOR_BGR2GRAY), time.monotonic_ns()
 
 
@@ -53,7 +55,9 @@ def simulation() -> Iterator[Joint]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Feeds gelstereo-host sense --stream -.")
-    parser.add_argument("--camera", type=int, help="OpenCV's number of the camera; without it, a simulated one")
+    parser.add_argument(
+        "--camera", type=int, help="OpenCV's number of the camera; without it, a simulated one"
+    )
     parser.add_argument("--frames", type=int, help="end after so many frames")
     arguments = parser.parse_args()
     frames = simulation() if arguments.camera is None else camera(arguments.camera)

@@ -1,5 +1,5 @@
-//! The frame stream: headers with a right checksum and wrong content, cut payloads, garbage. However the bytes are cut
-//! into chunks, the decoder says the same of them, takes all, and holds no more than came.
+//! The frame stream: headers with a right checksum and wrong content, cut payloads, garbage. However the
+//! bytes are cut into chunks, the decoder says the same of them, takes all, and holds no more than came.
 #![no_main]
 
 use gelstereo_host::codec::frame_stream::{

@@ -1,4 +1,4 @@
-"""Frames for ``gelstereo-host sense --stream -``: any camera that Python can read feeds the host through a pipe.
+"""Frames for ``gelstereo-host sense --stream -``: any camera that Python reads feeds the host through a pipe.
 
 The format is that of ``docs/frame-stream.md``; a frame is a header of 44 bytes and its pixels.
 """
@@ -58,10 +58,14 @@ def header(
     width_px, height_px = size_px
     if not (0 < width_px <= _MAX_SIDE_PX and 0 < height_px <= _MAX_SIDE_PX) or width_px % 2:
         raise ValueError(
-            f"size_px is {size_px}; valid is an even width and 1 to {_MAX_SIDE_PX} pixels each, both views together"
+            f"size_px is {size_px}; valid is an even width and 1 to {_MAX_SIDE_PX} pixels each, "
+            "both views together"
         )
     if not jpeg and len(payload) != width_px * height_px:
-        raise ValueError(f"payload has {len(payload)} bytes; {width_px} x {height_px} grey pixels have {width_px * height_px}")
+        raise ValueError(
+            f"payload has {len(payload)} bytes; "
+            f"{width_px} x {height_px} grey pixels have {width_px * height_px}"
+        )
     if not 0 < len(payload) <= _MAX_PAYLOAD_BYTES:
         raise ValueError(f"payload has {len(payload)} bytes; valid is 1 to {_MAX_PAYLOAD_BYTES}")
     if layout not in _LAYOUTS:
@@ -121,7 +125,9 @@ class FrameWriter:
         """
         for name, view in (("left", left), ("right", right)):
             if view.dtype != np.uint8 or view.ndim != 2:
-                raise ValueError(f"{name} is {view.dtype} of shape {view.shape}; valid is uint8 of (rows, columns)")
+                raise ValueError(
+                    f"{name} is {view.dtype} of shape {view.shape}; valid is uint8 of (rows, columns)"
+                )
         if left.shape != right.shape:
             raise ValueError(f"left is {left.shape} and right {right.shape}; both views must have one size")
         self.write(np.hstack((left, right)), captured_ns=captured_ns)
@@ -144,7 +150,9 @@ class FrameWriter:
             ValueError: The frame is no grey image, or has an odd width.
         """
         if frame.dtype != np.uint8 or frame.ndim != 2:
-            raise ValueError(f"frame is {frame.dtype} of shape {frame.shape}; valid is uint8 of (rows, columns)")
+            raise ValueError(
+                f"frame is {frame.dtype} of shape {frame.shape}; valid is uint8 of (rows, columns)"
+            )
         height_px, width_px = frame.shape
         self._send(np.ascontiguousarray(frame).tobytes(), (width_px, height_px), False, layout, captured_ns)
 

@@ -1,12 +1,14 @@
-//! The frame stream: how a vendor's SDK, GStreamer or a script hands stereo frames to the host through a pipe.
+//! The frame stream: how a vendor's SDK, GStreamer or a script hands stereo frames to the host through a
+//! pipe.
 //!
-//! A stream is a sequence of frames, each a header of [`HEADER_BYTES`] bytes and its payload; `docs/frame-stream.md` has
-//! the table of bytes. [`FrameDecoder`] takes the bytes in chunks of any size, and finds the next frame again after bytes
-//! that are none.
+//! A stream is a sequence of frames, each a header of [`HEADER_BYTES`] bytes and its payload;
+//! `docs/frame-stream.md` has the table of bytes. [`FrameDecoder`] takes the bytes in chunks of any size, and
+//! finds the next frame again after bytes that are none.
 
 use crate::source::StereoLayout;
 
-/// First bytes of every header. The first one is no ASCII and no UTF-8, so that text is never taken for a frame.
+/// First bytes of every header. The first one is no ASCII and no UTF-8, so that text is never taken for a
+/// frame.
 pub const MAGIC: [u8; 4] = [0x89, b'G', b'S', b'F'];
 /// Version of the format that is written and read.
 pub const VERSION: u8 = 1;
@@ -17,8 +19,8 @@ pub const MAX_SIDE_PX: u32 = 16_384;
 /// Longest valid payload: four times a pair of 8 megapixels. It bounds the decoder's memory.
 pub const MAX_PAYLOAD_BYTES: u32 = 1 << 26;
 
-/// Bytes that belong to no frame are reported at the next frame, or when there are so many, so that a stream of another
-/// kind is noticed: less than two pairs of 640 x 480.
+/// Bytes that belong to no frame are reported at the next frame, or when there are so many, so that a stream
+/// of another kind is noticed: less than two pairs of 640 x 480.
 const MAX_SKIPPED_BYTES: u64 = 1 << 20;
 
 /// Bit of the flags that says that the payload has a checksum.
@@ -122,8 +124,8 @@ impl std::fmt::Display for FrameStreamError {
             Self::Flags { found } => write!(f, "flags {found:#04x}; valid is 0x00 or 0x01"),
             Self::Size { width_px, height_px } => write!(
                 f,
-                "frame of {width_px} x {height_px} pixels; valid is an even width and at most {MAX_SIDE_PX} x \
-                 {MAX_SIDE_PX}"
+                "frame of {width_px} x {height_px} pixels; valid is an even width and at most \
+                 {MAX_SIDE_PX} x {MAX_SIDE_PX}"
             ),
             Self::Length { found, expected: Some(expected) } => {
                 write!(f, "payload of {found} bytes; a grey frame of that size has {expected}")
@@ -259,8 +261,8 @@ pub struct FrameDecoder {
 }
 
 impl FrameDecoder {
-    /// Takes bytes off the front of `bytes` until a frame or an error is complete; `None` once all are taken. The payload
-    /// of the frame stands in [`Self::payload`] until the next call.
+    /// Takes bytes off the front of `bytes` until a frame or an error is complete; `None` once all are taken.
+    /// The payload of the frame stands in [`Self::payload`] until the next call.
     ///
     /// # Errors
     /// [`FrameStreamError`]; the next call goes on after it.

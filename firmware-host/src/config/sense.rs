@@ -22,23 +22,23 @@ pub enum LocalizeWhen {
 pub struct SenseConfig {
     /// When the part is localized: `never` or `contact`. Default: `contact`.
     pub localize: LocalizeWhen,
-    /// Where the part is expected in the sensor frame once it touches. Default: none, it is where the task expects it
-    /// with the fingers `grasp_width_mm` apart.
+    /// Where the part is expected in the sensor frame once it touches. Default: none, it is where the task
+    /// expects it with the fingers `grasp_width_mm` apart.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub t_sensor_object: Option<PoseConfig>,
     /// Opening of the gripper when it holds the part. Default: `8` mm, the diameter of the default part.
     pub grasp_width_mm: f64,
-    /// After the part was lost, or could not be localized, it is searched again this long after. A search takes many times
-    /// as long as following does. Default: `0.5` s.
+    /// After the part was lost, or could not be localized, it is searched again this long after. A search
+    /// takes many times as long as following does. Default: `0.5` s.
     pub search_pause_s: f64,
-    /// Good frames in a row without contact that make the rest state. More guard better against a gel that still moves.
-    /// Default: `5`.
+    /// Good frames in a row without contact that make the rest state. More guard better against a gel that
+    /// still moves. Default: `5`.
     pub rest_frames: u32,
-    /// Markers that moved farther than this on average within these frames show that the gel is not at rest. Default:
-    /// `0.5` px.
+    /// Markers that moved farther than this on average within these frames show that the gel is not at rest.
+    /// Default: `0.5` px.
     pub max_rest_motion_px: f64,
-    /// Salient markers from which something touches the gel. One may be noise; a sphere of 2 mm covers about ten.
-    /// Default: `3`.
+    /// Salient markers from which something touches the gel. One may be noise; a sphere of 2 mm covers about
+    /// ten. Default: `3`.
     pub min_salient: u32,
     /// Without a good frame for so long, sensing counts as unhealthy. Default: `5` s.
     pub max_silence_s: f64,
@@ -80,11 +80,11 @@ pub enum TypeHash {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ZenohConfig {
-    /// Routers and peers to connect to; tried again until they answer. Default: `["tcp/127.0.0.1:7447"]`, a router of
-    /// `rmw_zenoh` on this computer.
+    /// Routers and peers to connect to; tried again until they answer. Default: `["tcp/127.0.0.1:7447"]`, a
+    /// router of `rmw_zenoh` on this computer.
     pub connect: Vec<String>,
-    /// Where to listen. Another address than 127.0.0.1 lets other computers in. Default: `["tcp/127.0.0.1:0"]`, any
-    /// free port.
+    /// Where to listen. Another address than 127.0.0.1 lets other computers in. Default:
+    /// `["tcp/127.0.0.1:0"]`, any free port.
     pub listen: Vec<String>,
     /// Whether to look for peers on the network by multicast. Default: `false`.
     pub multicast: bool,

@@ -1,6 +1,7 @@
 //! Results live to other programs: the same messages as in a recording, over zenoh or to Foxglove.
 //!
-//! A publisher never holds up sensing: what its listeners do not take in time is dropped, oldest first, and counted.
+//! A publisher never holds up sensing: what its listeners do not take in time is dropped, oldest first, and
+//! counted.
 
 #[cfg(feature = "foxglove")]
 mod foxglove;

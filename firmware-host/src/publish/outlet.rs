@@ -54,7 +54,8 @@ impl<T> Shared<T> {
     }
 }
 
-/// Hands items to a thread. After the thread's first failure items are discarded, and [`Self::fault`] says why.
+/// Hands items to a thread. After the thread's first failure items are discarded, and [`Self::fault`] says
+/// why.
 #[derive(Debug)]
 pub struct Outlet<T> {
     shared: Arc<Shared<T>>,

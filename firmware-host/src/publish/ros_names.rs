@@ -1,7 +1,8 @@
-//! Names of nodes and topics as `rmw_zenoh` writes them (its design document, "Graph Cache" and "Publishers").
+//! Names of nodes and topics as `rmw_zenoh` writes them (its design document, "Graph Cache" and
+//! "Publishers").
 //!
-//! A message goes to the key `<domain>/<topic>/<type>/<hash>`. A liveliness token beside it makes the publisher known to
-//! `ros2 topic list`, and one makes the node known.
+//! A message goes to the key `<domain>/<topic>/<type>/<hash>`. A liveliness token beside it makes the
+//! publisher known to `ros2 topic list`, and one makes the node known.
 
 use super::type_hash::rihs01;
 use crate::config::TypeHash;
@@ -60,12 +61,10 @@ pub fn topic_names(node: &Node, topic: Topic, id: u32, hash: TypeHash) -> TopicN
     let type_name = dds_type_name(schema.name);
     let mangled = topic.name().replace('/', SLASH);
     let path = topic.name().trim_start_matches('/');
-    let node_id = Node::ID;
+    let node = format!("{session_id}/{}/{id}/MP/{EMPTY}/{EMPTY}/{name}", Node::ID);
     TopicNames {
         key: format!("{domain_id}/{path}/{type_name}/{hash}"),
-        token: format!(
-            "@ros2_lv/{domain_id}/{session_id}/{node_id}/{id}/MP/{EMPTY}/{EMPTY}/{name}/{mangled}/{type_name}/{hash}/{QOS}"
-        ),
+        token: format!("@ros2_lv/{domain_id}/{node}/{mangled}/{type_name}/{hash}/{QOS}"),
     }
 }
 

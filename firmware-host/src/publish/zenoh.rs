@@ -82,7 +82,8 @@ fn config(settings: &ZenohConfig) -> Result<zenoh::Config, zenoh::Error> {
     Ok(config)
 }
 
-/// Sixteen bytes that differ from publisher to publisher and session to session: a hash of the token, which names both.
+/// Sixteen bytes that differ from publisher to publisher and session to session: a hash of the token, which
+/// names both.
 fn gid(token: &str) -> [u8; 16] {
     let half = |salt: u8| {
         let digest = gelstereo_core::digest::Digest::new().bytes(&[salt]).bytes(token.as_bytes());

@@ -94,7 +94,8 @@ mod tests {
     }
 
     proptest! {
-        /// However the motion goes, crossings of each trigger alternate, and the last one says where the motion is.
+        /// However the motion goes, crossings of each trigger alternate, and the last one says where the
+        /// motion is.
         #[test]
         fn crossings_alternate(motions in prop::collection::vec(0.0..20.0_f64, 1..60)) {
             let config = Config::default();

@@ -6,8 +6,8 @@ use gelstereo_core::frames::WidthError;
 use gelstereo_core::math::Pose;
 use gelstereo_core::register::Standing;
 
-/// Asks for localizations: one that searches where the part is expected when contact begins, then one a frame that
-/// follows, and after a loss a search now and then.
+/// Asks for localizations: one that searches where the part is expected when contact begins, then one a frame
+/// that follows, and after a loss a search now and then.
 #[derive(Clone, Debug)]
 pub struct Follower {
     when: LocalizeWhen,
@@ -64,7 +64,8 @@ impl Follower {
         }
     }
 
-    /// What came of [`Action::Follow`]: `None` when there was no pose at all. Returns whether the standing changed.
+    /// What came of [`Action::Follow`]: `None` when there was no pose at all. Returns whether the standing
+    /// changed.
     pub fn take(&mut self, standing: Option<Standing>, time_ns: u64) -> bool {
         let is_lost = matches!(standing, None | Some(Standing::Lost));
         self.lost_at_ns = is_lost.then_some(time_ns);

@@ -43,8 +43,8 @@ impl Histogram {
         self.max
     }
 
-    /// A duration that the share `q` of all does not exceed, at most 4.4 % above the smallest such one; `None` before the
-    /// first.
+    /// A duration that the share `q` of all does not exceed, at most 4.4 % above the smallest such one;
+    /// `None` before the first.
     #[must_use]
     pub fn quantile(&self, q: f64) -> Option<Duration> {
         let wanted = ((q * self.total as f64).ceil() as u64).max(1);

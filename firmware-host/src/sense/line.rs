@@ -38,7 +38,8 @@ pub struct FrameLine {
 /// The part in the hand.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PoseLine {
-    /// `found`, `followed` or `lost`; a lost part's pose is the best one that a search gave, and not to be relied on.
+    /// `found`, `followed` or `lost`; a lost part's pose is the best one that a search gave, and not to be
+    /// relied on.
     pub standing: String,
     /// Rows of the 4x4 matrix that maps part coordinates to sensor coordinates, millimetres.
     pub t_sensor_object: [[f64; 4]; 4],

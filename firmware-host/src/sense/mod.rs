@@ -1,8 +1,8 @@
 //! Sensing alone, for ever: points, contact and pose from stereo pairs, without a robot.
 //!
-//! Frames are sensed one after the other on one thread; recording, publishing and printing wait elsewhere. What the
-//! pipeline is asked besides frames is recorded as the robot task records it, so that a recording replays to the same
-//! bits.
+//! Frames are sensed one after the other on one thread; recording, publishing and printing wait elsewhere.
+//! What the pipeline is asked besides frames is recorded as the robot task records it, so that a recording
+//! replays to the same bits.
 
 mod contact;
 mod follow;
@@ -131,7 +131,8 @@ impl<'a> Sense<'a> {
         })
     }
 
-    /// Senses until the source ends, somebody stops it, or no output is left. Closes the outputs whatever happens.
+    /// Senses until the source ends, somebody stops it, or no output is left. Closes the outputs whatever
+    /// happens.
     ///
     /// # Errors
     /// [`SenseError::Source`] when the source breaks.

@@ -89,8 +89,8 @@ impl std::fmt::Display for Status {
         let Self { frames, rate_hz, dropped, latency, compute, totals, .. } = self;
         write!(
             f,
-            "{frames} frames, {rate_hz:.1} Hz, latency {latency}, compute {compute} (p50 / p99), {dropped} dropped \
-             ({} in all), {} bad in all",
+            "{frames} frames, {rate_hz:.1} Hz, latency {latency}, compute {compute} (p50 / p99), \
+             {dropped} dropped ({} in all), {} bad in all",
             totals.dropped, totals.bad_frames
         )?;
         let contact = match (self.rest_known, self.touching) {

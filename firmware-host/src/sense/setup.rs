@@ -68,7 +68,8 @@ pub struct NamedSource {
     pub name: String,
 }
 
-/// The source among a configuration's devices. The simulated sensor has a gripper that grasps the part over and over.
+/// The source among a configuration's devices. The simulated sensor has a gripper that grasps the part over
+/// and over.
 #[must_use]
 pub fn named_source(config: &Config, devices: Devices) -> NamedSource {
     match &config.source {
@@ -88,8 +89,8 @@ pub fn named_source(config: &Config, devices: Devices) -> NamedSource {
     }
 }
 
-/// The path itself, or, where there is a file already, the first of `name-2.mcap`, `name-3.mcap` and so on that is free: a
-/// host that is started again keeps what it recorded before.
+/// The path itself, or, where there is a file already, the first of `name-2.mcap`, `name-3.mcap` and so on
+/// that is free: a host that is started again keeps what it recorded before.
 #[must_use]
 pub fn recording_path(path: &Path) -> PathBuf {
     if !path.is_file() {

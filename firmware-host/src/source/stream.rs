@@ -1,7 +1,7 @@
 //! Stereo pairs from a pipe: standard input, a FIFO or a file.
 //!
-//! A thread reads and takes the stream apart, so that a producer that stalls or dies never holds the reader up. What the
-//! thread has found waits in a short queue.
+//! A thread reads and takes the stream apart, so that a producer that stalls or dies never holds the reader
+//! up. What the thread has found waits in a short queue.
 
 use super::clock::monotonic_ns;
 use super::jpeg::JpegDecoder;
@@ -12,7 +12,7 @@ use gelstereo_core::image::GrayView;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 /// Stands for standard input where a path is expected.
 pub const STANDARD_INPUT: &str = "-";
@@ -32,18 +32,19 @@ pub enum StreamMode {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StreamConfig {
-    /// A FIFO or a file, or `-` for standard input. A FIFO is opened again when its producer has gone. Default: `-`.
+    /// A FIFO or a file, or `-` for standard input. A FIFO is opened again when its producer has gone.
+    /// Default: `-`.
     pub path: PathBuf,
     /// `latest` for a camera, `every` for a file or a pipe that can wait. Default: `latest`.
     pub mode: StreamMode,
-    /// Width and height in pixels of frames without headers, both views together: grey bytes and nothing else. Default:
-    /// none, the frames have headers.
+    /// Width and height in pixels of frames without headers, both views together: grey bytes and nothing
+    /// else. Default: none, the frames have headers.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub raw_size_px: Option<[u32; 2]>,
     /// Where both views stand in frames without headers; a header says it itself. Default: `side_by_side`.
     pub layout: StereoLayout,
-    /// Rate of frames without headers and of frames whose header has no time, for their times: frame i is at i / rate.
-    /// Default: none, the moment of arrival is a frame's time.
+    /// Rate of frames without headers and of frames whose header has no time, for their times: frame i is at
+    /// i / rate. Default: none, the moment of arrival is a frame's time.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frame_rate_hz: Option<f64>,
     /// A producer that sends nothing for so long is reported as stalled. Default: `2000` ms.
@@ -89,6 +90,9 @@ pub struct StreamSource {
     views: [Gray; 2],
     /// Frames lost since the last pair.
     lost: u64,
+    /// From the clock of captures to that of a pair's time: to the epoch for a live stream, as a camera has
+    /// it. Times of a stream that can wait stay as they are, so that it repeats.
+    offset_ns: u64,
     heard: Instant,
     /// When silence is reported next.
     patience: Duration,
@@ -132,6 +136,7 @@ impl StreamSource {
             joint: Gray::default(),
             views: Default::default(),
             lost: 0,
+            offset_ns: if config.mode == StreamMode::Latest { epoch_offset_ns() } else { 0 },
             heard: Instant::now(),
             patience: Duration::from_millis(config.stall_timeout_ms),
             ended: false,
@@ -168,7 +173,8 @@ impl StreamSource {
         std::mem::swap(&mut pair.right, right);
         let by_rate = self.config.frame_rate_hz.map(|rate_hz| (sequence as f64 * 1e9 / rate_hz) as u64);
         let captured_ns = frame.header.captured_ns;
-        pair.time_ns = captured_ns.or(by_rate).unwrap_or(frame.arrived_ns);
+        let moment_ns = captured_ns.unwrap_or(frame.arrived_ns).saturating_add(self.offset_ns);
+        pair.time_ns = captured_ns.map_or(by_rate, |_| None).unwrap_or(moment_ns);
         pair.capture = Capture {
             sequence,
             driver_ns: captured_ns,
@@ -226,6 +232,13 @@ impl StreamSource {
             SourceEvent::Stalled { device: self.config.name(), silent_ms }
         })
     }
+}
+
+/// The wall clock minus the clock of captures, measured once: a wall clock that is set leaves intervals as
+/// they are.
+fn epoch_offset_ns() -> u64 {
+    let epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(epoch.as_nanos()).unwrap_or(u64::MAX).saturating_sub(monotonic_ns())
 }
 
 impl FrameSource for StreamSource {

@@ -19,7 +19,8 @@ const MAX_FRAMES: usize = 4;
 const CHUNK_BYTES: usize = 1 << 16;
 /// Sequence numbers that jump farther than this are an event, not a count of lost frames: a minute at 60 Hz.
 const MAX_GAP: u64 = 3600;
-/// Pause before a FIFO is opened again, so that a producer that fails at once is not started a thousand times a second.
+/// Pause before a FIFO is opened again, so that a producer that fails at once is not started a thousand times
+/// a second.
 const REOPEN_AFTER: Duration = Duration::from_millis(100);
 
 /// A frame as it arrived.
@@ -118,7 +119,8 @@ impl Queue {
 enum Input {
     /// Opened already; the stream ends with it.
     Once(Box<dyn Read + Send>),
-    /// Opened on the thread, since a FIFO is not open before it has a producer; and again after each producer.
+    /// Opened on the thread, since a FIFO is not open before it has a producer; and again after each
+    /// producer.
     Fifo(PathBuf),
 }
 

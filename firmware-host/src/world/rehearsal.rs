@@ -9,7 +9,8 @@ use std::time::Duration;
 const OPEN_FRAMES: u32 = 30;
 /// Frames with the part held.
 const HELD_FRAMES: u32 = 60;
-/// The fingers close to so much less than `sense.grasp_width_mm`; the default part then presses the gel 0.75 mm deep.
+/// The fingers close to so much less than `sense.grasp_width_mm`; the default part then presses the gel 0.75
+/// mm deep.
 const SQUEEZE_MM: f64 = 1.5;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,7 +1,8 @@
-//! A ROS 2 node that reads what `gelstereo-host sense --publish zenoh` publishes, written with `hiroz`, whose codecs,
-//! key expressions, type hashes and graph are its own.
+//! A ROS 2 node that reads what `gelstereo-host sense --publish zenoh` publishes, written with `hiroz`, whose
+//! codecs, key expressions, type hashes and graph are its own.
 //!
-//! usage: ros-peer ENDPOINT DOMAIN. Prints the topics of the graph and one message of each kind, one line each.
+//! usage: ros-peer ENDPOINT DOMAIN. Prints the topics of the graph and one message of each kind, one line
+//! each.
 
 use hiroz::Builder;
 use hiroz::context::ZContextBuilder;
