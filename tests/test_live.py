@@ -304,13 +304,14 @@ def test_a_browser_that_takes_nothing_delays_nobody(
 def test_what_is_not_installed_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    for module in ("record", "rerun_viewer"):
+        monkeypatch.delitem(sys.modules, f"gelstereo.live.{module}", raising=False)
     words = ["live", "--scene", str(SCENE), "--frames", "1", "--show"]
     for module, extra, more in (
         ("rosbags.typesys", "recording", ["none", "--record", str(tmp_path / "run.mcap")]),
         ("rerun", "rerun", ["rerun", "--rrd", str(tmp_path / "run.rrd")]),
     ):
         monkeypatch.setitem(sys.modules, module, None)
-        monkeypatch.delitem(sys.modules, "gelstereo.live.record", raising=False)
         assert main([*words, *more]) == 2
         assert f"pip install 'gelstereo[{extra}]'" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
