@@ -117,7 +117,7 @@ impl CameraConfig {
     /// Checks every setting against its meaning; whether the camera can do it, opening it tells.
     ///
     /// # Errors
-    /// [`CaptureError::Name`] and [`CaptureError::Setting`].
+    /// [`CaptureError::Setting`].
     pub fn validate(&self) -> Result<(), CaptureError> {
         super::list::check_name("device", &self.device)?;
         if let Some(right) = &self.right_device {
