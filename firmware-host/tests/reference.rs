@@ -448,7 +448,7 @@ fn run_with_any_valid_extreme_stops_and_writes_no_more_than_its_frames() {
                     stop.store(true, Ordering::Relaxed);
                 }
             });
-            let result = run(&config, &config.recording.path, &stop, &mut |stage| frames += stage.frames);
+            let result = run(&config, &stop, &mut |stage| frames += stage.frames);
             let _ = sender.send(());
             result
         });
