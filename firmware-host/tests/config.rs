@@ -65,7 +65,10 @@ fn errors_name_what_was_found_and_what_is_valid() {
     let folder = error("[source]\nkind = \"folder\"\npath = \"pairs\"\nframe_rate_hz = 30");
     assert!(folder.contains("add rig_file"), "{folder}");
     let kind = error("[source]\nkind = \"webcam\"");
-    assert!(kind.contains("unknown variant `webcam`, expected `simulated` or `folder`"), "{kind}");
+    assert!(
+        kind.contains("unknown variant `webcam`, expected one of `simulated`, `folder`, `stream`"),
+        "{kind}"
+    );
 }
 
 #[test]
