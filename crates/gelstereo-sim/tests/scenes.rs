@@ -151,7 +151,10 @@ fn mistakes_are_named_with_what_would_be_valid() {
         ("[effects]\nblurr = {}", "unknown field `blurr`"),
         ("[effects.drag]\ndecay_mm = 3", "unknown field `decay_mm`"),
         ("[indenter]\nkind = \"ball\"", "unknown variant `ball`"),
-        ("[indenter]\nkind = \"sphere\"\nradius_mm = -1", "indenter.radius_mm is -1; valid is above 0"),
+        (
+            "[indenter]\nkind = \"sphere\"\nradius_mm = -1",
+            "indenter.radius_mm is -1; valid is 0.001 to 1000 mm",
+        ),
         ("[gel]\ndot_radius_mm = 0.5", "below half of gel.pitch_mm"),
         ("[gel]\nsurface_mm = 3", "valid is above gel.thickness_mm"),
         ("[gel]\nmissing = [[25, 0]]", "25 rows and 25 columns"),
