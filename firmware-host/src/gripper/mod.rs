@@ -1,6 +1,6 @@
 //! Grippers: the trait that the robot task uses, and a driver for each kind.
 //!
-//! A driver is one file here beside its codec in [`crate::codec`]. It opens nothing by itself: [`line`] brings the bytes.
+//! A driver is one file here beside its codec in [`crate::codec`]. It opens nothing by itself: [`mod@line`] brings the bytes.
 
 mod config;
 mod dh;
