@@ -20,6 +20,7 @@ pub(crate) use clock::{epoch_ns, monotonic_ns};
 #[cfg(feature = "host")]
 pub use folder::FolderSource;
 pub use layout::OddWidth;
+#[cfg(feature = "host")]
 pub(crate) use natural::compare as compare_names;
 #[cfg(feature = "host")]
 pub use stream::StreamSource;
