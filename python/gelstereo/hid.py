@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 __all__ = ["Blink1Light", "HidError", "HidInfo", "TaraControl", "devices"]
 
 _REPORT_BYTES = 64
+#: Reports that Linux keeps for a reader; a device that sends without end must not hold the caller.
+_MAX_WAITING = 64
 
 
 @dataclass(frozen=True)
@@ -195,8 +197,9 @@ class TaraControl(_Device):
 
     def _send(self, request: TaraRequest) -> None:
         # A late answer to an earlier command would be taken for this one's.
-        while self._read(0):
-            pass
+        for _ in range(_MAX_WAITING):
+            if not self._read(0):
+                break
         if self._device.write(b"\0" + request.report) < 0:
             raise self._failed("write to", self._device.error())
 

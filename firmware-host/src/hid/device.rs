@@ -70,7 +70,11 @@ impl HidDevice {
             if !report_ioctl::wait_readable(&self.file, left)
                 .map_err(|error| self.failed("wait for", error))?
             {
-                return Ok(None);
+                // A signal, or the longest wait of one call, may have ended it early.
+                if Instant::now() >= deadline {
+                    return Ok(None);
+                }
+                continue;
             }
             match self.file.read(report) {
                 Ok(length) => return Ok(Some(length)),

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from guest.checks import Figures, check
 from guest.devices import camera
-from guest.programs import answers, ended, python_answers
-from guest.usb.camera import TARA_PRODUCT, TARA_VENDOR, Camera, plugged
+from guest.programs import answers, ended, python_answers, running
+from guest.usb.camera import TARA_PRODUCT, TARA_VENDOR, Camera, plugged, wait_for
 from guest.usb.tara import Tara
 
 
@@ -83,6 +83,17 @@ def a_refused_command_is_named() -> None:
 def a_silent_camera_is_a_timeout() -> None:
     error = failure(Tara(silent=True), "exposure")
     assert "no answer within 2000 ms when the device was to report its exposure" in error, error
+
+
+@check()
+def a_camera_unplugged_during_a_command_is_named() -> None:
+    device = camera("GS0001")
+    device.tara.silent = True
+    with plugged(device), running("hid_probe", "tara", "exposure") as run:
+        wait_for(lambda: bool(device.tara.requests), "the command")
+        device.unplug()
+        run.wait_for(lambda run: bool(run.of("error")), "error")
+    assert "was unplugged" in run.of("error")[0]["text"], run.lines
 
 
 @check()

@@ -48,13 +48,8 @@ class Camera:
 
     def nodes(self, class_: str) -> list[Path]:
         """Device nodes of a class (``video4linux``, ``hidraw``) that belong to this camera, by its serial number."""
-        found = []
-        for entry in sorted(Path("/sys/class", class_).glob("*")):
-            parents = (entry / "device").resolve()
-            serials = [text(parent / "serial") for parent in [parents, *parents.parents]]
-            if self.serial in serials:
-                found.append(Path("/dev", entry.name))
-        return found
+        entries = sorted(Path("/sys/class", class_).glob("*"))
+        return [Path("/dev", entry.name) for entry in entries if self.serial in serials(entry)]
 
     @property
     def video_node(self) -> Path:
@@ -104,12 +99,14 @@ class Camera:
             self.tara.received(data)
 
 
-def text(path: Path) -> str | None:
-    """A line of a file of the kernel; None where there is none, or no longer."""
+def serials(entry: Path) -> list[str]:
+    """Serial numbers of the device of a node and of its parents; none if it vanishes meanwhile."""
     try:
-        return path.read_text(encoding="utf-8").strip()
+        device = (entry / "device").resolve()
+        files = [parent / "serial" for parent in [device, *device.parents]]
+        return [file.read_text(encoding="utf-8").strip() for file in files if file.exists()]
     except OSError:
-        return None
+        return []
 
 
 @contextmanager
