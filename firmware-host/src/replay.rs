@@ -194,7 +194,7 @@ impl Replay {
         };
         let sensing = Sensing::new(&config.rig()?, &params, part.template(&config.part)?)?;
         let every_nth = config.recording.every_nth;
-        let thinned = format!("only every {every_nth}th pair has its images in the recording");
+        let thinned = format!("only one of {every_nth} pairs has its images in the recording");
         let report = ReplayReport {
             frames: 0,
             localizations: 0,

@@ -130,7 +130,10 @@ impl Recording {
             let shared = Arc::clone(&shared);
             std::thread::Builder::new()
                 .name("recording".to_owned())
-                .spawn(move || worker.run(&received, &shared))
+                .spawn(move || {
+                    let _told = TellsOfPanic(Arc::clone(&shared));
+                    worker.run(&received, &shared)
+                })
                 .map_err(RecordingError::Disk)?
         };
         Ok(Self {
@@ -176,6 +179,12 @@ impl Recording {
         self.send(Command::Trigger { log_ns }, time_ns);
     }
 
+    /// Bytes that wait for the disk.
+    #[must_use]
+    pub fn queued_bytes(&self) -> usize {
+        self.shared.queued_bytes()
+    }
+
     /// Messages that did not get into the recording so far, because the disk was too slow.
     #[must_use]
     pub const fn lost_messages(&self) -> u64 {
@@ -192,11 +201,7 @@ impl Recording {
         self.commands = None;
         let mut report = match self.thread.take().map(JoinHandle::join) {
             Some(Ok(report)) => report,
-            Some(Err(_)) => {
-                self.shared.fail("the recording's thread has panicked");
-                RecordingReport::default()
-            }
-            None => RecordingReport::default(),
+            Some(Err(_)) | None => RecordingReport::default(),
         };
         report.lost_messages = self.lost;
         report.fault = report.fault.or_else(|| self.shared.fault());
@@ -253,6 +258,17 @@ impl MessageSink for Recording {
 
     fn fault(&self) -> Option<String> {
         self.shared.fault()
+    }
+}
+
+/// Frees a source that waits for a thread that is gone.
+struct TellsOfPanic(Arc<Shared>);
+
+impl Drop for TellsOfPanic {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.0.fail("the recording's thread has panicked");
+        }
     }
 }
 

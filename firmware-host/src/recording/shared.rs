@@ -37,6 +37,10 @@ impl Shared {
         true
     }
 
+    pub fn queued_bytes(&self) -> usize {
+        self.lock().queued_bytes
+    }
+
     /// These bytes left the queue.
     pub fn written(&self, bytes: usize) {
         self.lock().queued_bytes -= bytes;
