@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from test_recording_readers import host_binary
+from test_recording_readers import host_binary, rerun_columns
 
 FRAME = "/gelstereo/frame"
 #: Seconds after the rest frame at which a process is killed.
@@ -141,3 +141,8 @@ def test_rosbags_and_mcap_ros2_decode_every_message_of_the_recovered_file(broken
     assert len(decoded) == frames
     texts = [m.ros_msg.data for m in ros2.read_ros2_messages(str(fixed)) if m.channel.topic == FRAME]
     assert texts == [message.data for message in decoded]
+
+
+def test_rerun_finds_images_and_clouds_in_the_recovered_file(fixed: Path, tmp_path: Path) -> None:
+    columns = rerun_columns(fixed, tmp_path)
+    assert "EncodedImage:blob: " in columns and "Points3D:positions: " in columns

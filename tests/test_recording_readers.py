@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 import zlib
 from pathlib import Path
 
@@ -58,6 +59,17 @@ def check_image(file: bytes, crc32: str) -> None:
     image = cv2.imdecode(np.frombuffer(file, np.uint8), cv2.IMREAD_UNCHANGED)
     assert image.shape == (480, 640) and image.dtype == np.uint8
     assert f"{zlib.crc32(image.tobytes()):08x}" == crc32
+
+
+def rerun_columns(path: Path, folder: Path) -> str:
+    """What Rerun's own converter makes of a recording: a table of its entities and components."""
+    pytest.importorskip("rerun_cli", reason="PyPI's rerun-sdk is not installed")
+    rerun, converted = [sys.executable, "-m", "rerun_cli"], folder / "converted.rrd"
+    subprocess.run([*rerun, "mcap", "convert", str(path), "-o", str(converted)], check=True)
+    stats = subprocess.run(
+        [*rerun, "rrd", "stats", str(converted)], capture_output=True, text=True, check=True
+    )
+    return stats.stdout + stats.stderr
 
 
 def check_frame(points, fields: dict[str, tuple[int, int]]) -> None:
@@ -156,6 +168,12 @@ def test_mcap_ros2_decodes_every_message_by_the_recorded_definitions(run):
         if message.channel.topic == "/gelstereo/pose":
             check_pose(message.ros_msg, summary["localized"])
     assert all(count > 0 for count in decoded.values())
+
+
+def test_rerun_finds_images_and_clouds(run, tmp_path):
+    columns = rerun_columns(run[0], tmp_path)
+    assert "/gelstereo/left/image/compressed: " in columns and "/gelstereo/points: " in columns
+    assert "EncodedImage:blob: " in columns and "Points3D:positions: " in columns
 
 
 def check_pose(message, localized: dict) -> None:

@@ -295,6 +295,109 @@ fn a_recording_that_nobody_finishes_is_closed_all_the_same() {
     assert!(!read(&parts.bytes()[0]).1);
 }
 
+/// What a store was asked to do.
+#[derive(Clone, Default)]
+struct Watched {
+    bytes: SharedBuffer,
+    /// Length of the file at each sync.
+    syncs: std::sync::Arc<std::sync::Mutex<Vec<usize>>>,
+    /// Writing waits while this is locked.
+    stopped: std::sync::Arc<std::sync::Mutex<()>>,
+}
+
+impl std::io::Write for Watched {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let _free = self.stopped.lock().unwrap();
+        self.bytes.write(bytes)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Store for Watched {
+    fn sync(&mut self) -> std::io::Result<()> {
+        self.syncs.lock().unwrap().push(self.bytes.bytes().len());
+        Ok(())
+    }
+}
+
+impl Watched {
+    fn recording(&self, settings: &RecordingConfig, clock: LogClock) -> Recording {
+        let store = self.clone();
+        let open = move |_| Ok((PathBuf::new(), Box::new(store.clone()) as Box<dyn Store>));
+        Recording::with_stores(settings, content(), clock, Box::new(open)).unwrap()
+    }
+}
+
+/// What a power cut leaves is at least what was synced: each time complete chunks, with all but the last half
+/// second.
+#[test]
+fn a_cameras_recording_is_synced_chunk_by_chunk() {
+    let store = Watched::default();
+    let mut recording = store.recording(&RecordingConfig::default(), LogClock::Wall);
+    for frame in 0..60 {
+        write_frame(&mut recording, frame);
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    }
+    let before = std::time::SystemTime::now();
+    assert_eq!(recording.finish().fault, None);
+    let (bytes, syncs) = (store.bytes.bytes(), store.syncs.lock().unwrap().clone());
+    assert!(syncs.len() >= 4 && syncs.last() == Some(&bytes.len()), "{syncs:?} of {}", bytes.len());
+    let whole = read(&bytes).0;
+    let mut kept = 0;
+    for &sync in &syncs {
+        let (items, _) = read(&bytes[..sync]);
+        assert!(items.len() >= kept && items[..] == whole[..items.len()]);
+        kept = items.len();
+    }
+    assert_eq!(kept, whole.len());
+    // Log times are the wall clock's; the messages' own are the source's.
+    let Some(Item::Message { time_ns, .. }) = whole.last() else { panic!("{whole:?}") };
+    let now_ns = before.duration_since(std::time::UNIX_EPOCH).unwrap().as_nanos();
+    assert!(now_ns - u128::from(*time_ns) < 60_000_000_000, "{time_ns}");
+
+    let store = Watched::default();
+    let mut recording = store.recording(&RecordingConfig::default(), LogClock::Source);
+    (0..90).for_each(|frame| write_frame(&mut recording, frame));
+    assert_eq!(recording.finish().fault, None);
+    assert_eq!(store.syncs.lock().unwrap().len(), 1, "what can be computed again is synced at its end");
+}
+
+/// A disk that takes nothing for a while: memory is bounded, the source does not wait, and the file says what
+/// is missing.
+#[test]
+fn a_slow_disk_leaves_a_gap_that_the_recording_tells() {
+    let store = Watched::default();
+    let settings = RecordingConfig { images: ImageFormat::Raw, ..RecordingConfig::default() };
+    let mut recording = store.recording(&settings, LogClock::Wall);
+    let stopped = store.stopped.lock().unwrap();
+    let mut large = pair(0);
+    for view in [&mut large.left, &mut large.right] {
+        (view.width, view.height, view.pixels) = (1000, 1000, vec![7; 1_000_000]);
+    }
+    for frame in 0..100 {
+        large.time_ns = frame * PERIOD_NS;
+        recording.write_pair(&large);
+    }
+    let lost = recording.lost_messages();
+    // 64 MB, and a chunk that waits to be written.
+    assert!((50..=70).contains(&lost), "{lost} of 100 pairs");
+    drop(stopped);
+    while recording.queued_bytes() > 0 {
+        std::thread::yield_now();
+    }
+    recording.write_pair(&large);
+    let report = recording.finish();
+    assert_eq!((report.fault, report.lost_messages), (None, lost));
+    let told: u64 = texts(&read(&store.bytes.bytes()).0, Topic::Capture)
+        .iter()
+        .filter_map(|text| serde_json::from_str::<serde_json::Value>(text).unwrap()["lost_messages"].as_u64())
+        .sum();
+    assert_eq!(told, lost);
+}
+
 /// The state of a recording whose disk is full is visible, and nothing waits for it.
 #[cfg(target_os = "linux")]
 #[test]

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used)]
 
 use gelstereo_core::params::{Centre, Params};
-use gelstereo_host::config::Config;
+use gelstereo_host::config::{Config, RecordingConfig, RecordingMode};
 use gelstereo_host::recording::RecordingError;
 use gelstereo_host::replay::{ReplayReport, replay};
 use gelstereo_host::run::{HostError, run};
@@ -63,6 +63,67 @@ fn a_recording_gives_the_same_bits_and_a_damaged_one_says_so() {
         Err(_) => false,
     };
     assert!(noticed, "{result:?}");
+}
+
+/// A job recorded with these settings, and how many frames it had.
+fn recorded(recording: RecordingConfig) -> (Vec<PathBuf>, u64) {
+    let mut config = Config { recording, ..Config::default() };
+    config.task.insertion_speed_mm_s = 20.0;
+    let report = run(&config, &AtomicBool::new(false), &mut |_| {}).unwrap();
+    let recording = report.recording.unwrap();
+    assert_eq!(recording.fault, None);
+    (recording.files, report.stages.iter().map(|s| s.frames).sum())
+}
+
+#[test]
+fn parts_give_the_same_bits_together_and_can_be_computed_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    let (mut files, frames) =
+        recorded(RecordingConfig { path: path.clone(), split_mb: 5, ..RecordingConfig::default() });
+    let names: Vec<_> = files.iter().map(|file| file.file_name().unwrap().to_string_lossy()).collect();
+    assert!(names.len() > 2 && names[..2] == ["run.mcap", "run_0001.mcap"], "{names:?}");
+    files.reverse();
+    let together = replay(&files, None, &mut |_| {}).unwrap();
+    assert!(together.is_good() && together.inexact.is_none(), "{together}");
+    assert_eq!((together.frames, together.localizations, together.differing), (frames, 1, 0));
+
+    let mut sum = 0;
+    for file in &files {
+        let alone = replay(&[file], None, &mut |_| {}).unwrap();
+        assert!(alone.is_good() && alone.other_pixels == 0 && !alone.truncated, "{alone}");
+        assert_eq!(alone.inexact.is_some(), *file != path, "{alone}");
+        sum += alone.frames;
+    }
+    assert_eq!(sum, frames);
+    let gap = replay(&[&path, &files[0]], None, &mut |_| {}).unwrap();
+    assert!(gap.is_good() && gap.inexact.is_some(), "{gap}");
+    let twice = replay(&[&path, &path], None, &mut |_| {}).unwrap_err().to_string();
+    assert!(twice.contains("part 0 does not belong to the recording of part 0"), "{twice}");
+}
+
+#[test]
+fn a_ring_keeps_what_its_replay_needs() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("ring.mcap");
+    let (mode, ring_s, ring_after_s) = (RecordingMode::Ring, 0.3, 0.2);
+    let settings = RecordingConfig { path, mode, ring_s, ring_after_s, ..RecordingConfig::default() };
+    let (files, frames) = recorded(settings);
+    // The grasp, and the insertion with the end.
+    assert_eq!(files.len(), 2);
+    let report = replay(&files, None, &mut |_| {}).unwrap();
+    assert!(report.is_good() && report.frames > 20 && report.frames < frames, "{report}");
+    assert!(report.to_string().contains("begins in the middle of a run"), "{report}");
+}
+
+#[test]
+fn every_third_pair_can_be_computed_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("thin.mcap");
+    let (files, frames) = recorded(RecordingConfig { path, every_nth: 3, ..RecordingConfig::default() });
+    let report = replay(&files, None, &mut |_| {}).unwrap();
+    assert!(report.is_good() && report.frames == frames.div_ceil(3), "{report}");
+    assert!(report.inexact.unwrap().contains("one of 3 pairs"));
 }
 
 #[test]
