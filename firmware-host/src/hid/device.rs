@@ -6,6 +6,8 @@ use std::io::{self, Read, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::time::{Duration, Instant};
 
+const READ: &str = "read";
+
 /// An open HID device.
 #[derive(Debug)]
 pub struct HidDevice {
@@ -79,7 +81,7 @@ impl HidDevice {
             match self.file.read(report) {
                 Ok(length) => return Ok(Some(length)),
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
-                Err(error) => return Err(self.failed("read", error)),
+                Err(error) => return Err(self.failed(READ, error)),
             }
         }
     }
@@ -121,8 +123,8 @@ impl HidDevice {
         let path = self.info.path.clone();
         match error.raw_os_error() {
             Some(libc::ENODEV | libc::ESHUTDOWN) => HidError::Disconnected { path },
-            // A node whose device is gone reports a hang-up, which reads as an input/output error.
-            Some(libc::EIO) if !path.exists() => HidError::Disconnected { path },
+            // hidraw's read gives this for one reason only. The node itself vanishes a little later.
+            Some(libc::EIO) if action == READ => HidError::Disconnected { path },
             _ => HidError::Io { action, path, error },
         }
     }
