@@ -36,7 +36,7 @@ fn a_camera_is_configured_and_written_back() {
         device = "serial:GS0001"
         layout = "interleaved_swapped"
         format = "y16"
-        size_px = [752, 480]
+        size_px = [640, 480]
         frame_rate_hz = 60
         mode = "every"
         [source.controls]
@@ -49,7 +49,7 @@ fn a_camera_is_configured_and_written_back() {
         device: "serial:GS0001".to_owned(),
         layout: StereoLayout::InterleavedSwapped,
         format: PixelFormat::Y16,
-        size_px: [752, 480],
+        size_px: [640, 480],
         frame_rate_hz: 60.0,
         mode: CaptureMode::Every,
         controls: ControlSettings {
@@ -59,7 +59,7 @@ fn a_camera_is_configured_and_written_back() {
         },
         ..CameraConfig::default()
     };
-    assert_eq!(expected.view_size_px(), (752, 480));
+    assert_eq!(expected.view_size_px(), (640, 480));
     assert_eq!(config.source, SourceConfig::Camera(expected));
     assert_eq!(Config::parse(&config.to_toml().unwrap(), "").unwrap(), config);
 }
@@ -86,12 +86,12 @@ fn every_setting_of_a_camera_is_checked() {
         ("stall_timeout_ms = 66", "at least two frames' periods"),
         ("min_retry_ms = 9", "source.min_retry_ms is 9"),
         ("max_retry_ms = 99", "source.max_retry_ms is 99; valid is at least min_retry_ms"),
-        ("controls = { exposure_us = 0 }", "source.controls.exposure_us is 0; valid is above 0 us"),
+        ("controls = { exposure_us = 0 }", "source.controls.exposure_us is 0; valid is 100 to 10000000 us"),
         ("controls = { exposure_us = 100, auto_exposure = true }", "false, or no exposure_us"),
         ("controls = { white_balance_k = 4600, auto_white_balance = true }", "no white_balance_k"),
-        ("controls = { sharpness = 2 }", "unknown field `sharpness`"),
-        ("colour = true", "unknown field `colour`, expected one of `device`, `right_device`"),
-        ("format = \"rgb\"", "unknown variant `rgb`, expected one of `mjpg`, `yuyv`, `grey`, `y16`"),
+        ("controls = { sharpness = 2 }", "sharpness"),
+        ("colour = true", "colour"),
+        ("format = \"rgb\"", "\"rgb\""),
     ];
     for (settings, words) in cases {
         let named = if settings.is_empty() || settings.starts_with("device") { "" } else { device };
