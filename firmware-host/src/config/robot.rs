@@ -15,12 +15,14 @@ pub enum RobotConfig {
     Simulated,
     /// Any robot behind a TCP connection; docs/robot-bridge.md has the protocol.
     Bridge {
-        /// `host:port` of the program that drives the robot.
+        /// `host:port` of the program that drives the robot. Set it to yours.
         address: String,
-        /// How long an answer may take. Default: `500` ms.
+        /// How long an answer may take. Valid: 1 to 60000 ms. Default: `500` ms. Raise it for a slow
+        /// controller.
         #[serde(default = "timeout_ms")]
         timeout_ms: f64,
-        /// The robot stops by itself when it hears nothing for this long. Default: `1000` ms.
+        /// The robot stops by itself when it hears nothing for this long, which is not less than
+        /// `timeout_ms`. Valid: 1 to 60000 ms. Default: `1000` ms. Lower it where the robot must stop sooner.
         #[serde(default = "watchdog_ms")]
         watchdog_ms: f64,
     },

@@ -20,27 +20,31 @@ pub enum LocalizeWhen {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SenseConfig {
-    /// When the part is localized: `never` or `contact`. Default: `contact`.
+    /// When the part is localized. Default: `contact`. Change it to `never` where only contact matters.
     pub localize: LocalizeWhen,
     /// Where the part is expected in the sensor frame once it touches. Default: none, it is where the task
-    /// expects it with the fingers `grasp_width_mm` apart.
+    /// expects it with the fingers `grasp_width_mm` apart. Set it where no gripper holds the sensor.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub t_sensor_object: Option<PoseConfig>,
-    /// Opening of the gripper when it holds the part. Default: `8` mm, the diameter of the default part.
+    /// Opening of the gripper when it holds the part, within what `mount.kinematics` can have. Valid: 0 to
+    /// 1000 mm. Default: `8` mm, the diameter of the default part. Change it to your part's width.
     pub grasp_width_mm: f64,
     /// After the part was lost, or could not be localized, it is searched again this long after. A search
-    /// takes many times as long as following does. Default: `0.5` s.
+    /// takes many times as long as following does. Valid: 0 to 3600 s. Default: `0.5` s. Lower it on a fast
+    /// computer.
     pub search_pause_s: f64,
     /// Good frames in a row without contact that make the rest state. More guard better against a gel that
-    /// still moves. Default: `5`.
+    /// still moves. Valid: 1 to 10000 frames. Default: `5`. Raise it for a gel that creeps.
     pub rest_frames: u32,
     /// Markers that moved farther than this on average within these frames show that the gel is not at rest.
-    /// Default: `0.5` px.
+    /// Valid: 0.000001 to 100 px. Default: `0.5` px. Raise it where the sensor vibrates.
     pub max_rest_motion_px: f64,
     /// Salient markers from which something touches the gel. One may be noise; a sphere of 2 mm covers about
-    /// ten. Default: `3`.
+    /// ten. Valid: 1 to 100000 markers. Default: `3`. Lower it for small parts, raise it where noise passes
+    /// for contact.
     pub min_salient: u32,
-    /// Without a good frame for so long, sensing counts as unhealthy. Default: `5` s.
+    /// Without a good frame for so long, sensing counts as unhealthy. Valid: 0.001 to 3600 s. Default: `5` s.
+    /// Change it to what your cell can wait for.
     pub max_silence_s: f64,
     /// ROS 2 over zenoh, for `--publish zenoh`.
     pub zenoh: ZenohConfig,
@@ -81,18 +85,21 @@ pub enum TypeHash {
 #[serde(default, deny_unknown_fields)]
 pub struct ZenohConfig {
     /// Routers and peers to connect to; tried again until they answer. Default: `["tcp/127.0.0.1:7447"]`, a
-    /// router of `rmw_zenoh` on this computer.
+    /// router of `rmw_zenoh` on this computer. Change it to your router's address.
     pub connect: Vec<String>,
     /// Where to listen. Another address than 127.0.0.1 lets other computers in. Default:
-    /// `["tcp/127.0.0.1:0"]`, any free port.
+    /// `["tcp/127.0.0.1:0"]`, any free port. Change it only in a network that you trust.
     pub listen: Vec<String>,
-    /// Whether to look for peers on the network by multicast. Default: `false`.
+    /// Whether to look for peers on the network by multicast. Default: `false`. Set it only in a network that
+    /// you trust.
     pub multicast: bool,
-    /// `ROS_DOMAIN_ID` of the listeners. Default: `0`.
+    /// `ROS_DOMAIN_ID` of the listeners. Valid: 0 to 232. Default: `0`. Change it to that of your ROS 2
+    /// nodes.
     pub domain_id: u32,
-    /// `rihs01` or `not_supported` (ROS 2 Humble). Default: `rihs01`.
+    /// How messages' types are named. Default: `rihs01`. Change it to `not_supported` for ROS 2 Humble.
     pub type_hash: TypeHash,
-    /// Whether images are published too: 18 MB/s at 640 x 480 and 30 Hz. Default: `false`.
+    /// Whether images are published too: 18 MB/s at 640 x 480 and 30 Hz. Default: `false`. Set it where
+    /// somebody looks at them.
     pub images: bool,
 }
 
@@ -113,11 +120,14 @@ impl Default for ZenohConfig {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FoxgloveConfig {
-    /// Address to listen on. Another one than 127.0.0.1 lets other computers in. Default: `127.0.0.1`.
+    /// Address to listen on. Another one than 127.0.0.1 lets other computers in. Default: `127.0.0.1`. Change
+    /// it only in a network that you trust.
     pub host: String,
-    /// Default: `8765`. With 0 the system chooses, and the log says which.
+    /// Port to listen on. With 0 the system chooses, and the log says which. Valid: 0 to 65535. Default:
+    /// `8765`. Change it where another program has it.
     pub port: u16,
-    /// Whether images are published too; they are sent only to viewers that show them. Default: `true`.
+    /// Whether images are published too; they are sent only to viewers that show them. Default: `true`. Set
+    /// it to false on a slow network.
     pub images: bool,
 }
 
@@ -142,10 +152,10 @@ impl SenseConfig {
         TIME_S.check("sense.max_silence_s", s.max_silence_s)?;
         let motion_px = s.max_rest_motion_px;
         check(
-            motion_px > 0.0 && motion_px <= 100.0,
+            (1e-6..=100.0).contains(&motion_px),
             "sense.max_rest_motion_px",
             motion_px,
-            "above 0, to 100 px",
+            "0.000001 to 100 px",
         )?;
         let counts = [
             ("sense.rest_frames", s.rest_frames, 1..=10_000, "1 to 10000 frames"),

@@ -18,14 +18,17 @@ pub enum GripperConfig {
     Simulated,
     /// Robotiq 2F-85, 2F-140 or Hand-E over Modbus RTU.
     Robotiq {
-        /// Serial port by its path, or `tcp://host:54321` for the tool port of a UR controller.
+        /// Serial port by its path, or `tcp://host:54321` for the tool port of a UR controller. Set it to a
+        /// name below `/dev/serial/by-id`, which stays the same.
         port: String,
-        /// Sets the range of speed and, without `widths`, of the opening.
+        /// Sets the range of speed and, without `widths`, of the opening. Set it to your gripper's.
         model: RobotiqModel,
-        /// Modbus unit address. Default: `9`, as delivered.
+        /// Modbus unit address. Valid: 1 to 247. Default: `9`, as delivered. Change it if the gripper was
+        /// given another.
         #[serde(default = "robotiq_unit")]
         unit: u8,
-        /// Default: `115200`, as delivered.
+        /// Speed of the serial line. Valid: 1200 to 4000000 baud. Default: `115200`, as delivered. Change it
+        /// if the gripper was set to another.
         #[serde(default = "robotiq_baud_rate")]
         baud_rate: u32,
         /// Opening against the position register, measured. Default: a straight line of the model.
@@ -34,9 +37,9 @@ pub enum GripperConfig {
     },
     /// The same grippers through the Robotiq Gripper URCap on a UR controller.
     RobotiqUrcap {
-        /// `tcp://host:63352`.
+        /// `tcp://host:63352`. Set it to the controller's address.
         port: String,
-        /// Sets the range of speed and, without `widths`, of the opening.
+        /// Sets the range of speed and, without `widths`, of the opening. Set it to your gripper's.
         model: RobotiqModel,
         /// Opening against the position, measured. Default: a straight line of the model.
         #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -44,53 +47,60 @@ pub enum GripperConfig {
     },
     /// DH-Robotics AG-95, PGC, PGE or PGI over Modbus RTU.
     Dh {
-        /// Serial port by its path, or `tcp://host:port`.
+        /// Serial port by its path, or `tcp://host:port`. Set it to a name below `/dev/serial/by-id`, which
+        /// stays the same.
         port: String,
-        /// Modbus unit address. Default: `1`, as delivered.
+        /// Modbus unit address. Valid: 1 to 247. Default: `1`, as delivered. Change it if the gripper was
+        /// given another.
         #[serde(default = "dh_unit")]
         unit: u8,
-        /// Default: `115200`, as delivered.
+        /// Speed of the serial line. Valid: 1200 to 4000000 baud. Default: `115200`, as delivered. Change it
+        /// if the gripper was set to another.
         #[serde(default = "robotiq_baud_rate")]
         baud_rate: u32,
         /// Opening against the position, 0 to 1000. Which end is open differs between models: measure both.
         widths: WidthTable,
-        /// Slowest and fastest speed; left out for the AG-95, whose speed cannot be set.
+        /// Slowest and fastest speed, mm/s. Set it to the model's; leave it out for the AG-95, whose speed
+        /// cannot be set.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         speed_mm_s: Option<[f64; 2]>,
     },
     /// OnRobot RG2 or RG6 over Modbus TCP.
     OnRobot {
-        /// `tcp://host:502`.
+        /// `tcp://host:502`. Set it to the address of the gripper's compute box.
         port: String,
-        /// Sets the ranges of opening and force.
+        /// Sets the ranges of opening and force. Set it to your gripper's.
         model: OnRobotModel,
     },
     /// One Dynamixel X servo.
     Dynamixel {
-        /// Serial port by its path.
+        /// Serial port by its path. Set it to a name below `/dev/serial/by-id`, which stays the same.
         port: String,
-        /// Identifier. Default: `1`, as delivered.
+        /// Identifier. Valid: 0 to 252. Default: `1`, as delivered. Change it if the servo was given another.
         #[serde(default = "servo_id")]
         id: u8,
-        /// Default: `1000000`.
+        /// Speed of the serial line. Valid: 1200 to 4000000 baud. Default: `1000000`. Change it to what the
+        /// servo was set to.
         #[serde(default = "servo_baud_rate")]
         baud_rate: u32,
-        /// Opening against the position, measured.
+        /// Opening against the position, measured. Set it always: it is the linkage's.
         widths: WidthTable,
-        /// Largest goal current in the servo's own units; see its data sheet.
+        /// Largest goal current in the servo's own units; see its data sheet. Set it to what the fingers and
+        /// the part bear.
         max_current: u16,
     },
     /// One Feetech STS servo.
     Feetech {
-        /// Serial port by its path.
+        /// Serial port by its path. Set it to a name below `/dev/serial/by-id`, which stays the same.
         port: String,
-        /// Identifier. Default: `1`, as delivered.
+        /// Identifier. Valid: 0 to 252. Default: `1`, as delivered. Change it if the servo was given another.
         #[serde(default = "servo_id")]
         id: u8,
-        /// Default: `1000000`.
+        /// Speed of the serial line. Valid: 1200 to 4000000 baud. Default: `1000000`. Change it to what the
+        /// servo was set to.
         #[serde(default = "servo_baud_rate")]
         baud_rate: u32,
-        /// Opening against the position, measured.
+        /// Opening against the position, measured. Set it always: it is the linkage's.
         widths: WidthTable,
     },
 }

@@ -18,9 +18,9 @@ pub struct WidthTable {
 #[derive(Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct WidthTableFields {
-    /// Pairs of count and width in millimetres, in the order of the counts.
+    /// Pairs of count and width in millimetres, in the order of the counts. Set it to what gauge blocks show.
     points: Vec<[f64; 2]>,
-    /// How far the true width may be from the table's.
+    /// How far the true width may be from the table's, mm. Set it to the uncertainty of the measurement.
     max_error_mm: f64,
 }
 

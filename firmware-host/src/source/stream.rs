@@ -33,21 +33,26 @@ pub enum StreamMode {
 #[serde(default, deny_unknown_fields)]
 pub struct StreamConfig {
     /// A FIFO or a file, or `-` for standard input. A FIFO is opened again when its producer has gone.
-    /// Default: `-`.
+    /// Default: `-`. Set it to your FIFO.
     pub path: PathBuf,
-    /// `latest` for a camera, `every` for a file or a pipe that can wait. Default: `latest`.
+    /// Which frames are handed over: `latest` for a camera, `every` for a file or a pipe that can wait.
+    /// Default: `latest`. Change it to `every` where no frame may be passed over.
     pub mode: StreamMode,
     /// Width and height in pixels of frames without headers, both views together: grey bytes and nothing
-    /// else. Default: none, the frames have headers.
+    /// else. Valid: 1 to 16384 px, an even width. Default: none, the frames have headers. Set it for
+    /// producers that write plain pixels.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub raw_size_px: Option<[u32; 2]>,
     /// Where both views stand in frames without headers; a header says it itself. Default: `side_by_side`.
+    /// Change it to your camera's.
     pub layout: StereoLayout,
     /// Rate of frames without headers and of frames whose header has no time, for their times: frame i is at
-    /// i / rate. Default: none, the moment of arrival is a frame's time.
+    /// i / rate. Valid: 0.1 to 1000 Hz. Default: none, the moment of arrival is a frame's time. Set it where
+    /// frames come at another pace than they were taken.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frame_rate_hz: Option<f64>,
-    /// A producer that sends nothing for so long is reported as stalled. Default: `2000` ms.
+    /// A producer that sends nothing for so long is reported as stalled. Valid: 10 to 3600000 ms. Default:
+    /// `2000` ms. Raise it for producers that pause.
     pub stall_timeout_ms: u64,
 }
 

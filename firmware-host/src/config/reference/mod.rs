@@ -98,7 +98,9 @@ fn settings_of(root: &str) -> Vec<SettingDoc> {
                 .of()
                 .filter(|of| of.is_choice())
                 .map_or(Vec::new(), |of| of.variants.iter().map(|v| (v.name, words::plain(v.doc))).collect());
-            if let Some(table) = field.table() {
+            // Several kinds of a table may have the same table within.
+            let is_new = !found.iter().any(|known: &SettingDoc| known.path == setting.path);
+            if let Some(table) = field.table().filter(|_| is_new) {
                 tables.push_back((format!("{}.", setting.path), Some(table)));
             }
             found.push(setting);

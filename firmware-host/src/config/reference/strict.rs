@@ -186,7 +186,14 @@ fn suggest(path: &str, known: &[String]) -> Vec<String> {
         near.then_some((distance, elsewhere, std::cmp::Reverse(shared)))
     };
     let Some(least) = known.iter().filter_map(cost).min() else { return Vec::new() };
-    known.iter().filter(|candidate| cost(candidate) == Some(least)).take(MAX_SUGGESTIONS).cloned().collect()
+    let mut near: Vec<String> = Vec::new();
+    for candidate in known.iter().filter(|candidate| cost(candidate) == Some(least)) {
+        // Several kinds of a table may have the key.
+        if !near.contains(candidate) && near.len() < MAX_SUGGESTIONS {
+            near.push(candidate.clone());
+        }
+    }
+    near
 }
 
 /// More do not help.
