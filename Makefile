@@ -50,6 +50,7 @@ test-long: prerequisites $(BIN)/python
 	$(BIN)/pip install --quiet '.[test]'
 	cargo build --release --quiet -p gelstereo-host
 	GELSTEREO_LONG=1 cargo test --release --quiet -p gelstereo-host
+	@tests/vm/setup.sh
 	GELSTEREO_HOST=$(HOST) $(BIN)/pytest -m long
 	@echo "all long tests passed"
 

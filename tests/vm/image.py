@@ -63,6 +63,8 @@ def build(cache: Path) -> Image:
     """The image for the kernel that apt offers, from the cache where it is there already."""
     require_tools()
     cache.mkdir(parents=True, exist_ok=True)
+    # Names of modules come back without symbolic links.
+    cache = cache.resolve()
     package = kernel_package()
     recipe = b"".join((HERE / name).read_bytes() for name in ("image.py", "init"))
     image = cache / f"{package}-{hashlib.sha256(recipe).hexdigest()[:12]}"
