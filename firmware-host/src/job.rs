@@ -169,6 +169,7 @@ impl<'a> Job<'a> {
             truth: None,
             digest: format!("{:016x}", self.digest.value()),
             recording,
+            light_fault: None,
         })
     }
 

@@ -202,4 +202,7 @@ pub struct JobReport {
     pub digest: String,
     /// The recording, and whether it ended early.
     pub recording: Option<RecordingReport>,
+    /// Why the light could not be switched off at the end, if it could not.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub light_fault: Option<String>,
 }

@@ -1,7 +1,7 @@
 //! From a configuration to a job: devices, template, recording, and in simulation the truth.
 
-use crate::config::{Config, ConfigError, SourceConfig};
-use crate::gripper::{Gripper, GripperError};
+use crate::config::{Config, ConfigError, RobotConfig, SourceConfig};
+use crate::gripper::{Gripper, GripperConfig, GripperError};
 use crate::hid::HidError;
 use crate::job::{Devices, Job, JobError};
 use crate::light::{LightOn, set_up_camera};
@@ -90,6 +90,16 @@ pub struct Setup {
 }
 
 impl Setup {
+    /// As [`Self::new`], for sensing alone: neither the gripper nor the robot is opened.
+    ///
+    /// # Errors
+    /// [`HostError`].
+    pub fn without_robot(config: &Config) -> Result<Self, HostError> {
+        config.validate()?;
+        let (gripper, robot) = (GripperConfig::Simulated, RobotConfig::Simulated);
+        Self::new(&Config { gripper, robot, ..config.clone() })
+    }
+
     /// Opens and builds everything that the configuration names, but not the recording.
     ///
     /// # Errors
@@ -166,8 +176,9 @@ pub fn run(
         attachments: setup.part.file.clone().into_iter().collect(),
     };
     let recording = Recording::create(&config.recording, content, log_clock(&config.source))?;
-    let report = run_with(config, setup, Some(recording), stop, progress)?;
-    light.off()?;
+    let mut report = run_with(config, setup, Some(recording), stop, progress)?;
+    // The job is done: a light that stays on must not hide what came of it.
+    report.light_fault = light.off().err().map(|error| error.to_string());
     Ok(report)
 }
 

@@ -51,6 +51,10 @@ pub fn command(Arguments { config, record, seed, json }: Arguments) -> Result<bo
     } else {
         print_summary(&report)?;
     }
+    if let Some(reason) = &report.light_fault {
+        // When stderr is gone too, the report as JSON still has it.
+        let _ = writeln!(std::io::stderr(), "gelstereo-host: the light was not switched off: {reason}");
+    }
     if let Some(reason) = report.recording.and_then(|recording| recording.fault) {
         return Err(CliError::Recording(reason));
     }

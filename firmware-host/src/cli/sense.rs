@@ -3,6 +3,7 @@
 use super::{CliError, load, stop_on_signal};
 use clap::{Args, ValueEnum};
 use gelstereo_host::config::{Config, SourceConfig};
+use gelstereo_host::light::{LightOn, set_up_camera};
 use gelstereo_host::publish::Protocol;
 use gelstereo_host::run::Setup;
 use gelstereo_host::sense::supervisor::Supervisor;
@@ -78,7 +79,9 @@ pub fn command(arguments: &Arguments) -> Result<bool, CliError> {
     let stopped = Arc::clone(&control);
     stop_on_signal(move || stopped.stop.store(true, std::sync::atomic::Ordering::Relaxed))?;
     relearn_on_signal(&control)?;
-    let setup = Setup::new(&config)?;
+    set_up_camera(&config.camera_hid)?;
+    let light = LightOn::new(&config.light)?;
+    let setup = Setup::without_robot(&config)?;
     let listeners = Listeners {
         recording: arguments.record.clone(),
         protocols: arguments.publish.iter().map(|by| by.protocol()).collect(),
@@ -96,7 +99,9 @@ pub fn command(arguments: &Arguments) -> Result<bool, CliError> {
     };
     let mut say = |report: &Report| arguments.log.say(report);
     let ended = Sense::new(parts, &control, &mut say).and_then(Sense::run).map_err(CliError::Sense)?;
-    Ok(tell_files(arguments.log, &ended))
+    let complete = tell_files(arguments.log, &ended);
+    light.off()?;
+    Ok(complete)
 }
 
 fn configuration(arguments: &Arguments) -> Result<Config, CliError> {
