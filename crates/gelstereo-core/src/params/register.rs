@@ -96,7 +96,7 @@ pub struct RegisterParams {
     /// The same of the guess's place. Valid: 0.000001 to 10000 mm. Default: `2` mm. Change it to how well the
     /// part's place is known.
     pub start_sigma_mm: f64,
-    /// What the mesh may be wrong by, added to every point's noise. Valid: 0.000001 to 10000 mm. Default:
+    /// What the mesh may be wrong by, added to every point's noise. Valid: 0.000000001 to 10000 mm. Default:
     /// `0.003` mm. Raise it to the tolerance of the part's manufacture.
     pub surface_sigma_mm: f64,
     /// How large gel, markers and presses are, over those that the surface rungs' own lengths are for:
@@ -170,7 +170,9 @@ impl RegisterParams {
         let turn = r.start_sigma_deg;
         check((1e-6..=180.0).contains(&turn), "register.start_sigma_deg", turn, "0.000001 to 180 degrees")?;
         length("register.start_sigma_mm", r.start_sigma_mm)?;
-        length("register.surface_sigma_mm", r.surface_sigma_mm)?;
+        // Far below any noise: a mesh without an error of its own.
+        let (sigma_mm, valid) = (r.surface_sigma_mm, "0.000000001 to 10000 mm");
+        check((1e-9..=1e4).contains(&sigma_mm), "register.surface_sigma_mm", sigma_mm, valid)?;
         count("register.budget", r.budget, 100_000_000, "1 to 100000000")
     }
 }
