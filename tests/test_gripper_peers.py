@@ -32,7 +32,8 @@ class Server:
         command = [sys.executable, str(PEERS / script), *arguments]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         self._queue: queue.Queue[str] = queue.Queue()
-        threading.Thread(target=self._read, daemon=True).start()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
         assert self._queue.get(timeout=30) == "ready"
 
     def _read(self) -> None:
@@ -49,6 +50,9 @@ class Server:
     def close(self) -> None:
         self.process.kill()
         self.process.wait()
+        self._reader.join(timeout=10)
+        assert self.process.stdout is not None
+        self.process.stdout.close()
 
 
 @contextmanager
@@ -171,6 +175,8 @@ def test_a_servo_gripper_moves_and_holds(tmp_path: Path, kind: str) -> None:
         assert abs(float(moved["width_mm"]) - 15) < 0.1 and moved["object_detected"] == "true"
         stopped = state(gripper(tmp_path, wire.host_port, "stop", kind=kind))
         assert abs(float(stopped["width_mm"]) - 15) < 0.1
+        other = controller(wire.host_port, 1_000_000, 0.5)
+        assert other.read_raw_goal_position(1) == [1000], "a goal at the present position would let go"
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 //! A gripper of one Dynamixel X servo (XL330, XC330, XM430 ...), protocol 2.0, in current-based position control.
 
 use super::line::Line;
+use super::servo;
 use super::{Gripper, GripperError, GripperStatus, WidthTable, check_speed, share};
 use crate::codec::dynamixel::{Instruction, Status, StatusReader};
 use std::time::{Duration, Instant};
@@ -22,9 +23,8 @@ const CURRENT_BASED_POSITION: u8 = 5;
 /// Unit of `PROFILE_VELOCITY`, turns a minute.
 const VELOCITY_UNIT_RPM: f64 = 0.229;
 const COUNTS_PER_TURN: f64 = 4096.0;
-/// A goal that is missed by more counts than this was stopped by something: 2 degrees, the play of a geared finger.
-const MISSED_COUNTS: i32 = 23;
-const ATTEMPTS: u32 = 3;
+/// 92 turns a minute. A servo that cannot reach its goal velocity takes it as its fastest.
+const MAX_VELOCITY_UNITS: f64 = 400.0;
 
 /// A driver of one servo.
 pub struct DynamixelGripper {
@@ -44,12 +44,12 @@ impl DynamixelGripper {
     pub fn new(line: Box<dyn Line>, id: u8, timeout: Duration, widths: WidthTable, max_current: u16) -> Self {
         let count_mm = mm_per_count(&widths);
         let slowest = VELOCITY_UNIT_RPM / 60.0 * COUNTS_PER_TURN * count_mm;
-        // Velocities beyond 32767 units are not valid; no servo turns so fast.
-        Self { line, id, timeout, widths, max_current, speed_mm_s: (slowest, slowest * 400.0), goal: None }
+        let speed_mm_s = (slowest, slowest * MAX_VELOCITY_UNITS);
+        Self { line, id, timeout, widths, max_current, speed_mm_s, goal: None }
     }
 
     fn ask(&mut self, instruction: Instruction<'_>) -> Result<Status, GripperError> {
-        for _ in 0..ATTEMPTS {
+        for _ in 0..servo::ATTEMPTS {
             self.line.discard_input()?;
             self.line.send(&instruction.encode(self.id))?;
             let deadline = Instant::now() + self.timeout;
@@ -67,7 +67,7 @@ impl DynamixelGripper {
                 }
             }
         }
-        let waited_ms = (self.timeout * ATTEMPTS).as_millis() as u64;
+        let waited_ms = (self.timeout * servo::ATTEMPTS).as_millis() as u64;
         Err(GripperError::Silent { port: self.line.name().to_owned(), waited_ms })
     }
 
@@ -136,21 +136,19 @@ impl Gripper for DynamixelGripper {
         Ok(())
     }
 
-    /// The goal becomes the present position: torque stays on, so that what is held stays held.
+    /// Fingers that move get their present position as goal. Fingers that stand keep their goal: the way that is missing
+    /// to it is what grips.
     fn stop(&mut self) -> Result<(), GripperError> {
-        let (_, position) = self.state()?;
-        self.write(address::GOAL_POSITION, &position.to_le_bytes())?;
-        self.goal = Some(position);
+        let (moving, position) = self.state()?;
+        if moving {
+            self.write(address::GOAL_POSITION, &position.to_le_bytes())?;
+            self.goal = Some(position);
+        }
         Ok(())
     }
 
     fn status(&mut self) -> Result<GripperStatus, GripperError> {
         let (moving, position) = self.state()?;
-        let missed = self.goal.is_some_and(|goal| (goal - position).abs() > MISSED_COUNTS);
-        Ok(GripperStatus {
-            width_mm: self.widths.width_mm(position.into()),
-            moving,
-            object_detected: !moving && missed,
-        })
+        Ok(servo::status(&self.widths, self.goal, moving, position))
     }
 }

@@ -1,6 +1,7 @@
 //! A gripper of one Feetech STS servo (STS3215 and relatives), as low-cost arms have it.
 
 use super::line::Line;
+use super::servo;
 use super::{Gripper, GripperError, GripperStatus, WidthTable, check_speed, share};
 use crate::codec::feetech::{FeetechError, Instruction, Status, StatusReader, signed};
 use std::time::{Duration, Instant};
@@ -20,11 +21,8 @@ const MOVING: usize = 10;
 const TORQUE_STEPS: f64 = 1000.0;
 /// The fastest STS3215 turns at about 3400 counts a second without load; faster goals are taken as the fastest.
 const MAX_COUNTS_PER_S: f64 = 3400.0;
-/// A goal that is missed by more counts than this was stopped by something: 2 degrees, the play of a geared finger.
-const MISSED_COUNTS: i32 = 23;
 /// Positions and speeds have their sign in bit 15.
 const SIGN_BIT: u32 = 15;
-const ATTEMPTS: u32 = 3;
 
 /// A driver of one servo.
 pub struct FeetechGripper {
@@ -45,7 +43,7 @@ impl FeetechGripper {
     fn ask(&mut self, instruction: Instruction<'_>) -> Result<Status, GripperError> {
         let device = |error: FeetechError| GripperError::Device { message: error.to_string() };
         let packet = instruction.encode(self.id).map_err(device)?;
-        for _ in 0..ATTEMPTS {
+        for _ in 0..servo::ATTEMPTS {
             self.line.discard_input()?;
             self.line.send(&packet)?;
             let deadline = Instant::now() + self.timeout;
@@ -60,7 +58,7 @@ impl FeetechGripper {
                 }
             }
         }
-        let waited_ms = (self.timeout * ATTEMPTS).as_millis() as u64;
+        let waited_ms = (self.timeout * servo::ATTEMPTS).as_millis() as u64;
         Err(GripperError::Silent { port: self.line.name().to_owned(), waited_ms })
     }
 
@@ -77,10 +75,11 @@ impl FeetechGripper {
         Ok((data[MOVING] != 0, signed(u16::from_le_bytes([data[0], data[1]]), SIGN_BIT)))
     }
 
-    fn go(&mut self, goal: i32, counts_per_s: u16, torque: u16) -> Result<(), GripperError> {
+    /// Writes the position and what follows it in the memory table.
+    fn go(&mut self, goal: i32, rest: &[u16]) -> Result<(), GripperError> {
         let position = (goal.unsigned_abs() as u16 & 0x7FFF) | u16::from(goal < 0) << SIGN_BIT;
-        // A time of 0 leaves the speed in charge.
-        let goals = [position, 0, counts_per_s, torque].map(u16::to_le_bytes).concat();
+        let goals: Vec<u8> =
+            std::iter::once(position).chain(rest.iter().copied()).flat_map(u16::to_le_bytes).collect();
         self.write(address::GOAL, &goals)?;
         self.goal = Some(goal);
         Ok(())
@@ -118,22 +117,19 @@ impl Gripper for FeetechGripper {
         let range = (1.0 / counts_per_mm, MAX_COUNTS_PER_S / counts_per_mm);
         let counts_per_s = check_speed(speed_mm_s, range)? * counts_per_mm;
         let torque = share(force, TORQUE_STEPS)? as u16;
-        self.go(count.round() as i32, counts_per_s.round().max(1.0) as u16, torque)
+        // A time of 0 leaves the speed in charge.
+        self.go(count.round() as i32, &[0, counts_per_s.round().max(1.0) as u16, torque])
     }
 
-    /// The goal becomes the present position: torque stays on, so that what is held stays held.
+    /// Fingers that move get their present position as goal, with the torque limit as it was. Fingers that stand keep
+    /// their goal: the way that is missing to it is what grips.
     fn stop(&mut self) -> Result<(), GripperError> {
-        let (_, position) = self.state()?;
-        self.go(position, 0, TORQUE_STEPS as u16)
+        let (moving, position) = self.state()?;
+        if moving { self.go(position, &[]) } else { Ok(()) }
     }
 
     fn status(&mut self) -> Result<GripperStatus, GripperError> {
         let (moving, position) = self.state()?;
-        let missed = self.goal.is_some_and(|goal| (goal - position).abs() > MISSED_COUNTS);
-        Ok(GripperStatus {
-            width_mm: self.widths.width_mm(position.into()),
-            moving,
-            object_detected: !moving && missed,
-        })
+        Ok(servo::status(&self.widths, self.goal, moving, position))
     }
 }

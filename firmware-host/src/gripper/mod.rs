@@ -11,6 +11,7 @@ mod modbus;
 mod onrobot;
 mod robotiq;
 mod robotiq_urcap;
+mod servo;
 mod width;
 
 pub use config::{GripperConfig, OnRobotModel, RobotiqModel};
