@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 OUT ?= out
-HOST := target/release/gelstereo-host
+HOST := $(CURDIR)/target/release/gelstereo-host
 
 .PHONY: demo test test-rust test-python test-long explore fuzz frontier clean prerequisites
 
