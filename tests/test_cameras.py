@@ -152,7 +152,10 @@ def test_frames_that_do_not_fit_say_so() -> None:
         ({"size_px": (1279, 480)}, "even width"),
         ({"layout": "above"}, "unknown variant `above`, expected one of `side_by_side`"),
         ({"right_device": "/dev/video0"}, "right_device is /dev/video0; valid is another device"),
-        ({"right_device": "/dev/video9", "max_skew_ms": 20.0}, "max_skew_ms is 20; valid is at most half a frame's period"),
+        (
+            {"right_device": "/dev/video9", "max_skew_ms": 20.0},
+            "max_skew_ms is 20; valid is at most half a frame's period",
+        ),
         ({"buffers": 1}, "buffers is 1; valid is 2 to 32 frames"),
         ({"queue_frames": 0}, "queue_frames is 0"),
         ({"stall_timeout_ms": 20}, "at least two frames' periods"),
