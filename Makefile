@@ -62,6 +62,7 @@ test-long: prerequisites $(BIN)/python
 	GELSTEREO_LONG_FRAMES=30000 cargo test --quiet -p gelstereo-host --test long_run
 	cargo test --quiet -p gelstereo-host --test reference -- --ignored
 	$(BIN)/pytest -m long
+	fuzz/run.sh 20
 	@echo "all long tests passed"
 
 # Cases that no run has tried yet, of every property test in Rust.
@@ -69,7 +70,7 @@ explore: prerequisites
 	cargo test --workspace --quiet
 
 # So many seconds for each target; a find ends it.
-FUZZ_SECONDS ?= 10
+FUZZ_SECONDS ?= 4
 fuzz: prerequisites
 	cargo fmt --manifest-path fuzz/Cargo.toml --check
 	fuzz/run.sh $(FUZZ_SECONDS)
