@@ -4,7 +4,7 @@ use crate::config::Config;
 use crate::gripper::{Gripper, GripperError};
 use crate::notes::{action_note, frame_note};
 use crate::recording::{MessageSink, Recording, Topic, messages};
-use crate::report::{Figure, JobReport, Localized, Outcome, Stage, StageReport};
+use crate::report::{Figure, JobReport, Localized, Outcome, Stage, StageReport, Trace};
 use crate::robot::{Robot, RobotError};
 use crate::sensing::{self, Action, Sensing, SensingError};
 use crate::source::{FrameSource, Next, SourceError, StereoPair};
@@ -100,6 +100,7 @@ pub struct Job<'a> {
     devices: Devices,
     sensing: Sensing,
     recording: Option<Recording>,
+    trace: &'a mut Trace,
     stop: &'a AtomicBool,
     progress: &'a mut dyn FnMut(&StageReport),
     pair: StereoPair,
@@ -115,12 +116,14 @@ pub struct Job<'a> {
 }
 
 impl<'a> Job<'a> {
-    /// Ready to run; `stop` is looked at once per frame, `progress` hears of every stage that is over.
+    /// Ready to run; `stop` is looked at once per frame, `progress` hears of every stage that is over, `trace`
+    /// collects what the run's page shows.
     pub fn new(
         config: &'a Config,
         devices: Devices,
         sensing: Sensing,
         recording: Option<Recording>,
+        trace: &'a mut Trace,
         stop: &'a AtomicBool,
         progress: &'a mut dyn FnMut(&StageReport),
     ) -> Self {
@@ -129,6 +132,7 @@ impl<'a> Job<'a> {
             devices,
             sensing,
             recording,
+            trace,
             stop,
             progress,
             pair: StereoPair::default(),
@@ -154,6 +158,7 @@ impl<'a> Job<'a> {
         };
         let stopped = (self.devices.gripper.stop(), self.devices.robot.stop());
         self.trigger("end");
+        self.trace.finish(&self.pair, self.sensing.frame());
         match &result {
             Ok(outcome) => self.note(&serde_json::json!({ "stage": Stage::Done, "outcome": outcome })),
             Err(error) => self.note(&serde_json::json!({ "stage": self.stage, "error": error.to_string() })),
@@ -170,6 +175,7 @@ impl<'a> Job<'a> {
             digest: format!("{:016x}", self.digest.value()),
             recording,
             light_fault: None,
+            page: None,
         })
     }
 
@@ -433,6 +439,7 @@ impl<'a> Job<'a> {
         let robot = self.devices.robot.status()?.t_base_gripper;
         self.record(Topic::Robot, time_ns, || messages::pose(time_ns, messages::BASE_FRAME, &robot));
         let sensed = self.sensing.process(&self.pair).map(|_| ());
+        self.trace.sensed(time_ns, &sensed, self.sensing.frame());
         let note = frame_note(&sensed, &self.sensing).to_string();
         self.digest = self.digest.bytes(note.as_bytes());
         self.record(Topic::Frame, time_ns, || messages::string(&note));
@@ -446,6 +453,7 @@ impl<'a> Job<'a> {
     /// Asks something of the pipeline, and records that it was asked and what came of it.
     fn act(&mut self, action: &Action) -> Result<Option<Registration>, Halt> {
         let result = self.sensing.act(action);
+        self.trace.asked(action, self.sensing.frame());
         let note = action_note(self.stage, action, &result, self.sensing.standing());
         self.digest = self.digest.bytes(note.to_string().as_bytes());
         self.note(&note);
@@ -454,6 +462,7 @@ impl<'a> Job<'a> {
 
     fn begin(&mut self, stage: Stage) -> Result<(), Halt> {
         (self.stage, self.frames, self.bad_frames) = (stage, 0, 0);
+        self.trace.begin(stage, &self.pair, self.sensing.frame());
         self.begun = Instant::now();
         // Before the first pair the source's clock is unknown: it may count from its start or from the epoch.
         self.begun_ns = self.begun_ns.map(|_| self.pair.time_ns);
@@ -471,6 +480,7 @@ impl<'a> Job<'a> {
             figures,
         };
         (self.progress)(&report);
+        self.trace.end(&report);
         self.stages.push(report);
     }
 
@@ -480,6 +490,7 @@ impl<'a> Job<'a> {
     }
 
     fn trigger(&mut self, cause: &str) {
+        self.trace.trigger(self.pair.time_ns, cause);
         if let Some(recording) = &mut self.recording {
             recording.trigger(self.pair.time_ns, cause);
         }

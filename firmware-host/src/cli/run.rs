@@ -55,6 +55,9 @@ pub fn command(Arguments { config, record, seed, json }: Arguments) -> Result<bo
         // When stderr is gone too, the report as JSON still has it.
         let _ = writeln!(std::io::stderr(), "gelstereo-host: the light was not switched off: {reason}");
     }
+    if let Some(reason) = report.page.as_ref().and_then(|page| page.fault.as_ref()) {
+        let _ = writeln!(std::io::stderr(), "gelstereo-host: the run has no page: {reason}");
+    }
     if let Some(reason) = report.recording.and_then(|recording| recording.fault) {
         return Err(CliError::Recording(reason));
     }
@@ -105,6 +108,9 @@ fn print_summary(report: &JobReport) -> Result<(), CliError> {
                 recording.lost_messages
             ))?;
         }
+    }
+    if let Some(page) = report.page.as_ref().filter(|page| page.fault.is_none()) {
+        say(format_args!("  report: {}", page.path.display()))?;
     }
     Ok(())
 }
