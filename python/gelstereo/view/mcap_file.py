@@ -71,10 +71,10 @@ def end_at_damage(path: Path, error: Exception, any_frame: bool) -> None:
 
     Raises
     ------
-    Error
-        `error` itself if it is one of ours; `RecordingError` if no frame came before it.
+    Error, OSError
+        `error` itself if it is one of ours or of the system; `RecordingError` if no frame came before it.
     """
-    if isinstance(error, Error):
+    if isinstance(error, (Error, OSError)):
         raise error
     if not any_frame:
         reason = str(error) or "it ends before the first frame"
