@@ -98,6 +98,19 @@ def test_a_recording_that_was_cut_off_has_the_steps_before_the_cut(
         assert found[-1].outcome == ""
 
 
+def test_without_a_task_each_frame_has_the_pose_of_its_own_time(tmp_path: Path) -> None:
+    from mcap.reader import make_reader
+
+    path = tmp_path / "sense.mcap"
+    command = [host_binary(), "sense", "--frames", "60", "--record", str(path)]
+    subprocess.run(command, capture_output=True, text=True, check=True)
+    with path.open("rb") as stream:
+        posed = {m.publish_time for _, _, m in make_reader(stream).iter_messages(topics=["/gelstereo/pose"])}
+    found = list(Steps(path, 1))
+    assert len(found) == 60 and 0 < len(posed) < 60
+    assert {step.time_ns for step in found if step.t_sensor_object is not None} == posed
+
+
 def test_what_has_no_steps_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "text.mcap").write_text("no recording")
     with pytest.raises(RecordingError, match="is no MCAP file"):

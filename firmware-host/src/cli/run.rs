@@ -2,8 +2,9 @@
 
 use super::{CliError, load, say, stop_flag};
 use clap::Args;
-use gelstereo_host::report::{JobReport, Outcome, StageReport};
-use gelstereo_host::run;
+use gelstereo_host::config::RecordingConfig;
+use gelstereo_host::report::{JobReport, Outcome, StageReport, page_path};
+use gelstereo_host::run::{self, HostError};
 use indicatif::ProgressBar;
 use std::io::Write;
 use std::path::PathBuf;
@@ -44,6 +45,9 @@ pub fn command(Arguments { config, record, seed, json }: Arguments) -> Result<bo
     };
     let report = run::run(&config, &stop, &mut progress);
     bar.finish_and_clear();
+    if matches!(report, Err(HostError::Task(_))) {
+        name_page(&config.recording);
+    }
     let report = report?;
     said.map_err(CliError::Output)?;
     if json {
@@ -62,6 +66,15 @@ pub fn command(Arguments { config, record, seed, json }: Arguments) -> Result<bo
         return Err(CliError::Recording(reason));
     }
     Ok(matches!(report.outcome, Outcome::Inserted { .. }))
+}
+
+/// Says where the page of a run that broke off stands. A page that could not be written leaves no file.
+fn name_page(recording: &RecordingConfig) {
+    let path = page_path(&recording.path);
+    if recording.report && path.is_file() {
+        // When stderr is gone too, the error that follows is lost as well.
+        let _ = writeln!(std::io::stderr(), "gelstereo-host: report: {}", path.display());
+    }
 }
 
 fn stage_line(report: &StageReport) -> String {

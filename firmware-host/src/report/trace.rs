@@ -22,15 +22,9 @@ pub struct Trace {
     reference_px: Vec<DVec2>,
     /// The next frame is the reference.
     awaits_reference: bool,
-    last: Option<LastSensed>,
-}
-
-/// The last pair that was handed to the pipeline.
-#[derive(Clone, Debug)]
-struct LastSensed {
+    /// The last image, whose buffer is used again from frame to frame.
+    last: Picture,
     time_ns: u64,
-    /// Why it could not be sensed, if it could not.
-    fault: Option<String>,
 }
 
 /// A stage that was begun.
@@ -48,15 +42,16 @@ pub(super) struct TracedStage {
 }
 
 /// The last left image of a stage, and what was sensed in it.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Picture {
     pub(super) left: Gray,
     pub(super) sensed: Sensed,
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) enum Sensed {
     /// The stage does not sense its frames.
+    #[default]
     Nothing,
     Markers(Markers),
     /// Why the frame could not be sensed.
@@ -129,13 +124,12 @@ fn larger(a: Sample, b: Sample) -> Sample {
 }
 
 impl Trace {
-    /// A stage begins. The last pair and the last frame are the picture of the stage before.
-    pub fn begin(&mut self, stage: Stage, pair: &StereoPair, frame: &Frame) {
-        self.close_stage(pair, frame);
-        let begun_ns = (!pair.left.pixels.is_empty()).then_some(pair.time_ns);
+    /// A stage begins. The last image is the picture of the stage before.
+    pub fn begin(&mut self, stage: Stage) {
+        self.finish();
         self.stages.push(TracedStage {
             stage,
-            begun_ns,
+            begun_ns: self.last_time_ns(),
             ended_ns: None,
             frames: 0,
             bad_frames: 0,
@@ -144,21 +138,31 @@ impl Trace {
         });
     }
 
-    /// The pipeline did this with a frame.
-    pub fn sensed(&mut self, time_ns: u64, result: &Result<(), SensingError>, frame: &Frame) {
+    /// A pair came that is not sensed.
+    pub fn passed(&mut self, pair: &StereoPair) {
+        self.keep(pair);
+        self.last.sensed = Sensed::Nothing;
+    }
+
+    /// The pipeline did this with a pair; `frame` is its last good frame.
+    pub fn sensed(&mut self, pair: &StereoPair, result: &Result<(), SensingError>, frame: &Frame) {
+        self.keep(pair);
         if result.is_ok() && std::mem::take(&mut self.awaits_reference) {
             self.reference_px.clone_from(&frame.left_px);
         }
         let motion_px = result.is_ok().then_some(frame.motion_px);
-        self.motion.push(Sample { time_ns, motion_px });
+        self.motion.push(Sample { time_ns: pair.time_ns, motion_px });
         if let Some(stage) = self.stages.last_mut() {
             stage.frames += 1;
             stage.bad_frames += u64::from(result.is_err());
         }
-        self.last = Some(LastSensed { time_ns, fault: result.as_ref().err().map(ToString::to_string) });
+        self.last.sensed = match result {
+            Ok(()) => Sensed::Markers(self.markers(frame)),
+            Err(error) => Sensed::Bad(error.to_string()),
+        };
     }
 
-    /// The pipeline was asked for this.
+    /// The pipeline was asked for this; `frame` is its last good frame.
     pub fn asked(&mut self, action: &Action, frame: &Frame) {
         match action {
             Action::Reset => self.awaits_reference = true,
@@ -167,9 +171,9 @@ impl Trace {
         }
     }
 
-    /// A trigger acted.
-    pub fn trigger(&mut self, time_ns: u64, cause: &str) {
-        self.triggers.push(Trigger { time_ns, cause: cause.to_owned() });
+    /// A trigger acted, or the run ends.
+    pub fn trigger(&mut self, cause: &str) {
+        self.triggers.push(Trigger { time_ns: self.time_ns, cause: cause.to_owned() });
     }
 
     /// The stage came to its end.
@@ -179,42 +183,42 @@ impl Trace {
         }
     }
 
-    /// The job is over.
-    pub fn finish(&mut self, pair: &StereoPair, frame: &Frame) {
-        self.close_stage(pair, frame);
-    }
-
-    fn close_stage(&mut self, pair: &StereoPair, frame: &Frame) {
+    /// The run is over, or a stage: the last image is its picture.
+    pub fn finish(&mut self) {
+        let ended_ns = self.last_time_ns();
         let pictures = self.stages.iter().filter(|stage| stage.picture.is_some()).count();
-        let picture = (!pair.left.pixels.is_empty()).then(|| self.picture(pair, frame));
-        let Some(stage) = self.stages.last_mut() else { return };
-        stage.ended_ns = picture.is_some().then_some(pair.time_ns);
-        stage.picture = picture;
+        let Some((stage, before)) = self.stages.split_last_mut() else { return };
+        stage.ended_ns = ended_ns;
+        stage.picture = ended_ns.map(|_| self.last.clone());
         // The first stages and the last one say most.
-        if pictures >= MAX_PICTURES {
-            let last = self.stages.len() - 1;
-            if let Some(older) = self.stages[..last].iter_mut().rev().find(|stage| stage.picture.is_some()) {
-                older.picture = None;
-            }
+        if pictures >= MAX_PICTURES
+            && let Some(older) = before.iter_mut().rev().find(|stage| stage.picture.is_some())
+        {
+            older.picture = None;
         }
     }
 
-    fn picture(&self, pair: &StereoPair, frame: &Frame) -> Picture {
-        let last = self.last.as_ref().filter(|last| last.time_ns == pair.time_ns);
-        let sensed = match last.map(|last| &last.fault) {
-            None => Sensed::Nothing,
-            Some(Some(fault)) => Sensed::Bad(fault.clone()),
-            Some(None) => Sensed::Markers(Markers {
-                rows: frame.rows,
-                cols: frame.cols,
-                now_px: frame.left_px.clone(),
-                reference_px: self.reference_px.clone(),
-                state: frame.state.clone(),
-                salient: frame.salient.clone(),
-                motion_px: frame.motion_px,
-            }),
-        };
-        Picture { left: pair.left.clone(), sensed }
+    fn keep(&mut self, pair: &StereoPair) {
+        self.time_ns = pair.time_ns;
+        (self.last.left.width, self.last.left.height) = (pair.left.width, pair.left.height);
+        self.last.left.pixels.clone_from(&pair.left.pixels);
+    }
+
+    /// Time of the last pair, if there was one.
+    fn last_time_ns(&self) -> Option<u64> {
+        (!self.last.left.pixels.is_empty()).then_some(self.time_ns)
+    }
+
+    fn markers(&self, frame: &Frame) -> Markers {
+        Markers {
+            rows: frame.rows,
+            cols: frame.cols,
+            now_px: frame.left_px.clone(),
+            reference_px: self.reference_px.clone(),
+            state: frame.state.clone(),
+            salient: frame.salient.clone(),
+            motion_px: frame.motion_px,
+        }
     }
 
     pub(super) fn stages(&self) -> &[TracedStage] {
@@ -228,5 +232,41 @@ impl Trace {
     /// Motion over time, in order.
     pub(super) fn motion(&self) -> impl Iterator<Item = Sample> + '_ {
         self.motion.samples.iter().copied().chain(self.motion.pending)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// However long a run is: few samples, in order of time, and the largest motion among them.
+        #[test]
+        fn a_curve_is_bounded_and_keeps_its_peak(count in 1_u64..40_000, peak in 0_u64..40_000) {
+            let mut curve = MotionCurve::default();
+            for i in 0..count {
+                let motion_px = if i == peak % count { 9.0 } else { (i % 7) as f64 };
+                curve.push(Sample { time_ns: i, motion_px: (i % 5 != 4 || motion_px > 8.0).then_some(motion_px) });
+            }
+            let samples: Vec<Sample> = curve.samples.iter().copied().chain(curve.pending).collect();
+            prop_assert!(samples.len() <= MAX_SAMPLES && samples.len() as u64 >= count.min(MAX_SAMPLES as u64 / 2));
+            prop_assert!(samples.windows(2).all(|two| two[0].time_ns < two[1].time_ns));
+            prop_assert!(samples.iter().any(|s| s.motion_px == Some(9.0) && s.time_ns == peak % count));
+        }
+    }
+
+    #[test]
+    fn pictures_are_bounded_and_the_last_stage_keeps_its_own() {
+        let mut trace = Trace::default();
+        let left = Gray { width: 2, height: 1, pixels: vec![0, 1] };
+        for time_ns in 0..200 {
+            trace.begin(Stage::Close);
+            trace.passed(&StereoPair { time_ns, left: left.clone(), ..StereoPair::default() });
+        }
+        trace.finish();
+        let kept: Vec<bool> = trace.stages().iter().map(|stage| stage.picture.is_some()).collect();
+        assert_eq!(kept.iter().filter(|&&kept| kept).count(), MAX_PICTURES);
+        assert!(kept[0] && kept[199] && trace.stages().len() == 200);
     }
 }

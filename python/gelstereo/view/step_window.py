@@ -53,12 +53,13 @@ def step_through(steps: Steps) -> None:
     listed = list(steps)
     cv2.namedWindow(_NAME, cv2.WINDOW_NORMAL | cv2.WINDOW_KEEPRATIO | cv2.WINDOW_GUI_NORMAL)
     try:
+        picture = _numbered(steps, listed, 0)
+        cv2.resizeWindow(_NAME, picture.shape[1], picture.shape[0])
         number: int | None = 0
         while number is not None:
-            picture = _numbered(steps, listed, number)
-            cv2.resizeWindow(_NAME, picture.shape[1], picture.shape[0])
             cv2.imshow(_NAME, picture)
             number = _next_step(number, len(listed))
+            picture = picture if number is None else _numbered(steps, listed, number)
     finally:
         cv2.destroyAllWindows()
 

@@ -17,9 +17,8 @@ const STYLE: &str = include_str!("style.css");
 #[must_use]
 pub fn page(config: &Config, trace: &Trace, ending: Result<&JobReport, &dyn Display>) -> String {
     let sentence = sentence(ending);
-    let name = super::page_path(&config.recording.path);
-    let name = name.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
-    let title = format!("Run {name}: {}", heading(ending));
+    let name = config.recording.path.file_name().unwrap_or_default().to_string_lossy();
+    let title = format!("{name}: {}", heading(ending));
     let markup = html! {
         (DOCTYPE)
         html lang="en" {
@@ -87,19 +86,11 @@ fn sentence(ending: Result<&JobReport, &dyn Display>) -> String {
     }
 }
 
-fn heading(ending: Result<&JobReport, &dyn Display>) -> &'static str {
-    match ending {
-        Ok(report) => match report.outcome {
-            Outcome::Inserted { .. } => "inserted",
-            Outcome::Jammed { .. } => "jammed",
-            Outcome::NothingFelt { .. } => "nothing felt",
-            Outcome::NotGrasped { .. } => "not grasped",
-            Outcome::NotLocalized { .. } => "not localized",
-            Outcome::SourceEnded { .. } => "no more stereo pairs",
-            Outcome::Interrupted { .. } => "interrupted",
-        },
-        Err(_) => "broke off",
-    }
+/// The outcome's kind in words.
+fn heading(ending: Result<&JobReport, &dyn Display>) -> String {
+    let Ok(report) = ending else { return "broke off".to_owned() };
+    let outcome = serde_json::to_value(&report.outcome).unwrap_or_default();
+    outcome.get("kind").and_then(|kind| kind.as_str()).unwrap_or("ended").replace('_', " ")
 }
 
 fn class(ending: Result<&JobReport, &dyn Display>) -> &'static str {

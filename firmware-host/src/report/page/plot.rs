@@ -13,9 +13,12 @@ const BOTTOM: f64 = 44.0;
 /// Three lines of stage names.
 const TOP: f64 = 58.0;
 const NAME_LINES: usize = 3;
+const TRIGGER_LINES: usize = 3;
 const LINE_HEIGHT: f64 = 16.0;
 /// A letter of the plot's 12 px font is about this wide.
 const LETTER_WIDTH: f64 = 7.0;
+/// Narrower bands would look like lines.
+const MIN_BAND_WIDTH: f64 = 4.0;
 /// Lines of the grid, about.
 const GRID_LINES: f64 = 5.0;
 
@@ -98,9 +101,10 @@ fn bands(stages: &[TracedStage], scale: &Scale, samples: &[Sample]) -> Markup {
         })
         .collect();
     let lines = name_lines(&spans);
+    let shaded = shaded(&spans);
     html! {
-        @for (number, ((stage, begin, end), line)) in spans.iter().zip(lines).enumerate() {
-            @if number % 2 == 0 {
+        @for ((stage, begin, end), (line, is_shaded)) in spans.iter().zip(lines.into_iter().zip(shaded)) {
+            @if is_shaded {
                 rect class="band" x=(tenths(*begin)) y=(TOP) width=(tenths((end - begin).max(1.0)))
                     height=(HEIGHT - BOTTOM - TOP) {}
             }
@@ -108,6 +112,16 @@ fn bands(stages: &[TracedStage], scale: &Scale, samples: &[Sample]) -> Markup {
             text x=(tenths(begin + 3.0)) y=(name_y(line)) { (stage.stage.name()) }
         }
     }
+}
+
+/// Every other stage of those that are wide enough to be seen.
+fn shaded(spans: &[(&TracedStage, f64, f64)]) -> Vec<bool> {
+    let mut wide = 0;
+    let is_shaded = |(_, begin, end): &(&TracedStage, f64, f64)| {
+        wide += usize::from(end - begin > MIN_BAND_WIDTH);
+        end - begin > MIN_BAND_WIDTH && wide % 2 == 1
+    };
+    spans.iter().map(is_shaded).collect()
 }
 
 fn name_y(line: usize) -> f64 {
@@ -180,15 +194,20 @@ fn threshold_lines(stages: &[TracedStage], scale: &Scale, thresholds: &[Threshol
 fn triggers(trace: &Trace, scale: &Scale) -> Markup {
     let shown = trace.triggers().iter().filter(|trigger| trigger.time_ns >= scale.begin_ns);
     html! {
-        @for trigger in shown {
+        @for (number, trigger) in shown.enumerate() {
             @let x = scale.x(trigger.time_ns);
             // Names stand beside their line, and within the picture.
             @let anchor = if x > 0.5 * WIDTH { "end" } else { "start" };
             @let beside = if x > 0.5 * WIDTH { -4.0 } else { 4.0 };
             line class="trigger" x1=(tenths(x)) x2=(tenths(x)) y1=(TOP) y2=(HEIGHT - BOTTOM) {}
-            text text-anchor=(anchor) x=(tenths(x + beside)) y=(TOP + 14.0) { (trigger.cause) }
+            text text-anchor=(anchor) x=(tenths(x + beside)) y=(trigger_y(number)) { (trigger.cause) }
         }
     }
+}
+
+/// Neighbours stand at different heights, since triggers may follow each other closely.
+fn trigger_y(number: usize) -> f64 {
+    ((number % TRIGGER_LINES) as f64).mul_add(LINE_HEIGHT, TOP + 14.0)
 }
 
 /// The curve, broken where frames could not be sensed, and a tick for each of these.

@@ -106,7 +106,7 @@ fn figures(report: Option<&StageReport>) -> Markup {
         @if let Some(report) = report {
             div class="figures" { @for figure in &report.figures { (named(figure.name, figure.value)) } }
         } @else {
-            "did not come to its end"
+            "did not complete"
         }
     }
 }
