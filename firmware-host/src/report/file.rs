@@ -12,8 +12,9 @@ pub fn page_path(recording: &Path) -> PathBuf {
 }
 
 impl PageReport {
-    /// Writes the page of a run that ended with a report, or broke off for a reason. An older page of the same name
-    /// is replaced; of a page that cannot be written nothing is left.
+    /// Writes the page of a run that ended with a report, or broke off for a reason.
+    ///
+    /// An older page of the same name is replaced. Nothing is left of a page that cannot be written.
     #[must_use]
     pub fn write(config: &Config, trace: &Trace, ending: Result<&JobReport, &dyn Display>) -> Self {
         let path = page_path(&config.recording.path);

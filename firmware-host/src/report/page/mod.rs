@@ -3,6 +3,7 @@
 mod picture;
 mod plot;
 mod tables;
+mod values;
 
 use super::trace::{Trace, TracedStage};
 use super::{JobReport, Outcome, Stage};

@@ -135,12 +135,11 @@ fn pitch_px(markers: &Markers) -> f64 {
 
 fn push_ring(path: &mut String, centre: DVec2, radius: f64) {
     let (left, diameter) = (centre.x - radius, 2.0 * radius);
-    // Writing to a string cannot fail.
-    let _ = write!(
-        path,
-        "M{left:.1} {:.1}a{radius:.1} {radius:.1} 0 1 0 {diameter:.1} 0a{radius:.1} {radius:.1} 0 1 0 -{diameter:.1} 0",
-        centre.y
-    );
+    // Two half circles. Writing to a string cannot fail.
+    let _ = write!(path, "M{left:.1} {:.1}", centre.y);
+    for across in [diameter, -diameter] {
+        let _ = write!(path, "a{radius:.1} {radius:.1} 0 1 0 {across:.1} 0");
+    }
 }
 
 fn push_arrow(path: &mut String, from: DVec2, to: DVec2) {

@@ -80,9 +80,10 @@ pub(super) fn motion(trace: &Trace, thresholds: &[Threshold]) -> Markup {
                 (curve(&samples, &scale))
             }
             figcaption {
-                "Mean motion of the seen markers in the left image since the reference, px, over the frame source's \
-                 time since the first sensed frame, s. Level lines: the motion at which the stage's trigger acts. \
-                 Dashed: a trigger that acted, or the end. Ticks below the axis: frames that could not be sensed."
+                "Mean motion of the seen markers in the left image since the reference, px, over the frame \
+                 source's time since the first sensed frame, s. Level lines: the motion at which the stage's \
+                 trigger acts. Dashed: a trigger that acted, or the end. Ticks below the axis: frames that \
+                 could not be sensed."
             }
         }
     }
@@ -108,7 +109,8 @@ fn bands(stages: &[TracedStage], scale: &Scale, samples: &[Sample]) -> Markup {
                 rect class="band" x=(tenths(*begin)) y=(TOP) width=(tenths((end - begin).max(1.0)))
                     height=(HEIGHT - BOTTOM - TOP) {}
             }
-            line class="grid" x1=(tenths(*begin)) x2=(tenths(*begin)) y1=(name_y(line)) y2=(HEIGHT - BOTTOM) {}
+            @let x = tenths(*begin);
+            line class="grid" x1=(x) x2=(x) y1=(name_y(line)) y2=(HEIGHT - BOTTOM) {}
             text x=(tenths(begin + 3.0)) y=(name_y(line)) { (stage.stage.name()) }
         }
     }
@@ -148,14 +150,17 @@ fn grid(scale: &Scale) -> Markup {
     let bottom = HEIGHT - BOTTOM;
     html! {
         @for level in levels {
-            line class="grid" x1=(LEFT) x2=(WIDTH - RIGHT) y1=(tenths(scale.y(level))) y2=(tenths(scale.y(level))) {}
+            @let y = tenths(scale.y(level));
+            line class="grid" x1=(LEFT) x2=(WIDTH - RIGHT) y1=(y) y2=(y) {}
             text class="faint" text-anchor="end" x=(LEFT - 6.0) y=(tenths(scale.y(level) + 4.0)) {
                 (rounded(level, step_px))
             }
         }
         @for time_s in times {
             @let x = scale.x(scale.begin_ns + (time_s * 1e9) as u64);
-            text class="faint" text-anchor="middle" x=(tenths(x)) y=(bottom + 24.0) { (rounded(time_s, step_s)) }
+            text class="faint" text-anchor="middle" x=(tenths(x)) y=(bottom + 24.0) {
+                (rounded(time_s, step_s))
+            }
         }
         text class="faint" x="8" y=(TOP - 6.0) { "px" }
         text class="faint" text-anchor="end" x=(WIDTH - RIGHT) y=(HEIGHT - 4.0) { "s" }

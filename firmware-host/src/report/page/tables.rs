@@ -1,5 +1,7 @@
 //! Tables of a run: stages, pose, truth, recording, setup.
 
+use super::capitalized;
+use super::values::{named, values};
 use crate::config::Config;
 use crate::recording::RecordingReport;
 use crate::report::trace::TracedStage;
@@ -8,56 +10,9 @@ use gelstereo_core::math::{Pose, so3};
 use maud::{Markup, html};
 use serde_json::Value;
 
-/// Units that end a figure's name, and how they are written.
-const UNITS: [(&str, &str); 12] = [
-    ("_mm_s", "mm/s"),
-    ("_mrad", "mrad"),
-    ("_rad", "rad"),
-    ("_deg", "deg"),
-    ("_px", "px"),
-    ("_mm", "mm"),
-    ("_us", "us"),
-    ("_ms", "ms"),
-    ("_ns", "ns"),
-    ("_hz", "Hz"),
-    ("_s", "s"),
-    ("_n", "N"),
-];
 /// Parts of the report that have a section of their own, or stand in the header.
-const SHOWN: [&str; 7] = ["outcome", "stages", "localized", "truth", "digest", "recording", "kind"];
+const SHOWN: [&str; 7] = ["outcome", "stages", "localized", "truth", "digest", "recording", "page"];
 const AXES: [&str; 6] = ["x", "y", "z", "rotation about x", "rotation about y", "rotation about z"];
-
-/// A figure's name without its unit, and the unit.
-struct Label {
-    name: String,
-    unit: &'static str,
-}
-
-impl Label {
-    fn of(name: &str) -> Self {
-        let found = UNITS.iter().find_map(|(ending, unit)| Some((name.strip_suffix(ending)?, *unit)));
-        let (stem, unit) = found.unwrap_or((name, ""));
-        Self { name: stem.replace('_', " "), unit }
-    }
-}
-
-/// Whole numbers as such, others with three or more significant decimals.
-fn number(value: f64) -> String {
-    if value.fract() == 0.0 && value.abs() < 1e15 {
-        format!("{value:.0}")
-    } else if value.abs() >= 0.1 {
-        format!("{value:.3}")
-    } else {
-        format!("{value:.5}")
-    }
-}
-
-fn named(name: &str, value: f64) -> Markup {
-    let label = Label::of(name);
-    html! {
-        span { (label.name) " " (number(value)) @if !label.unit.is_empty() { " " span class="unit" { (label.unit) } } }
-    }
-}
 
 /// Every stage that was begun, in order.
 pub(super) fn stages(stages: &[TracedStage]) -> Markup {
@@ -104,7 +59,7 @@ fn stage_row(stage: &TracedStage) -> Markup {
 fn figures(report: Option<&StageReport>) -> Markup {
     html! {
         @if let Some(report) = report {
-            div class="figures" { @for figure in &report.figures { (named(figure.name, figure.value)) } }
+            div class="figures" { @for figure in &report.figures { (named(figure.name, figure.value)) " " } }
         } @else {
             "did not complete"
         }
@@ -115,6 +70,8 @@ fn figures(report: Option<&StageReport>) -> Markup {
 pub(super) fn results(report: &JobReport) -> Markup {
     let rest = serde_json::to_value(report).unwrap_or_default();
     let rest = rest.as_object().cloned().unwrap_or_default();
+    let is_further = |key: &str, value: &Value| !SHOWN.contains(&key) && !value.is_null();
+    let further = rest.iter().filter(|(key, value)| is_further(key, value));
     html! {
         @if let Some(localized) = &report.localized {
             section { h2 { "Part in the hand" } (pose(localized)) }
@@ -124,70 +81,22 @@ pub(super) fn results(report: &JobReport) -> Markup {
                 h2 { "Simulated truth" }
                 p {
                     "The outcome above is " @if truth.outcome_is_true { "true" } @else { "not true" } ". "
-                    "Errors are those of the localized pose, or of the expected one if the part was not localized."
+                    "Errors are those of the localized pose, or of the expected one if the part was not "
+                    "localized."
                 }
-                (values("What happened in the simulated world", &serde_json::to_value(truth).unwrap_or_default()))
+                (values(&serde_json::to_value(truth).unwrap_or_default()))
             }
         }
-        @for (key, value) in rest.iter().filter(|(key, value)| !SHOWN.contains(&key.as_str()) && !value.is_null()) {
-            section { h2 { (capitalized_label(key)) } (values("", value)) }
+        @for (key, value) in further {
+            section { h2 { (capitalized(&key.replace('_', " "))) } (values(value)) }
         }
         @if let Some(recording) = &report.recording {
-            section { h2 { "Recording" } (files(recording)) p { "Digest of all frames: " code { (report.digest) } } }
-        }
-    }
-}
-
-fn capitalized_label(key: &str) -> String {
-    super::capitalized(&key.replace('_', " "))
-}
-
-/// Named values of any depth, a line each.
-fn values(caption: &str, value: &Value) -> Markup {
-    let mut lines = Vec::new();
-    flatten(&mut lines, String::new(), value);
-    html! {
-        div class="wide" {
-            table {
-                @if !caption.is_empty() { caption { (caption) } }
-                thead { tr { th scope="col" { "Name" } th scope="col" class="number" { "Value" } th scope="col" { "Unit" } } }
-                tbody {
-                    @for line in &lines {
-                        @let label = Label::of(&line.name);
-                        tr {
-                            th scope="row" { (label.name) }
-                            td class="number" { (line.value) }
-                            td class="unit" { (label.unit) }
-                        }
-                    }
-                }
+            section {
+                h2 { "Recording" }
+                (files(recording))
+                p { "Digest of all frames: " code { (report.digest) } }
             }
         }
-    }
-}
-
-struct Line {
-    name: String,
-    value: String,
-}
-
-fn flatten(lines: &mut Vec<Line>, name: String, value: &Value) {
-    let below = |key: &str| if name.is_empty() { key.to_owned() } else { format!("{name}, {key}") };
-    match value {
-        Value::Null => {}
-        Value::Object(fields) => fields.iter().for_each(|(key, value)| flatten(lines, below(key), value)),
-        Value::Array(items) => {
-            for (index, item) in items.iter().enumerate() {
-                flatten(lines, below(&(index + 1).to_string()), item);
-            }
-        }
-        Value::Bool(true) => lines.push(Line { name, value: "yes".to_owned() }),
-        Value::Bool(false) => lines.push(Line { name, value: "no".to_owned() }),
-        Value::Number(found) => {
-            let value = found.as_f64().map_or_else(|| found.to_string(), number);
-            lines.push(Line { name, value });
-        }
-        Value::String(text) => lines.push(Line { name, value: text.clone() }),
     }
 }
 
@@ -201,14 +110,16 @@ fn pose(localized: &Localized) -> Markup {
     html! {
         p id="free" { (free) }
         p {
-            "Registration " @if !localized.converged { "did not come to rest" } @else { "came to rest" } " after "
+            "Registration " @if localized.converged { "converged" } @else { "did not converge" } " in "
             (localized.iterations) " iterations. The template explains " (localized.inliers) " of "
             (localized.points) " points with a residual of " (format!("{:.4}", localized.rmse_mm)) " mm."
         }
         div class="wide" {
             table id="pose" {
-                caption { "Pose of the part. Sigma: standard deviation, about the axes of the sensor frame. A direction \
-                           that the contact leaves free has the sigma that was expected beforehand." }
+                caption {
+                    "Pose of the part. Sigma: standard deviation, about the axes of the sensor frame. A "
+                    "direction that the contact leaves free has the sigma that was expected beforehand."
+                }
                 thead {
                     tr {
                         th scope="col" { "Coordinate" }
