@@ -6,7 +6,7 @@ use crate::hid::HidError;
 use crate::light::{LightOn, set_up_camera};
 use crate::part::{Part, PartError};
 use crate::recording::{Content, LogClock, Recording, RecordingError};
-use crate::report::{JobReport, Outcome, StageReport, TruthReport};
+use crate::report::{JobReport, Outcome, PageReport, StageReport, Trace, TruthReport};
 use crate::robot::{Robot, RobotError};
 use crate::sensing::{Sensing, SensingError};
 use crate::source::{CameraSource, FolderSource, FrameSource, SourceError, StreamSource};
@@ -17,6 +17,7 @@ use crate::world::{
 };
 use gelstereo_core::math::Pose;
 use std::cell::RefCell;
+use std::fmt::Display;
 use std::rc::Rc;
 use std::sync::atomic::AtomicBool;
 
@@ -176,10 +177,21 @@ pub fn run(
         attachments: setup.part.file.clone().into_iter().collect(),
     };
     let recording = Recording::create(&config.recording, content, log_clock(&config.source))?;
-    let mut report = run_with(config, setup, Some(recording), stop, progress)?;
-    // The job is done: a light that stays on must not hide what came of it.
-    report.light_fault = light.off().err().map(|error| error.to_string());
-    Ok(report)
+    let mut trace = Trace::default();
+    let mut result = run_traced(config, setup, Some(recording), &mut trace, stop, progress);
+    let light_fault = light.off().err().map(|error| error.to_string());
+    if let Ok(report) = &mut result {
+        // The job is done: a light that stays on must not hide what came of it.
+        report.light_fault = light_fault;
+    }
+    if config.recording.report {
+        // Also of a job that broke off: its page shows how far it came.
+        let page = PageReport::write(config, &trace, result.as_ref().map_err(|error| error as &dyn Display));
+        if let Ok(report) = &mut result {
+            report.page = Some(page);
+        }
+    }
+    result
 }
 
 /// Does the job with what was set up.
@@ -193,8 +205,19 @@ pub fn run_with(
     stop: &AtomicBool,
     progress: &mut dyn FnMut(&StageReport),
 ) -> Result<JobReport, HostError> {
+    run_traced(config, setup, recording, &mut Trace::default(), stop, progress)
+}
+
+fn run_traced(
+    config: &Config,
+    setup: Setup,
+    recording: Option<Recording>,
+    trace: &mut Trace,
+    stop: &AtomicBool,
+    progress: &mut dyn FnMut(&StageReport),
+) -> Result<JobReport, HostError> {
     let Setup { world, devices, sensing, .. } = setup;
-    let mut report = Task::new(config, devices, sensing, recording, stop, progress).run()?;
+    let mut report = Task::new(config, devices, sensing, recording, trace, stop, progress).run()?;
     let truth = world.borrow().truth().map_err(TaskError::Width)?;
     report.truth = truth.map(|truth| judge(config, &report, &truth));
     Ok(report)

@@ -57,8 +57,15 @@ impl<'a> Cell<'a> {
         Self { config, devices, sensing, log, stop, pair: StereoPair::default() }
     }
 
+    /// Lets the next stereo pair go without sensing it.
+    pub(super) fn skip_pair(&mut self) -> Result<(), Halt> {
+        self.take_pair()?;
+        self.log.let_go(&self.pair);
+        Ok(())
+    }
+
     /// Goes on to the next stereo pair without sensing it.
-    pub(super) fn take_pair(&mut self) -> Result<(), Halt> {
+    fn take_pair(&mut self) -> Result<(), Halt> {
         let stage = self.log.stage();
         if self.stop.load(Ordering::Relaxed) {
             return Err(Halt::Outcome(Outcome::Interrupted { stage }));

@@ -15,7 +15,7 @@ pub use error::TaskError;
 
 use crate::config::Config;
 use crate::recording::Recording;
-use crate::report::{JobReport, Localized, Outcome, Stage, StageReport};
+use crate::report::{JobReport, Localized, Outcome, Stage, StageReport, Trace};
 use crate::sensing::Sensing;
 use align::align;
 use cell::Cell;
@@ -34,16 +34,18 @@ pub struct Task<'a> {
 }
 
 impl<'a> Task<'a> {
-    /// Ready to run. `stop` is read once per frame; `progress` gets the report of every stage that is over.
+    /// Ready to run. `stop` is read once per frame; `progress` gets the report of every stage that is over. `trace`
+    /// keeps what the page of the run shows.
     pub fn new(
         config: &'a Config,
         devices: Devices,
         sensing: Sensing,
         recording: Option<Recording>,
+        trace: &'a mut Trace,
         stop: &'a AtomicBool,
         progress: &'a mut dyn FnMut(&StageReport),
     ) -> Self {
-        let log = Log::new(recording, progress);
+        let log = Log::new(recording, trace, progress);
         Self { cell: Cell::new(config, devices, sensing, log, stop), localized: None }
     }
 
@@ -75,6 +77,7 @@ impl<'a> Task<'a> {
             digest: summary.digest,
             recording,
             light_fault: None,
+            page: None,
         })
     }
 

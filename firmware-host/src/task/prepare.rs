@@ -16,7 +16,7 @@ pub(super) fn open(cell: &mut Cell) -> Result<(), Halt> {
     cell.devices.robot.move_to(&task.grasp_pose.pose(), task.move_speed_mm_s)?;
     // Frames on the way show neither rest nor contact: they are let go.
     while cell.devices.gripper.status()?.moving || cell.devices.robot.status()?.moving {
-        cell.take_pair()?;
+        cell.skip_pair()?;
     }
     let width_mm = cell.devices.gripper.status()?.width_mm;
     cell.log.end(vec![figure("width_mm", width_mm)]);
