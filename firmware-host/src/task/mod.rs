@@ -1,17 +1,23 @@
-//! The paper's task: grasp, localize, align, insert (section V-A).
+//! The paper's task: grasp, localize, align, insert (section V-A), and then leave the hole.
 
 mod align;
 mod cell;
 mod devices;
+mod driver_thread;
 mod error;
 mod grasp;
 mod insert;
+mod latency;
 mod localize;
 mod log;
 mod prepare;
+mod retreat;
+mod watch;
 
 pub use devices::Devices;
+pub use driver_thread::{Driver, DriverThread};
 pub use error::TaskError;
+pub use latency::{LatencyReport, StopReport};
 
 use crate::config::Config;
 use crate::recording::Recording;
@@ -25,6 +31,7 @@ use insert::insert;
 use localize::{Localization, localize};
 use log::Log;
 use prepare::{open, rest};
+use retreat::retreat;
 use std::sync::atomic::AtomicBool;
 
 /// One task.
@@ -66,9 +73,12 @@ impl<'a> Task<'a> {
         let recording = log.close();
         let outcome = result?;
         stopped?;
+        let latency = self.cell.latency();
         let summary = self.cell.log.into_parts();
         Ok(JobReport {
+            why: outcome.to_string(),
             outcome,
+            latency,
             stages: summary.stages,
             localized: self.localized,
             truth: None,
@@ -89,6 +99,8 @@ impl<'a> Task<'a> {
         };
         self.localized = Some(held.localized.clone());
         let above = align(cell, &held)?;
-        insert(cell, &above, &held)
+        let outcome = insert(cell, &above, &held)?;
+        retreat(cell, &above, &outcome)?;
+        Ok(outcome)
     }
 }
