@@ -90,6 +90,11 @@ pub enum Outcome {
         /// Three standard deviations of that depth.
         within_mm: f64,
     },
+    /// The goal was taught.
+    Taught {
+        /// Origin of the part in its goal, base frame, as it was localized.
+        position_mm: [f64; 3],
+    },
     /// Nothing stopped the part as far as the robot went.
     NothingFelt {
         /// Depth below the rim where the robot gave up.
@@ -132,6 +137,9 @@ impl std::fmt::Display for Outcome {
                 f,
                 "jammed: stopped by the insertion trigger at a depth of {depth_mm:.2} mm, within {within_mm:.2} mm"
             ),
+            Self::Taught { position_mm: [x, y, z] } => {
+                write!(f, "taught: the part was localized in its goal at ({x:.2}, {y:.2}, {z:.2}) mm")
+            }
             Self::NothingFelt { depth_mm } => {
                 write!(f, "nothing felt down to a depth of {depth_mm:.2} mm: no part, or no hole's bottom")
             }

@@ -11,7 +11,7 @@ use crate::report::{Outcome, Stage};
 pub(super) fn grasp(cell: &mut Cell) -> Result<(), Halt> {
     cell.log.begin(Stage::Close);
     let task = &cell.config.task;
-    let motion_px = cell.config.params.contact.grasp_trigger_px;
+    let motion_px = cell.triggers.grasp_px;
     let trigger = Trigger { motion_px, stops: Stops::Gripper, cause: "grasp" };
     let (min_mm, _) = cell.config.mount.kinematics.width_range_mm();
     cell.move_gripper(min_mm, task.closing_speed_mm_s, Guard::Triggered)?;
