@@ -6,11 +6,11 @@ use crate::hid::HidError;
 use crate::light::{LightOn, set_up_camera};
 use crate::part::{Part, PartError};
 use crate::recording::{Content, LogClock, Recording, RecordingError};
-use crate::report::{JobReport, Outcome, Stage, StageReport, TruthReport};
+use crate::report::{JobReport, Outcome, PageReport, Stage, StageReport, Trace, TruthReport};
 use crate::robot::{Robot, RobotError};
 use crate::sensing::{Sensing, SensingError};
 use crate::source::{CameraSource, FolderSource, FrameSource, SourceError, StreamSource};
-use crate::task::{Devices, DriverThread, Task, TaskError, Teaching};
+use crate::task::{Devices, DriverThread, Sinks, Task, TaskError, Teaching};
 use crate::taught::{Taught, TaughtError};
 use crate::world::{
     BenchTruth, PacedSource, Place, SimulatedCamera, SimulatedGripper, SimulatedRobot, TimedSource, World,
@@ -18,6 +18,7 @@ use crate::world::{
 };
 use gelstereo_core::math::Pose;
 use std::cell::RefCell;
+use std::fmt::Display;
 use std::rc::Rc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
@@ -212,10 +213,21 @@ pub fn run(
     let light = LightOn::new(&config.light)?;
     let setup = Setup::new(config)?;
     let recording = begin_recording(config, &setup.part)?;
-    let mut report = run_with(config, setup, Some(recording), stop, progress)?;
-    // The job is done: a light that stays on must not hide what came of it.
-    report.light_fault = light.off().err().map(|error| error.to_string());
-    Ok(report)
+    let mut trace = Trace::default();
+    let mut result = run_traced(config, setup, Some(recording), &mut trace, stop, progress);
+    let light_fault = light.off().err().map(|error| error.to_string());
+    if let Ok(report) = &mut result {
+        // The job is done: a light that stays on must not hide what came of it.
+        report.light_fault = light_fault;
+    }
+    if config.recording.report {
+        // Also of a job that broke off: its page shows how far it came.
+        let page = PageReport::write(config, &trace, result.as_ref().map_err(|error| error as &dyn Display));
+        if let Ok(report) = &mut result {
+            report.page = Some(page);
+        }
+    }
+    result
 }
 
 fn begin_recording(config: &Config, part: &Part) -> Result<Recording, HostError> {
@@ -258,7 +270,8 @@ pub fn teach_with(
     progress: &mut dyn FnMut(&StageReport),
 ) -> Result<Teaching, HostError> {
     let Setup { devices, sensing, goal, .. } = setup;
-    Ok(Task::new(config, devices, sensing, goal, recording, stop, progress).teach(stay)?)
+    let sinks = Sinks { recording, trace: &mut Trace::default(), progress };
+    Ok(Task::new(config, devices, sensing, goal, sinks, stop).teach(stay)?)
 }
 
 /// Does the job with what was set up.
@@ -272,8 +285,20 @@ pub fn run_with(
     stop: &AtomicBool,
     progress: &mut dyn FnMut(&StageReport),
 ) -> Result<JobReport, HostError> {
+    run_traced(config, setup, recording, &mut Trace::default(), stop, progress)
+}
+
+fn run_traced(
+    config: &Config,
+    setup: Setup,
+    recording: Option<Recording>,
+    trace: &mut Trace,
+    stop: &AtomicBool,
+    progress: &mut dyn FnMut(&StageReport),
+) -> Result<JobReport, HostError> {
     let Setup { world, devices, sensing, goal, .. } = setup;
-    let mut report = Task::new(config, devices, sensing, goal, recording, stop, progress).run()?;
+    let sinks = Sinks { recording, trace, progress };
+    let mut report = Task::new(config, devices, sensing, goal, sinks, stop).run()?;
     let truth = world.borrow().truth().map_err(TaskError::Width)?;
     report.truth = truth.map(|truth| judge(config, &report, &truth));
     Ok(report)

@@ -54,7 +54,9 @@ def require_tools() -> None:
     wanted = ["qemu-system-x86_64", "busybox", "depmod", "modprobe", "cpio", "apt-get", "dpkg-deb"]
     missing = [tool for tool in wanted if shutil.which(tool, path=ENVIRONMENT["PATH"]) is None]
     if missing:
-        raise Unavailable(f"not installed: {', '.join(missing)} (.ci/long-prerequisites.sh installs them on Debian)")
+        raise Unavailable(
+            f"not installed: {', '.join(missing)} (.ci/long-prerequisites.sh installs them on Debian)"
+        )
     if os.uname().machine != "x86_64":
         raise Unavailable(f"the VM runs the host's x86-64 programs; this is {os.uname().machine}")
 

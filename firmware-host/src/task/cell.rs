@@ -108,8 +108,15 @@ impl<'a> Cell<'a> {
         Ok(moving)
     }
 
+    /// Lets the next stereo pair go without sensing it.
+    pub(super) fn skip_pair(&mut self) -> Result<(), Halt> {
+        self.take_pair()?;
+        self.log.let_go(&self.pair);
+        Ok(())
+    }
+
     /// Goes on to the next stereo pair without sensing it.
-    pub(super) fn take_pair(&mut self) -> Result<(), Halt> {
+    fn take_pair(&mut self) -> Result<(), Halt> {
         let stage = self.log.stage();
         self.wait_for_pair()?;
         self.times = FrameTimes::received(&self.pair.capture);

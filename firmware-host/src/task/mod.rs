@@ -23,7 +23,7 @@ pub use latency::{LatencyReport, StopReport};
 
 use crate::config::Config;
 use crate::recording::Recording;
-use crate::report::{JobReport, Localized, Outcome, Stage, StageReport};
+use crate::report::{JobReport, Localized, Outcome, Stage, StageReport, Trace};
 use crate::sensing::Sensing;
 use crate::taught::Taught;
 use align::align;
@@ -45,6 +45,16 @@ pub struct Task<'a> {
     localized: Option<Localized>,
 }
 
+/// Where a task writes what happens.
+pub struct Sinks<'a> {
+    /// The recording, if there is one.
+    pub recording: Option<Recording>,
+    /// What the page of the run shows.
+    pub trace: &'a mut Trace,
+    /// Gets the report of every stage that is over.
+    pub progress: &'a mut dyn FnMut(&StageReport),
+}
+
 /// What came of teaching.
 pub struct Teaching {
     /// How it went.
@@ -55,17 +65,16 @@ pub struct Teaching {
 
 impl<'a> Task<'a> {
     /// Ready to run. `goal` is the part's pose when it is inserted (`t_base_object`); `stop` is read at least once per
-    /// frame; `progress` gets the report of every stage that is over.
+    /// frame.
     pub fn new(
         config: &'a Config,
         devices: Devices,
         sensing: Sensing,
         goal: Pose,
-        recording: Option<Recording>,
+        sinks: Sinks<'a>,
         stop: &'a AtomicBool,
-        progress: &'a mut dyn FnMut(&StageReport),
     ) -> Self {
-        let log = Log::new(recording, progress);
+        let log = Log::new(sinks);
         Self { cell: Cell::new(config, devices, sensing, goal, log, stop), localized: None }
     }
 
@@ -124,6 +133,7 @@ impl<'a> Task<'a> {
             digest: summary.digest,
             recording,
             light_fault: None,
+            page: None,
         })
     }
 

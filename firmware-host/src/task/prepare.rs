@@ -21,7 +21,7 @@ pub(super) fn open(cell: &mut Cell, t_base_gripper: Option<&Pose>) -> Result<(),
     }
     // Frames on the way show neither rest nor contact: they are let go.
     while cell.moves()? {
-        cell.take_pair()?;
+        cell.skip_pair()?;
     }
     let width_mm = cell.devices.gripper.status()?.width_mm;
     cell.log.end(vec![figure("width_mm", width_mm)]);

@@ -29,7 +29,7 @@ pub(super) fn teach(cell: &mut Cell, stay: bool) -> Result<Result<Lesson, Outcom
         open(cell, Some(&(Pose::from_translation_mm(outwards * task.lift_mm) * around)))?;
         cell.move_robot(&around, task.insertion_speed_mm_s, Guard::Free)?;
         while cell.moves()? {
-            cell.take_pair()?;
+            cell.skip_pair()?;
         }
     }
     rest(cell)?;

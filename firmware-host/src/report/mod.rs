@@ -1,8 +1,17 @@
-//! What came of a job.
+//! What came of a job, and the page that shows it.
+
+mod file;
+mod page;
+mod trace;
+
+pub use file::page_path;
+pub use page::page;
+pub use trace::Trace;
 
 use crate::recording::RecordingReport;
 use crate::task::LatencyReport;
 use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
 
 /// A stage of the job (Fig. 11 of the paper).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -203,6 +212,15 @@ pub struct TruthReport {
     pub outcome_is_true: bool,
 }
 
+/// What became of the page of a run.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct PageReport {
+    /// Where it stands.
+    pub path: PathBuf,
+    /// Why it could not be written, if it could not.
+    pub fault: Option<String>,
+}
+
 /// What came of a job.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct JobReport {
@@ -225,4 +243,7 @@ pub struct JobReport {
     /// Why the light could not be switched off at the end, if it could not.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub light_fault: Option<String>,
+    /// The page of the run, where one was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub page: Option<PageReport>,
 }
