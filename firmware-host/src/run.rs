@@ -1,18 +1,19 @@
 //! From a configuration to a job: devices, template, recording, and in simulation the truth.
 
-use crate::config::{Config, ConfigError, RobotConfig, SourceConfig};
+use crate::config::{Config, ConfigError, RobotConfig, SourceConfig, TaskConfig};
 use crate::gripper::{Gripper, GripperConfig, GripperError};
 use crate::hid::HidError;
 use crate::light::{LightOn, set_up_camera};
 use crate::part::{Part, PartError};
 use crate::recording::{Content, LogClock, Recording, RecordingError};
-use crate::report::{JobReport, Outcome, PageReport, StageReport, Trace, TruthReport};
+use crate::report::{JobReport, Outcome, PageReport, Stage, StageReport, Trace, TruthReport};
 use crate::robot::{Robot, RobotError};
 use crate::sensing::{Sensing, SensingError};
 use crate::source::{CameraSource, FolderSource, FrameSource, SourceError, StreamSource};
-use crate::task::{Devices, Task, TaskError};
+use crate::task::{Devices, DriverThread, Sinks, Task, TaskError, Teaching};
+use crate::taught::{Taught, TaughtError};
 use crate::world::{
-    BenchTruth, PacedSource, SimulatedCamera, SimulatedGripper, SimulatedRobot, TimedSource, World,
+    BenchTruth, PacedSource, Place, SimulatedCamera, SimulatedGripper, SimulatedRobot, TimedSource, World,
     WorldError,
 };
 use gelstereo_core::math::Pose;
@@ -20,6 +21,7 @@ use std::cell::RefCell;
 use std::fmt::Display;
 use std::rc::Rc;
 use std::sync::atomic::AtomicBool;
+use std::time::Duration;
 
 /// Why the host did not do what it was asked.
 #[derive(Debug)]
@@ -40,8 +42,12 @@ pub enum HostError {
     Gripper(GripperError),
     /// The robot cannot be reached.
     Robot(RobotError),
+    /// The system has no more threads.
+    Thread(std::io::Error),
     /// The recording.
     Recording(RecordingError),
+    /// The taught goal.
+    Taught(TaughtError),
     /// The task broke off.
     Task(TaskError),
 }
@@ -57,7 +63,9 @@ impl std::fmt::Display for HostError {
             Self::Sensing(error) => error.fmt(f),
             Self::Gripper(error) => error.fmt(f),
             Self::Robot(error) => error.fmt(f),
+            Self::Thread(error) => write!(f, "no thread for a driver: {error}"),
             Self::Recording(error) => error.fmt(f),
+            Self::Taught(error) => error.fmt(f),
             Self::Task(error) => error.fmt(f),
         }
     }
@@ -76,7 +84,7 @@ macro_rules! host_from {
 }
 host_from!(ConfigError => Config, PartError => Part, WorldError => World, HidError => Hid, SourceError => Source,
            SensingError => Sensing, GripperError => Gripper, RobotError => Robot, RecordingError => Recording,
-           TaskError => Task);
+           TaskError => Task, TaughtError => Taught);
 
 /// A job's world and what it senses with.
 pub struct Setup {
@@ -88,6 +96,8 @@ pub struct Setup {
     pub sensing: Sensing,
     /// The part.
     pub part: Part,
+    /// The part in its goal (`t_base_object`), taught or given.
+    pub goal: Pose,
 }
 
 impl Setup {
@@ -106,26 +116,56 @@ impl Setup {
     /// # Errors
     /// [`HostError`].
     pub fn new(config: &Config) -> Result<Self, HostError> {
+        Self::with_part_at(config, Place::Holder)
+    }
+
+    /// As [`Self::new`], with a simulated part in its goal. A goal that was taught before is not used.
+    ///
+    /// # Errors
+    /// [`HostError`].
+    pub fn for_teaching(config: &Config) -> Result<Self, HostError> {
+        let task = TaskConfig { taught: None, ..config.task.clone() };
+        Self::with_part_at(&Config { task, ..config.clone() }, Place::Goal)
+    }
+
+    fn with_part_at(config: &Config, place: Place) -> Result<Self, HostError> {
         config.validate()?;
         let part = Part::load(&config.part.shape)?;
         let sensing = Sensing::new(&config.rig()?, &config.params, part.template(&config.part)?)?;
-        let world = World::shared(config)?;
+        let goal = goal(config, &sensing)?;
+        let world = World::shared(config, place)?;
         let source: Box<dyn FrameSource> = match open_source(&config.source)? {
             None => Box::new(SimulatedCamera(Rc::clone(&world))),
             Some(source) if config.source.is_live() => Box::new(TimedSource::new(source, Rc::clone(&world))),
             Some(source) => Box::new(PacedSource { source, world: Rc::clone(&world) }),
         };
+        let max_silence = Duration::from_secs_f64(config.task.device_timeout_s);
         let gripper: Box<dyn Gripper> = match config.gripper.open()? {
-            Some(gripper) => gripper,
+            Some(driver) => {
+                let name = config.gripper.port().unwrap_or_default();
+                Box::new(DriverThread::start(driver, name, max_silence).map_err(HostError::Thread)?)
+            }
             None => Box::new(SimulatedGripper(Rc::clone(&world))),
         };
         let robot: Box<dyn Robot> = match config.robot.open()? {
-            Some(robot) => robot,
+            Some(driver) => {
+                let name = config.robot.address().unwrap_or_default();
+                Box::new(DriverThread::start(driver, name, max_silence).map_err(HostError::Thread)?)
+            }
             None => Box::new(SimulatedRobot(Rc::clone(&world))),
         };
         let devices = Devices { source, gripper, robot };
-        Ok(Self { world, devices, sensing, part })
+        Ok(Self { world, devices, sensing, part, goal })
     }
+}
+
+/// The part in its goal. A taught goal is of use to the rig and settings that it was taught with: others have other errors.
+fn goal(config: &Config, sensing: &Sensing) -> Result<Pose, HostError> {
+    let Some(path) = &config.task.taught else { return Ok(config.task.goal_pose.pose()) };
+    let taught = Taught::load(path)?;
+    let fits = sensing.clone().resume(&taught.rest);
+    fits.map_err(|error| TaughtError::Settings { path: path.clone(), error })?;
+    Ok(taught.goal())
 }
 
 /// Opens where real stereo pairs come from; `None` for the simulated sensor, which needs its world.
@@ -172,11 +212,7 @@ pub fn run(
     set_up_camera(&config.camera_hid)?;
     let light = LightOn::new(&config.light)?;
     let setup = Setup::new(config)?;
-    let content = Content {
-        config_toml: recorded_config(config)?,
-        attachments: setup.part.file.clone().into_iter().collect(),
-    };
-    let recording = Recording::create(&config.recording, content, log_clock(&config.source))?;
+    let recording = begin_recording(config, &setup.part)?;
     let mut trace = Trace::default();
     let mut result = run_traced(config, setup, Some(recording), &mut trace, stop, progress);
     let light_fault = light.off().err().map(|error| error.to_string());
@@ -192,6 +228,50 @@ pub fn run(
         }
     }
     result
+}
+
+fn begin_recording(config: &Config, part: &Part) -> Result<Recording, HostError> {
+    let content = Content {
+        config_toml: recorded_config(config)?,
+        attachments: part.file.clone().into_iter().collect(),
+    };
+    Ok(Recording::create(&config.recording, content, log_clock(&config.source))?)
+}
+
+/// Teaches the goal and records it as the configuration says; see [`Task::teach`].
+///
+/// # Errors
+/// [`HostError`].
+pub fn teach(
+    config: &Config,
+    stay: bool,
+    stop: &AtomicBool,
+    progress: &mut dyn FnMut(&StageReport),
+) -> Result<Teaching, HostError> {
+    set_up_camera(&config.camera_hid)?;
+    let light = LightOn::new(&config.light)?;
+    let setup = Setup::for_teaching(config)?;
+    let recording = begin_recording(config, &setup.part)?;
+    let mut teaching = teach_with(config, setup, Some(recording), stay, stop, progress)?;
+    teaching.report.light_fault = light.off().err().map(|error| error.to_string());
+    Ok(teaching)
+}
+
+/// Teaches the goal with what was set up.
+///
+/// # Errors
+/// [`HostError::Task`].
+pub fn teach_with(
+    config: &Config,
+    setup: Setup,
+    recording: Option<Recording>,
+    stay: bool,
+    stop: &AtomicBool,
+    progress: &mut dyn FnMut(&StageReport),
+) -> Result<Teaching, HostError> {
+    let Setup { devices, sensing, goal, .. } = setup;
+    let sinks = Sinks { recording, trace: &mut Trace::default(), progress };
+    Ok(Task::new(config, devices, sensing, goal, sinks, stop).teach(stay)?)
 }
 
 /// Does the job with what was set up.
@@ -216,8 +296,9 @@ fn run_traced(
     stop: &AtomicBool,
     progress: &mut dyn FnMut(&StageReport),
 ) -> Result<JobReport, HostError> {
-    let Setup { world, devices, sensing, .. } = setup;
-    let mut report = Task::new(config, devices, sensing, recording, trace, stop, progress).run()?;
+    let Setup { world, devices, sensing, goal, .. } = setup;
+    let sinks = Sinks { recording, trace, progress };
+    let mut report = Task::new(config, devices, sensing, goal, sinks, stop).run()?;
     let truth = world.borrow().truth().map_err(TaskError::Width)?;
     report.truth = truth.map(|truth| judge(config, &report, &truth));
     Ok(report)
@@ -230,6 +311,7 @@ fn judge(config: &Config, report: &JobReport, truth: &BenchTruth) -> TruthReport
         Outcome::Inserted { .. } => truth.deepest_mm >= depth_mm,
         Outcome::Jammed { .. } => truth.deepest_mm < depth_mm && truth.fit.depth_mm > truth.fit.limit_mm,
         Outcome::NothingFelt { .. } => truth.fit.depth_mm <= truth.fit.limit_mm,
+        Outcome::Interrupted { stage: Stage::Retreat } => true,
         _ => truth.deepest_mm < depth_mm,
     };
     let axis = config.insertion_axis();
@@ -251,6 +333,8 @@ fn judge(config: &Config, report: &JobReport, truth: &BenchTruth) -> TruthReport
         axial_error_mm: origin_error_mm.dot(real_axis),
         inserted_mm: truth.deepest_mm,
         limit_mm: truth.fit.limit_mm,
+        hole_offset_mm: truth.fit.lateral_mm,
+        hole_tilt_rad: truth.fit.tilt_rad,
         outcome_is_true,
     }
 }

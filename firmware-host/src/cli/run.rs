@@ -55,10 +55,7 @@ pub fn command(Arguments { config, record, seed, json }: Arguments) -> Result<bo
     } else {
         print_summary(&report)?;
     }
-    if let Some(reason) = &report.light_fault {
-        // When stderr is gone too, the report as JSON still has it.
-        let _ = writeln!(std::io::stderr(), "gelstereo-host: the light was not switched off: {reason}");
-    }
+    tell_light_fault(&report);
     if let Some(reason) = report.page.as_ref().and_then(|page| page.fault.as_ref()) {
         let _ = writeln!(std::io::stderr(), "gelstereo-host: the run has no page: {reason}");
     }
@@ -66,6 +63,13 @@ pub fn command(Arguments { config, record, seed, json }: Arguments) -> Result<bo
         return Err(CliError::Recording(reason));
     }
     Ok(matches!(report.outcome, Outcome::Inserted { .. }))
+}
+
+pub(super) fn tell_light_fault(report: &JobReport) {
+    if let Some(reason) = &report.light_fault {
+        // When stderr is gone too, the report as JSON still has it.
+        let _ = writeln!(std::io::stderr(), "gelstereo-host: the light was not switched off: {reason}");
+    }
 }
 
 /// Says where the page of a run that broke off stands. A page that could not be written leaves no file.
@@ -77,7 +81,7 @@ fn name_page(recording: &RecordingConfig) {
     }
 }
 
-fn stage_line(report: &StageReport) -> String {
+pub(super) fn stage_line(report: &StageReport) -> String {
     let mut line = format!(
         "{:<9} {:>6.0} ms, {:>3} frames over {:.2} s ",
         report.stage.name(),
@@ -96,6 +100,11 @@ fn stage_line(report: &StageReport) -> String {
 
 fn print_summary(report: &JobReport) -> Result<(), CliError> {
     say(format_args!("{:<9} {}", "done", report.outcome))?;
+    let latency = &report.latency;
+    say(format_args!(
+        "  from image to result {}; from image to the stop's last byte {} (p50 / p99)",
+        latency.received_to_sensed, latency.image_to_wire
+    ))?;
     if let Some(localized) = &report.localized {
         let free = if localized.free.is_empty() { "nothing".to_owned() } else { localized.free.join("; ") };
         say(format_args!("  free: {free}"))?;

@@ -2,11 +2,13 @@
 
 use super::ConfigError;
 use super::range::{
-    FAR_MM, FULL_TURN_RAD, LENGTH_MM, SIGMA_MM, SIGMA_RAD, SPEED_MM_S, STAGE_S, TIME_S, check,
+    FAR_MM, FULL_TURN_RAD, LENGTH_MM, PERIODS, SIGMA_MM, SIGMA_RAD, SIGMAS, SPEED_MM_S, STAGE_S, TIME_S,
+    check,
 };
 use gelstereo_core::frames::FingerKinematics;
 use gelstereo_core::math::{DVec3, Pose, so3};
 use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
 
 /// A pose in a file: position and rotation vector.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -62,6 +64,20 @@ pub struct TaskConfig {
     /// Where the part is when it is inserted (`t_base_object`): the template pose of the hole. Change it to
     /// your cell's.
     pub goal_pose: PoseConfig,
+    /// File with the taught goal, in place of `goal_pose`; `gelstereo-host teach` writes it. A relative path
+    /// starts at the configuration's folder. Default: none. Set it where the pose of the hole, or the sensor's
+    /// mount, is not known to a tenth of a millimetre.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub taught: Option<PathBuf>,
+    /// Grasp trigger in standard deviations of the mean marker motion at rest above its median, in place of
+    /// `params.contact.grasp_trigger_px`. The rest stage then takes 34 frames more. Valid: 7.3 to 1000000.
+    /// Default: none. Set it where sensors of different noise are to feel alike.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub grasp_trigger_sigmas: Option<f64>,
+    /// The same for the insertion trigger. Valid: 7.3 to 1000000. Default: none. Set it where sensors of
+    /// different noise are to feel alike.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub insertion_trigger_sigmas: Option<f64>,
     /// Direction of insertion in the part's frame, of any length. Valid: -1000000 to 1000000. Default: `[0,
     /// 0, -1]`. Change it to the part's.
     pub insertion_axis: [f64; 3],
@@ -93,9 +109,24 @@ pub struct TaskConfig {
     /// Speed of the insertion. Valid: 0.01 to 10000 mm/s. Default: `10` mm/s. Lower it for tight fits: the part
     /// goes on for one frame after the gel feels the hole's bottom.
     pub insertion_speed_mm_s: f64,
-    /// How long to wait for a stereo pair. Valid: 0.001 to 3600 s. Default: `2` s. Raise it for a slow
-    /// camera.
+    /// How long to wait for a stereo pair while nothing moves. Valid: 0.001 to 3600 s. Default: `2` s. Raise
+    /// it for a slow camera.
     pub frame_timeout_s: f64,
+    /// A move that a trigger ends is stopped when no stereo pair has come for so long a way. At 20 mm/s the
+    /// default is 150 ms. Valid: 0.001 to 1000 mm, and two periods of the camera at the speeds of closing and
+    /// insertion. Default: `3` mm. Lower it for stiff gels and hard parts.
+    pub max_blind_travel_mm: f64,
+    /// The same for moves on free ways: opening, lifting, aligning. At 400 mm/s the default is 300 ms. Valid:
+    /// 0.001 to 1000 mm, and two periods of the camera at the speeds of opening and moving. Default: `120` mm.
+    /// Lower it where the way may be blocked.
+    pub max_blind_free_travel_mm: f64,
+    /// Everything is stopped when a result comes so many periods of a live source after its image while
+    /// something moves. Valid: 1 to 1000. Default: `3`. Raise it on a slow computer, together with slower
+    /// moves.
+    pub max_late_periods: f64,
+    /// Everything is stopped when gripper or robot leave a status request unanswered for so long. Valid: 0.001
+    /// to 3600 s. Default: `0.5` s. Raise it for a slow controller.
+    pub device_timeout_s: f64,
     /// The job breaks off when one stage takes longer, on the frame source's clock. No stage may be planned
     /// to take longer. Valid: 0.1 to 3600 s. Default: `120` s. Raise it for long or slow moves; the recording
     /// may grow with it.
@@ -119,6 +150,9 @@ impl Default for TaskConfig {
                 rotation_rad: [core::f64::consts::PI, 0.0, 0.0],
             },
             goal_pose: at([400.0, 60.0, 10.0]),
+            taught: None,
+            grasp_trigger_sigmas: None,
+            insertion_trigger_sigmas: None,
             insertion_axis: [0.0, 0.0, -1.0],
             insertion_depth_mm: 10.0,
             approach_mm: 3.0,
@@ -131,6 +165,10 @@ impl Default for TaskConfig {
             move_speed_mm_s: 400.0,
             insertion_speed_mm_s: 10.0,
             frame_timeout_s: 2.0,
+            max_blind_travel_mm: 3.0,
+            max_blind_free_travel_mm: 120.0,
+            max_late_periods: 3.0,
+            device_timeout_s: 0.5,
             stage_timeout_s: 120.0,
             max_bad_frames: 2,
         }
@@ -160,10 +198,21 @@ impl TaskConfig {
             ("task.move_speed_mm_s", t.move_speed_mm_s, SPEED_MM_S),
             ("task.insertion_speed_mm_s", t.insertion_speed_mm_s, SPEED_MM_S),
             ("task.frame_timeout_s", t.frame_timeout_s, TIME_S),
+            ("task.max_blind_travel_mm", t.max_blind_travel_mm, LENGTH_MM),
+            ("task.max_blind_free_travel_mm", t.max_blind_free_travel_mm, LENGTH_MM),
+            ("task.max_late_periods", t.max_late_periods, PERIODS),
+            ("task.device_timeout_s", t.device_timeout_s, TIME_S),
             ("task.stage_timeout_s", t.stage_timeout_s, STAGE_S),
         ];
         for (name, found, range) in within {
             range.check(name, found)?;
+        }
+        let sigmas = [
+            ("task.grasp_trigger_sigmas", t.grasp_trigger_sigmas),
+            ("task.insertion_trigger_sigmas", t.insertion_trigger_sigmas),
+        ];
+        for (name, found) in sigmas {
+            found.map_or(Ok(()), |found| SIGMAS.check(name, found))?;
         }
         check((0.0..=1.0).contains(&t.closing_force), "task.closing_force", t.closing_force, "0 to 1")?;
         for found in t.insertion_axis {

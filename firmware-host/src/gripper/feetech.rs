@@ -52,9 +52,8 @@ impl FeetechGripper {
                 let count = self.line.receive(&mut buffer, deadline)?;
                 match reader.push(&buffer[..count]) {
                     Some(Ok(status)) if status.id == self.id => return faultless(status),
-                    Some(_) => {}
-                    None if count > 0 => {}
-                    None => break,
+                    _ if count > 0 && Instant::now() < deadline => {}
+                    _ => break,
                 }
             }
         }
@@ -126,6 +125,10 @@ impl Gripper for FeetechGripper {
     fn stop(&mut self) -> Result<(), GripperError> {
         let (moving, position) = self.state()?;
         if moving { self.go(position, &[]) } else { Ok(()) }
+    }
+
+    fn sent_ns(&self) -> Option<u64> {
+        self.line.sent_ns()
     }
 
     fn status(&mut self) -> Result<GripperStatus, GripperError> {

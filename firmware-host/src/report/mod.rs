@@ -9,6 +9,7 @@ pub use page::page;
 pub use trace::Trace;
 
 use crate::recording::RecordingReport;
+use crate::task::LatencyReport;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -28,6 +29,8 @@ pub enum Stage {
     Align,
     /// Lowering until the insertion trigger.
     Insert,
+    /// Leaving the hole, with or without the part.
+    Retreat,
     /// The end.
     Done,
     /// No job: sensing alone.
@@ -45,6 +48,7 @@ impl Stage {
             Self::Localize => "localize",
             Self::Align => "align",
             Self::Insert => "insert",
+            Self::Retreat => "retreat",
             Self::Done => "done",
             Self::Sense => "sense",
         }
@@ -95,6 +99,11 @@ pub enum Outcome {
         /// Three standard deviations of that depth.
         within_mm: f64,
     },
+    /// The goal was taught.
+    Taught {
+        /// Origin of the part in its goal, base frame, as it was localized.
+        position_mm: [f64; 3],
+    },
     /// Nothing stopped the part as far as the robot went.
     NothingFelt {
         /// Depth below the rim where the robot gave up.
@@ -137,6 +146,9 @@ impl std::fmt::Display for Outcome {
                 f,
                 "jammed: stopped by the insertion trigger at a depth of {depth_mm:.2} mm, within {within_mm:.2} mm"
             ),
+            Self::Taught { position_mm: [x, y, z] } => {
+                write!(f, "taught: the part was localized in its goal at ({x:.2}, {y:.2}, {z:.2}) mm")
+            }
             Self::NothingFelt { depth_mm } => {
                 write!(f, "nothing felt down to a depth of {depth_mm:.2} mm: no part, or no hole's bottom")
             }
@@ -192,6 +204,10 @@ pub struct TruthReport {
     pub inserted_mm: f64,
     /// How deep it could have gone in the posture in which it was aligned.
     pub limit_mm: f64,
+    /// Distance of the tip from the hole's axis when the hand was farthest into the hole.
+    pub hole_offset_mm: f64,
+    /// Angle between the axes of part and hole then.
+    pub hole_tilt_rad: f64,
     /// Whether the outcome says what happened.
     pub outcome_is_true: bool,
 }
@@ -210,8 +226,12 @@ pub struct PageReport {
 pub struct JobReport {
     /// How it ended.
     pub outcome: Outcome,
+    /// Why it stopped, in one sentence.
+    pub why: String,
     /// The stages that were begun.
     pub stages: Vec<StageReport>,
+    /// From images to results and to stop commands.
+    pub latency: LatencyReport,
     /// The part in the hand, once it was found.
     pub localized: Option<Localized>,
     /// What really happened, where that is known: in simulation only.

@@ -1,5 +1,6 @@
 //! What a task writes down: its recording, the digest of its results, and the reports of its stages.
 
+use super::Sinks;
 use crate::gripper::GripperStatus;
 use crate::notes::{action_note, frame_note};
 use crate::recording::{MessageSink, Recording, RecordingReport, Topic, messages};
@@ -29,11 +30,8 @@ pub(super) struct Log<'a> {
 }
 
 impl<'a> Log<'a> {
-    pub(super) fn new(
-        recording: Option<Recording>,
-        trace: &'a mut Trace,
-        progress: &'a mut dyn FnMut(&StageReport),
-    ) -> Self {
+    pub(super) fn new(sinks: Sinks<'a>) -> Self {
+        let Sinks { recording, trace, progress } = sinks;
         Self {
             recording,
             trace,

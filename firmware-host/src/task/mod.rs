@@ -1,31 +1,43 @@
-//! The paper's task: grasp, localize, align, insert (section V-A).
+//! The paper's task: grasp, localize, align, insert (section V-A), and then leave the hole.
 
 mod align;
 mod cell;
 mod devices;
+mod driver_thread;
 mod error;
 mod grasp;
 mod insert;
+mod latency;
 mod localize;
 mod log;
+mod noise;
 mod prepare;
+mod retreat;
+mod teach;
+mod watch;
 
 pub use devices::Devices;
+pub use driver_thread::{Driver, DriverThread};
 pub use error::TaskError;
+pub use latency::{LatencyReport, StopReport};
 
 use crate::config::Config;
 use crate::recording::Recording;
 use crate::report::{JobReport, Localized, Outcome, Stage, StageReport, Trace};
 use crate::sensing::Sensing;
+use crate::taught::Taught;
 use align::align;
 use cell::Cell;
 use error::Halt;
+use gelstereo_core::math::Pose;
 use grasp::grasp;
 use insert::insert;
 use localize::{Localization, localize};
 use log::Log;
 use prepare::{open, rest};
+use retreat::retreat;
 use std::sync::atomic::AtomicBool;
+use teach::teach;
 
 /// One task.
 pub struct Task<'a> {
@@ -33,20 +45,37 @@ pub struct Task<'a> {
     localized: Option<Localized>,
 }
 
+/// Where a task writes what happens.
+pub struct Sinks<'a> {
+    /// The recording, if there is one.
+    pub recording: Option<Recording>,
+    /// What the page of the run shows.
+    pub trace: &'a mut Trace,
+    /// Gets the report of every stage that is over.
+    pub progress: &'a mut dyn FnMut(&StageReport),
+}
+
+/// What came of teaching.
+pub struct Teaching {
+    /// How it went.
+    pub report: JobReport,
+    /// The goal, if the part was localized in it.
+    pub taught: Option<Taught>,
+}
+
 impl<'a> Task<'a> {
-    /// Ready to run. `stop` is read once per frame; `progress` gets the report of every stage that is over. `trace`
-    /// keeps what the page of the run shows.
+    /// Ready to run. `goal` is the part's pose when it is inserted (`t_base_object`); `stop` is read at least once per
+    /// frame.
     pub fn new(
         config: &'a Config,
         devices: Devices,
         sensing: Sensing,
-        recording: Option<Recording>,
-        trace: &'a mut Trace,
+        goal: Pose,
+        sinks: Sinks<'a>,
         stop: &'a AtomicBool,
-        progress: &'a mut dyn FnMut(&StageReport),
     ) -> Self {
-        let log = Log::new(recording, trace, progress);
-        Self { cell: Cell::new(config, devices, sensing, log, stop), localized: None }
+        let log = Log::new(sinks);
+        Self { cell: Cell::new(config, devices, sensing, goal, log, stop), localized: None }
     }
 
     /// Runs all stages. Whatever happens, stops the devices and closes the recording.
@@ -54,7 +83,31 @@ impl<'a> Task<'a> {
     /// # Errors
     /// [`TaskError`]; a task that ends without success is no error but an [`Outcome`].
     pub fn run(mut self) -> Result<JobReport, TaskError> {
-        let result = match self.stages() {
+        let result = self.stages();
+        self.finish(result)
+    }
+
+    /// Grasps the part in its goal and localizes it there. With `stay` the robot does not come to the part: somebody has
+    /// brought the open fingers around it.
+    ///
+    /// # Errors
+    /// As [`Self::run`].
+    pub fn teach(mut self, stay: bool) -> Result<Teaching, TaskError> {
+        let mut taught = None;
+        let result = teach(&mut self.cell, stay).map(|lesson| match lesson {
+            Ok(lesson) => {
+                let position_mm = lesson.taught.goal().translation_mm.to_array();
+                self.localized = Some(lesson.held.localized);
+                taught = Some(lesson.taught);
+                Outcome::Taught { position_mm }
+            }
+            Err(outcome) => outcome,
+        });
+        self.finish(result).map(|report| Teaching { report, taught })
+    }
+
+    fn finish(mut self, result: Result<Outcome, Halt>) -> Result<JobReport, TaskError> {
+        let result = match result {
             Ok(outcome) | Err(Halt::Outcome(outcome)) => Ok(outcome),
             Err(Halt::Error(error)) => Err(error),
         };
@@ -68,9 +121,12 @@ impl<'a> Task<'a> {
         let recording = log.close();
         let outcome = result?;
         stopped?;
+        let latency = self.cell.latency();
         let summary = self.cell.log.into_parts();
         Ok(JobReport {
+            why: outcome.to_string(),
             outcome,
+            latency,
             stages: summary.stages,
             localized: self.localized,
             truth: None,
@@ -83,7 +139,7 @@ impl<'a> Task<'a> {
 
     fn stages(&mut self) -> Result<Outcome, Halt> {
         let cell = &mut self.cell;
-        open(cell)?;
+        open(cell, Some(&cell.config.task.grasp_pose.pose()))?;
         rest(cell)?;
         grasp(cell)?;
         let held = match localize(cell)? {
@@ -92,6 +148,8 @@ impl<'a> Task<'a> {
         };
         self.localized = Some(held.localized.clone());
         let above = align(cell, &held)?;
-        insert(cell, &above, &held)
+        let outcome = insert(cell, &above, &held)?;
+        retreat(cell, &above, &outcome)?;
+        Ok(outcome)
     }
 }

@@ -15,8 +15,30 @@ use gelstereo_sim::{ContactState, Scene, Shape, Simulator, Truth};
 /// Where the peg is held.
 #[derive(Clone, Copy, Debug)]
 enum Hold {
-    Holder { t_base_object: Pose },
-    Hand { t_gripper_object: Pose },
+    Holder {
+        t_base_object: Pose,
+    },
+    Hand {
+        t_gripper_object: Pose,
+    },
+    /// Somebody placed it in the hole, which holds it.
+    Hole {
+        t_base_object: Pose,
+    },
+    /// Let go: it stays where it is, and was held so before.
+    Released {
+        t_base_object: Pose,
+        t_gripper_object: Pose,
+    },
+}
+
+/// Where the part is at the beginning.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// Loosely in its holder, somewhere near where the task expects it.
+    Holder,
+    /// In the hole, anywhere within its clearance.
+    Goal,
 }
 
 /// The gripper stalls when the gel is pressed to this share of its thickness.
@@ -34,6 +56,8 @@ pub struct Bench {
     /// Where the part's origin was in the sensor frame when it first touched the gel.
     touch_mm: Option<DVec3>,
     deepest_mm: f64,
+    /// The fit when the hand was farthest into the hole.
+    deepest_fit: Option<Fit>,
     truth: Truth,
 }
 
@@ -42,7 +66,7 @@ pub struct Bench {
 pub struct BenchTruth {
     /// Part in the gripper, as it was grasped.
     pub t_gripper_object: Pose,
-    /// Peg against hole, as if nothing held the peg back.
+    /// Peg against hole when the hand was farthest into it, as if nothing held the peg back.
     pub fit: Fit,
     /// How deep the peg got into the hole at most; negative when it never reached the rim.
     pub deepest_mm: f64,
@@ -51,11 +75,11 @@ pub struct BenchTruth {
 }
 
 impl Bench {
-    /// With the peg somewhere near where the job expects it.
+    /// With the peg at its place.
     ///
     /// # Errors
     /// [`WorldError`].
-    pub fn new(config: &Config) -> Result<Self, WorldError> {
+    pub fn new(config: &Config, place: Place) -> Result<Self, WorldError> {
         let (simulated, task) = (&config.simulated, &config.task);
         let shape = simulated.shape.as_ref().unwrap_or(&config.part.shape).clone();
         let peg = peg(&shape, config.insertion_axis()).ok_or(WorldError::NotRound)?;
@@ -65,20 +89,26 @@ impl Bench {
         let goal = task.goal_pose.pose();
         let inwards = goal.transform_vector(peg.axis);
         let bottom_mm = goal.transform_point(peg.axis * peg.half_length_mm);
+        let hole = Hole {
+            rim_mm: bottom_mm - inwards * task.insertion_depth_mm,
+            inwards,
+            diameter_mm: simulated.hole_diameter_mm,
+            depth_mm: task.insertion_depth_mm,
+        };
+        let hold = match place {
+            Place::Holder => Hold::Holder { t_base_object: misplaced(config) },
+            Place::Goal => Hold::Hole { t_base_object: placed(config, &hole, &peg) },
+        };
         Ok(Self {
             simulator: Simulator::new(&scene, None).map_err(WorldError::Scene)?,
             size_px,
             peg,
-            hole: Hole {
-                rim_mm: bottom_mm - inwards * task.insertion_depth_mm,
-                inwards,
-                diameter_mm: simulated.hole_diameter_mm,
-                depth_mm: task.insertion_depth_mm,
-            },
+            hole,
             stall_mm: STALL_SHARE * simulated.gel.thickness_mm,
-            hold: Hold::Holder { t_base_object: misplaced(config) },
+            hold,
             touch_mm: None,
             deepest_mm: f64::NEG_INFINITY,
+            deepest_fit: None,
             truth: Truth::default(),
         })
     }
@@ -86,6 +116,7 @@ impl Bench {
     /// Takes a picture; `frame` keys its noise.
     pub fn expose(&mut self, hand: &Hand, frame: u64, pair: &mut StereoPair) {
         self.push(hand);
+        self.release(hand);
         let (t_base_object, fit) = self.t_base_object(hand);
         let t_sensor_object = (hand.t_base_gripper * hand.t_gripper_sensor).inverse() * t_base_object;
         // The part sticks to where it first touched.
@@ -98,6 +129,9 @@ impl Bench {
         }
         if matches!(self.hold, Hold::Hand { .. }) {
             self.deepest_mm = self.deepest_mm.max(fit.depth_mm.min(fit.limit_mm));
+            if self.deepest_fit.is_none_or(|deepest| fit.depth_mm > deepest.depth_mm) {
+                self.deepest_fit = Some(fit);
+            }
         }
         for (gray, size_px) in [&mut pair.left, &mut pair.right].into_iter().zip(self.size_px) {
             (gray.width, gray.height) = size_px;
@@ -122,8 +156,13 @@ impl Bench {
     #[must_use]
     pub fn truth(&self, hand: &Hand) -> BenchTruth {
         BenchTruth {
-            t_gripper_object: hand.t_base_gripper.inverse() * self.t_base_object_free(hand),
-            fit: self.t_base_object(hand).1,
+            t_gripper_object: match self.hold {
+                Hold::Holder { t_base_object } | Hold::Hole { t_base_object } => {
+                    hand.t_base_gripper.inverse() * t_base_object
+                }
+                Hold::Hand { t_gripper_object } | Hold::Released { t_gripper_object, .. } => t_gripper_object,
+            },
+            fit: self.deepest_fit.unwrap_or_else(|| self.t_base_object(hand).1),
             deepest_mm: self.deepest_mm,
             half_length_mm: self.peg.half_length_mm,
         }
@@ -139,10 +178,22 @@ impl Bench {
         *t_base_object = Pose::from_translation_mm(shift_mm) * *t_base_object;
     }
 
+    /// Fingers that no longer reach the peg leave it where it is.
+    fn release(&mut self, hand: &Hand) {
+        let Hold::Hand { t_gripper_object } = self.hold else { return };
+        if 0.5 * hand.width_mm > self.peg.radius_mm {
+            let (t_base_object, _) = self.t_base_object(hand);
+            self.hold = Hold::Released { t_base_object, t_gripper_object };
+            self.touch_mm = None;
+        }
+    }
+
     /// Part in the base frame, as if nothing held it back.
     fn t_base_object_free(&self, hand: &Hand) -> Pose {
         match self.hold {
-            Hold::Holder { t_base_object } => t_base_object,
+            Hold::Holder { t_base_object }
+            | Hold::Hole { t_base_object }
+            | Hold::Released { t_base_object, .. } => t_base_object,
             Hold::Hand { t_gripper_object } => hand.t_base_gripper * t_gripper_object,
         }
     }
@@ -152,7 +203,7 @@ impl Bench {
         let free = self.t_base_object_free(hand);
         let fit = self.hole.fit(&self.peg, &free);
         let excess_mm = match self.hold {
-            Hold::Holder { .. } => 0.0,
+            Hold::Holder { .. } | Hold::Hole { .. } | Hold::Released { .. } => 0.0,
             Hold::Hand { .. } => (fit.depth_mm - fit.limit_mm).max(0.0),
         };
         (Pose::from_translation_mm(-self.hole.inwards * excess_mm) * free, fit)
@@ -180,4 +231,26 @@ fn misplaced(config: &Config) -> Pose {
     let spin = config.insertion_axis() * within(core::f64::consts::PI);
     let off = Pose { rotation: so3::exp(tilt) * so3::exp(spin), translation_mm: offset_mm };
     config.task.part_pose.pose() * off
+}
+
+/// Poses that are tried within the clearance; one of ten fits.
+const MAX_TRIES: usize = 1000;
+
+/// Where somebody placed the part in the hole: at the bottom, with any offset and tilt that the clearance allows.
+fn placed(config: &Config, hole: &Hole, peg: &Peg) -> Pose {
+    let goal = config.task.goal_pose.pose();
+    let room_mm = (0.5 * hole.diameter_mm - peg.radius_mm).max(0.0);
+    let mut stream = Stream::new(config.simulated.seed, "part in its goal");
+    let mut within = |most: f64| (2.0 * stream.uniform() - 1.0) * most;
+    let candidates = (0..MAX_TRIES).map(|_| {
+        let tilt = DVec3::new(within(1.0), within(1.0), 0.0) * (room_mm / hole.depth_mm);
+        let offset_mm = DVec3::new(within(room_mm), within(room_mm), 0.0);
+        let spin = peg.axis * within(core::f64::consts::PI);
+        let turn = so3::exp(tilt) * so3::exp(spin);
+        // The tip stays at the bottom and is offset; the rest of the part leans.
+        let tip_mm = peg.axis * peg.half_length_mm;
+        goal * Pose { rotation: turn, translation_mm: tip_mm + offset_mm - turn * tip_mm }
+    });
+    let fits = |pose: &Pose| hole.fit(peg, pose).limit_mm >= hole.depth_mm;
+    candidates.into_iter().find(fits).unwrap_or(goal)
 }

@@ -8,7 +8,7 @@ mod devices;
 mod hole;
 mod rehearsal;
 
-pub use bench::{Bench, BenchTruth};
+pub use bench::{Bench, BenchTruth, Place};
 pub use devices::{PacedSource, SimulatedCamera, SimulatedGripper, SimulatedRobot, TimedSource};
 pub use hole::{Fit, Hole, Peg};
 pub use rehearsal::Rehearsal;
@@ -105,18 +105,18 @@ impl World {
     ///
     /// # Errors
     /// [`WorldError`].
-    pub fn shared(config: &Config) -> Result<Rc<RefCell<Self>>, WorldError> {
-        let (bench, rate_hz) = match config.source {
-            SourceConfig::Simulated => (Some(Bench::new(config)?), config.simulated.frame_rate_hz),
-            SourceConfig::Folder { frame_rate_hz, .. } => (None, frame_rate_hz),
-            SourceConfig::Camera(ref camera) => (None, camera.frame_rate_hz),
-            SourceConfig::Stream(ref stream) => {
-                (None, stream.frame_rate_hz.unwrap_or(config.simulated.frame_rate_hz))
-            }
+    pub fn shared(config: &Config, place: Place) -> Result<Rc<RefCell<Self>>, WorldError> {
+        let bench = match config.source {
+            SourceConfig::Simulated => Some(Bench::new(config, place)?),
+            _ => None,
         };
+        let rate_hz = config.source.frame_rate_hz(config.simulated.frame_rate_hz);
         let (_, max_width_mm) = config.mount.kinematics.width_range_mm();
         Ok(Rc::new(RefCell::new(Self {
-            mount: config.mount.clone(),
+            mount: SensorMount {
+                t_pad_sensor: config.mount.t_pad_sensor * config.simulated.mount_error.pose(),
+                ..config.mount.clone()
+            },
             period_ns: (1e9 / rate_hz) as u64,
             frame: 0,
             activated: false,
