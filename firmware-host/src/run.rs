@@ -215,19 +215,26 @@ pub fn run(
     let recording = begin_recording(config, &setup.part)?;
     let mut trace = Trace::default();
     let mut result = run_traced(config, setup, Some(recording), &mut trace, stop, progress);
-    let light_fault = light.off().err().map(|error| error.to_string());
-    if let Ok(report) = &mut result {
-        // The job is done: a light that stays on must not hide what came of it.
-        report.light_fault = light_fault;
-    }
-    if config.recording.report {
-        // Also of a job that broke off: its page shows how far it came.
-        let page = PageReport::write(config, &trace, result.as_ref().map_err(|error| error as &dyn Display));
-        if let Ok(report) = &mut result {
-            report.page = Some(page);
-        }
-    }
+    finish(config, &trace, light, result.as_mut());
     result
+}
+
+/// Switches the light off and writes the page, also of a job that broke off: its page shows how far it came.
+///
+/// The job is done: neither a light that stays on nor a page that cannot be written hides what came of it.
+fn finish(config: &Config, trace: &Trace, light: LightOn, result: Result<&mut JobReport, &mut HostError>) {
+    let light_fault = light.off().err().map(|error| error.to_string());
+    match result {
+        Ok(report) => {
+            report.light_fault = light_fault;
+            report.page = config.recording.report.then(|| PageReport::write(config, trace, Ok(report)));
+        }
+        Err(error) if config.recording.report => {
+            // The error is what matters then.
+            let _ = PageReport::write(config, trace, Err(error as &dyn Display));
+        }
+        Err(_) => {}
+    }
 }
 
 fn begin_recording(config: &Config, part: &Part) -> Result<Recording, HostError> {
@@ -252,25 +259,25 @@ pub fn teach(
     let light = LightOn::new(&config.light)?;
     let setup = Setup::for_teaching(config)?;
     let recording = begin_recording(config, &setup.part)?;
-    let mut teaching = teach_with(config, setup, Some(recording), stay, stop, progress)?;
-    teaching.report.light_fault = light.off().err().map(|error| error.to_string());
-    Ok(teaching)
+    let mut trace = Trace::default();
+    let sinks = Sinks { recording: Some(recording), trace: &mut trace, progress };
+    let mut result = teach_with(config, setup, sinks, stay, stop);
+    finish(config, &trace, light, result.as_mut().map(|teaching| &mut teaching.report));
+    result
 }
 
 /// Teaches the goal with what was set up.
 ///
 /// # Errors
 /// [`HostError::Task`].
-pub fn teach_with(
-    config: &Config,
+pub fn teach_with<'a>(
+    config: &'a Config,
     setup: Setup,
-    recording: Option<Recording>,
+    sinks: Sinks<'a>,
     stay: bool,
-    stop: &AtomicBool,
-    progress: &mut dyn FnMut(&StageReport),
+    stop: &'a AtomicBool,
 ) -> Result<Teaching, HostError> {
     let Setup { devices, sensing, goal, .. } = setup;
-    let sinks = Sinks { recording, trace: &mut Trace::default(), progress };
     Ok(Task::new(config, devices, sensing, goal, sinks, stop).teach(stay)?)
 }
 

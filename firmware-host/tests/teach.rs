@@ -3,8 +3,9 @@
 
 use gelstereo_core::params::Params;
 use gelstereo_host::config::{Config, PoseConfig};
-use gelstereo_host::report::{JobReport, Outcome, Stage};
+use gelstereo_host::report::{JobReport, Outcome, Stage, Trace};
 use gelstereo_host::run::{Setup, run_with, teach_with};
+use gelstereo_host::task::Sinks;
 use gelstereo_host::taught::{Taught, TaughtError};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
@@ -32,7 +33,8 @@ fn teach(config: &Config, seed: u64, path: &Path) -> JobReport {
     config.simulated.seed = seed;
     let stop = AtomicBool::new(false);
     let setup = Setup::for_teaching(&config).unwrap();
-    let teaching = teach_with(&config, setup, None, false, &stop, &mut |_| {}).unwrap();
+    let sinks = Sinks { recording: None, trace: &mut Trace::default(), progress: &mut |_| {} };
+    let teaching = teach_with(&config, setup, sinks, false, &stop).unwrap();
     teaching.taught.unwrap().save(path).unwrap();
     teaching.report
 }

@@ -56,13 +56,17 @@ pub fn command(Arguments { config, record, seed, json }: Arguments) -> Result<bo
         print_summary(&report)?;
     }
     tell_light_fault(&report);
-    if let Some(reason) = report.page.as_ref().and_then(|page| page.fault.as_ref()) {
-        let _ = writeln!(std::io::stderr(), "gelstereo-host: the run has no page: {reason}");
-    }
+    tell_page_fault(&report);
     if let Some(reason) = report.recording.and_then(|recording| recording.fault) {
         return Err(CliError::Recording(reason));
     }
     Ok(matches!(report.outcome, Outcome::Inserted { .. }))
+}
+
+pub(super) fn tell_page_fault(report: &JobReport) {
+    if let Some(reason) = report.page.as_ref().and_then(|page| page.fault.as_ref()) {
+        let _ = writeln!(std::io::stderr(), "gelstereo-host: the run has no page: {reason}");
+    }
 }
 
 pub(super) fn tell_light_fault(report: &JobReport) {

@@ -1,6 +1,6 @@
 //! `gelstereo-host teach`.
 
-use super::run::{stage_line, tell_light_fault};
+use super::run::{stage_line, tell_light_fault, tell_page_fault};
 use super::{CliError, load, say, stop_flag};
 use clap::Args;
 use gelstereo_host::config::{Config, RobotConfig};
@@ -59,6 +59,7 @@ pub fn command(arguments: Arguments) -> Result<bool, CliError> {
         say(&teaching.report.why)?;
     }
     tell_light_fault(&teaching.report);
+    tell_page_fault(&teaching.report);
     if teaching.taught.is_some() && !json {
         say(format_args!("written to {}; use it with [task] taught = {output:?}", output.display()))?;
     }
