@@ -1,0 +1,161 @@
+"""The whole task: gelstereo-host sees a simulated world through a frame stream, a serial gripper and a robot bridge.
+
+Every part is a process: the world (firmware-host/examples/world_server.rs), the camera's feeder, the gripper (pymodbus
+on a pseudo-terminal), the robot's bridge (examples/robot_bridge.py) and the host. The world has the truth.
+"""
+
+from __future__ import annotations
+
+import itertools
+import random
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from gripper_peers.wire import Faults
+from test_recording_readers import host_binary
+from whole_task.cell import Cell, Outcome, Setting, cell
+from whole_task.judge import assert_triggers, assert_true, frames
+
+pytest.importorskip("pymodbus")
+mcap_reader = pytest.importorskip("mcap.reader")
+
+# The moment of a kill: after so many of these commands, and up to this long after.
+MOMENTS = [
+    ("gripper_move", 1, 0.4),  # opening
+    ("gripper_move", 2, 0.5),  # closing
+    ("gripper_stop", 1, 0.3),  # the part is held
+    ("robot_move", 2, 0.4),  # lifting and aligning
+    ("robot_move", 4, 1.2),  # inserting
+]
+# What each part is called where the host says what went wrong.
+WORDS = {"camera": "stereo pair", "gripper": "gripper", "robot": "robot"}
+# After a kill the world may move on for so long: the longest watchdog of the defaults, task.frame_timeout_s, and what
+# a busy computer adds.
+MAX_MOTION_S = 3.0
+
+
+def run_to_the_end(opened: Cell) -> Outcome:
+    opened.start_host()
+    outcome = opened.end()
+    assert_true(outcome)
+    return outcome
+
+
+@pytest.mark.parametrize("kind", ["robotiq", "dh"])
+def test_the_task_is_done_through_real_protocols(tmp_path: Path, kind: str) -> None:
+    with cell(tmp_path, Setting(1, kind)) as opened:
+        outcome = run_to_the_end(opened)
+    assert outcome.kind == "inserted", (outcome.report, outcome.truth)
+    assert_triggers(outcome, frames(opened.recording))
+
+
+@pytest.mark.parametrize(
+    "faults",
+    [
+        Faults(drop=0.03, seed=3),
+        Faults(double=0.1, seed=4),
+        Faults(change=0.03, seed=5),
+        Faults(late=0.03, late_s=0.15, seed=6),
+        Faults(split=0.5, seed=7),
+    ],
+    ids=["dropped", "doubled", "changed", "late", "split"],
+)
+@pytest.mark.long
+def test_faults_on_the_grippers_line_do_not_change_what_is_done(tmp_path: Path, faults: Faults) -> None:
+    with cell(tmp_path, Setting(2), faults) as opened:
+        run_to_the_end(opened)
+
+
+def test_a_gripper_that_vanishes_in_mid_grasp_stops_the_task(tmp_path: Path) -> None:
+    with cell(tmp_path, Setting(3)) as opened:
+        opened.start_host()
+        opened.wait_for("gripper_move", 2)
+        opened.wire.cut = True
+        cut_ns = time.monotonic_ns()
+        outcome = opened.end()
+        assert outcome.code == 2 and "the gripper on" in outcome.errors, (outcome.kind, outcome.errors)
+        assert_at_rest(opened, cut_ns)
+
+
+@pytest.mark.long
+def test_twenty_seeds_are_inserted_or_refused_with_a_reason(tmp_path: Path) -> None:
+    outcomes = []
+    for seed in range(1, 21):
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        with cell(folder, Setting(seed, ("robotiq", "dh")[seed % 2])) as opened:
+            outcomes.append(run_to_the_end(opened))
+            assert_triggers(outcomes[-1], frames(opened.recording))
+    kinds = [outcome.kind for outcome in outcomes]
+    assert kinds.count("inserted") >= 15, kinds
+
+
+def assert_at_rest(opened: Cell, since_ns: int) -> None:
+    """Nothing moves in the world any more: the robot since `MAX_MOTION_S` at the latest, the fingers unless they finish
+    their last move, which no gripper here can help.
+    """
+    rest_ns = since_ns + int(MAX_MOTION_S * 1e9)
+    while time.monotonic_ns() < rest_ns + 200_000_000:
+        time.sleep(0.05)
+    late = [event for event in opened.events() if event["time_ns"] > rest_ns]
+    assert len(late) >= 2, "the world has stopped"
+    places = {tuple(event["position_mm"]) for event in late}
+    assert len(places) == 1, f"the robot moves: {places}"
+    commands = [event for event in late if event["event"] != "exposed"]
+    assert not commands, commands
+    for before, after in itertools.pairwise(late):
+        # Fingers that finish a move go one way, and no further than they were sent.
+        assert after["width_mm"] <= before["width_mm"] or not before["fingers_move"], (before, after)
+
+
+def recovered(recording: Path) -> dict[str, Any]:
+    """A recording that was cut off, with an index: its messages by topic."""
+    output = recording.with_name("recovered.mcap")
+    command = [host_binary(), "recover", str(recording), str(output)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    with output.open("rb") as file:
+        counts: dict[str, Any] = {}
+        for _, channel, _ in mcap_reader.make_reader(file).iter_messages():
+            counts[channel.topic] = counts.get(channel.topic, 0) + 1
+    return counts
+
+
+def kill_one(folder: Path, part: str, generator: random.Random) -> str:
+    """Kills a part of a running task at a random moment; how the host ended."""
+    event, count, within_s = generator.choice(MOMENTS)
+    with cell(folder, Setting(generator.randrange(1, 100))) as opened:
+        opened.start_host()
+        opened.wait_for(event, count)
+        time.sleep(generator.uniform(0.0, within_s))
+        ended = opened.parts["host"].poll() is not None
+        killed_ns = opened.kill(part)
+        outcome = opened.end()
+        assert_at_rest(opened, killed_ns)
+        if outcome.kind == "inserted" or ended:
+            # The task was done before the host needed the part again.
+            assert_true(outcome)
+        elif part == "host":
+            assert outcome.code == -9
+        else:
+            assert outcome.code == 2 and WORDS[part] in outcome.errors, (outcome.kind, outcome.errors)
+        counts = recovered(opened.recording)
+        assert counts.get("/gelstereo/stage", 0) >= 1 or part == "host", counts
+    return f"{part} {within_s} s after {event} {count}: {outcome.kind}"
+
+
+@pytest.mark.parametrize("part", ["camera", "gripper", "robot", "host"])
+def test_a_killed_part_ends_the_task_safely(tmp_path: Path, part: str) -> None:
+    kill_one(tmp_path, part, random.Random(f"everyday {part}"))
+
+
+@pytest.mark.long
+def test_twenty_kills_at_random_moments_end_safely(tmp_path: Path) -> None:
+    generator = random.Random(20211)
+    for number in range(20):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        print(kill_one(folder, ("camera", "gripper", "robot", "host")[number % 4], generator))

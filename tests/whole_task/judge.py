@@ -1,0 +1,73 @@
+"""Holds what the host said and recorded against what happened in the world."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from whole_task.cell import Outcome
+
+# Outcomes by which the host says that it did not insert.
+REFUSALS = {"jammed", "nothing_felt", "not_grasped", "not_localized"}
+
+Frame = dict[str, Any]
+
+
+def assert_true(outcome: Outcome) -> None:
+    """The host's outcome is what happened in the world."""
+    inserted = outcome.truth["inserted_mm"] >= outcome.truth["hole_depth_mm"]
+    assert outcome.kind in {"inserted"} | REFUSALS, (outcome.kind, outcome.errors)
+    assert (outcome.kind == "inserted") == inserted, (outcome.report, outcome.truth)
+    assert outcome.code == (0 if inserted else 1), outcome.errors
+
+
+def frames(recording: Path, sent: Mapping[int, int] | None = None) -> list[Frame]:
+    """Frames of a recording in their order: ``stage``, ``motion_px`` and ``world_frame``, the world's number of it.
+
+    Without `sent` the camera's numbers are the world's. Else `sent` has the number by the CRC-32 of the JPEG file.
+    """
+    from mcap.reader import make_reader
+
+    stage, numbers, found = "", {}, []
+    with recording.open("rb") as file:
+        for _, channel, message in make_reader(file).iter_messages(log_time_order=False):
+            time_ns, data = message.publish_time, message.data
+            if channel.topic == "/gelstereo/stereo/image/compressed" and sent is not None:
+                numbers[time_ns] = sent[zlib.crc32(data[data.index(b"\xff\xd8\xff") :])]
+            elif channel.topic in ("/gelstereo/stage", "/gelstereo/frame", "/gelstereo/capture"):
+                # A string in CDR: four bytes of encapsulation, its length, its bytes and a zero.
+                note = json.loads(data[8:].rstrip(b"\0"))
+                if channel.topic == "/gelstereo/stage":
+                    stage = note.get("stage", stage)
+                elif channel.topic == "/gelstereo/capture" and sent is None and "sequence" in note:
+                    numbers[time_ns] = note["sequence"]
+                elif "motion_px" in note:
+                    found.append({"stage": stage, "time_ns": time_ns, **note})
+    return [{**frame, "world_frame": numbers[frame["time_ns"]]} for frame in found]
+
+
+def assert_trigger(outcome: Outcome, recorded: list[Frame], stage: str, px: float, mover: str) -> int:
+    """Frames that were exposed before a ``gripper`` or ``robot`` was stopped; at most one.
+
+    A gripper without a command to stop is sent to where it is.
+    """
+    first = next(frame for frame in recorded if frame["stage"] == stage and frame["motion_px"] >= px)
+    moves = {"gripper": "fingers_move", "robot": "robot_moves"}[mover]
+    later = [event for event in outcome.events if event["frame"] >= first["world_frame"]]
+    acted = next(
+        event for event in later if event["event"] in (f"{mover}_stop", f"{mover}_move") or not event[moves]
+    )
+    exposed: int = acted["frame"] - first["world_frame"]
+    assert exposed <= 1, f"{mover} stopped {exposed} frames after the one with {first['motion_px']:.1f} px"
+    return exposed
+
+
+def assert_triggers(outcome: Outcome, recorded: list[Frame]) -> dict[str, int]:
+    """Both triggers acted within one frame of the one that shows them; frames exposed before they did."""
+    exposed = {"grasp": assert_trigger(outcome, recorded, "close", 10.0, "gripper")}
+    if outcome.kind in {"inserted", "jammed"}:
+        exposed["insertion"] = assert_trigger(outcome, recorded, "insert", 5.0, "robot")
+    return exposed
