@@ -38,7 +38,7 @@ test-python: prerequisites $(BIN)/python
 	# It would bring a second OpenCV with it; only its recordings are read.
 	$(BIN)/pip install --quiet --no-deps pytac3d==3.3.0.9
 	@.ci/second-opinion.sh
-	cargo build --release --quiet -p gelstereo-host
+	cargo build --release --quiet -p gelstereo-host --bins --example world_server
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy --strict python/gelstereo
@@ -47,7 +47,7 @@ test-python: prerequisites $(BIN)/python
 
 test-long: prerequisites $(BIN)/python
 	$(BIN)/pip install --quiet '.[test]'
-	cargo build --release --quiet -p gelstereo-host
+	cargo build --release --quiet -p gelstereo-host --bins --example world_server
 	GELSTEREO_KILLS=50 cargo test --quiet -p gelstereo-host --test faults
 	GELSTEREO_LONG_FRAMES=30000 cargo test --quiet -p gelstereo-host --test long_run
 	cargo test --quiet -p gelstereo-host --test reference -- --ignored

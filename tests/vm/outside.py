@@ -78,6 +78,10 @@ class WorldCamera:
         self._camera.video = self._video
         self._camera.serve(link)
 
+    def unplug(self) -> None:
+        """Pulls the camera's plug, as the VM sees it."""
+        self._camera.unplug_link()
+
     def film(self, address: str) -> None:
         """Sends the frames of this world from now on, until it ends."""
         threading.Thread(target=self._film, args=(address,), daemon=True).start()

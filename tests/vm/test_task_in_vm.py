@@ -9,10 +9,12 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import socket
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -26,7 +28,7 @@ from guest.usb.descriptors import Mode
 from outside import Agent, WorldCamera, listen
 from test_recording_readers import host_binary
 from whole_task.cell import Cell, Outcome, Setting
-from whole_task.judge import assert_triggers, assert_true, frames
+from whole_task.judge import assert_at_rest, assert_triggers, assert_true, frames
 
 pytestmark = pytest.mark.long
 
@@ -61,6 +63,8 @@ rows = 13
 cols = 13
 """
 SEEDS = range(1, 21)
+# The camera's time limit of the task, and what an emulated computer adds.
+MAX_MOTION_S = 8.0
 
 
 def rig() -> str:
@@ -75,7 +79,7 @@ class Vm:
     """A VM that runs, with the camera and the serial adapter plugged in."""
 
     def __init__(self, booted: image.Image, out: Path) -> None:
-        self.out, self.wire = out, Wire()
+        self.out, self.wire, self._monitor = out, Wire(), out / "monitor"
         shutil.copy(host_binary(), out / "gelstereo-host")
         with listen() as agent, listen() as camera:
             self._machine = threading.Thread(
@@ -108,6 +112,7 @@ class Vm:
         devices = ["-netdev", "user,id=net", "-device", "virtio-net-pci,netdev=net", "-device", "qemu-xhci"]
         devices += ["-chardev", f"serial,id=line,path={self.wire.host_port}"]
         devices += ["-device", "usb-serial,chardev=line,id=adapter"]
+        devices += ["-qmp", f"unix:{self._monitor},server=on,wait=off"]
         self.outcome = machine.run(booted, script, self.out, limit_s=900.0, devices=devices)
 
     def start(self, seed: int) -> Cell:
@@ -122,6 +127,17 @@ class Vm:
         self.camera.film(cell.address)
         return cell
 
+    def vanish(self, seed: int, event: str, count: int, unplug: Callable[[], object]) -> Outcome:
+        """Unplugs something after so many of these events of a task, which must end with nothing moving."""
+        with task(self, seed) as cell, ThreadPoolExecutor(1) as pool:
+            running = pool.submit(self.run_task, cell)
+            cell.wait_for(event, count)
+            unplug()
+            unplugged_ns = time.monotonic_ns()
+            outcome = running.result()
+            assert_at_rest(cell, unplugged_ns, MAX_MOTION_S)
+        return outcome
+
     def run_task(self, cell: Cell) -> Outcome:
         """Runs the host inside to its end."""
         arguments = [
@@ -133,6 +149,18 @@ class Vm:
         ]
         done = self.agent.ask("run", limit_s=90.0, arguments=arguments)
         return cell.outcome(done["code"], done["said"], done["errors"])
+
+    def monitor(self, command: str, **arguments: str) -> None:
+        """Has QEMU's monitor do something."""
+        with socket.socket(socket.AF_UNIX) as connection:
+            connection.connect(str(self._monitor))
+            with connection.makefile("rw", encoding="utf-8") as lines:
+                lines.readline()
+                for execute, given in (("qmp_capabilities", {}), (command, arguments)):
+                    lines.write(json.dumps({"execute": execute, "arguments": given}) + "\n")
+                    lines.flush()
+                    while "return" not in (answer := json.loads(lines.readline())):
+                        assert "error" not in answer, answer
 
     def close(self) -> None:
         self.agent.close()
@@ -178,3 +206,16 @@ def test_twenty_seeds_are_inserted_or_refused_with_a_reason(vm: Vm) -> None:
     (REPOSITORY / "target" / "vm" / "task.json").write_text(json.dumps(summary, indent=1), encoding="utf-8")
     kinds = [line["outcome"] for line in lines]
     assert kinds.count("inserted") >= 0.75 * len(kinds), kinds
+
+
+def test_an_adapter_that_is_unplugged_in_mid_grasp_stops_the_task(vm: Vm) -> None:
+    """ftdi_sio goes away with the port; the gripper behind it finishes its move."""
+    outcome = vm.vanish(21, "gripper_move", 2, lambda: vm.monitor("device_del", id="adapter"))
+    assert outcome.code == 2 and "gripper" in outcome.errors, (outcome.kind, outcome.errors)
+    vm.monitor("device_add", driver="usb-serial", chardev="line", id="adapter")
+    vm.serial = vm.agent.ask("serial_ports")
+
+
+def test_a_camera_that_is_unplugged_while_inserting_stops_the_task(vm: Vm) -> None:
+    outcome = vm.vanish(22, "robot_move", 4, vm.camera.unplug)
+    assert outcome.code == 2 and "pair" in outcome.errors, (outcome.kind, outcome.errors)

@@ -1,5 +1,7 @@
 //! Pads of four-bar grippers against a numeric solution of their linkages, from joints that published models give.
 
+#![allow(clippy::unwrap_used)]
+
 use gelstereo_core::frames::FingerKinematics;
 use proptest::prelude::*;
 
@@ -108,5 +110,24 @@ fn strokes_are_the_makers() {
         assert_eq!(gripper.kinematics.validate(), Ok(()));
         assert!((0.0..1.0).contains(&min_mm), "{}: {min_mm}", gripper.name);
         assert!((max_mm - stroke_mm).abs() < 0.5, "{}: {max_mm}", gripper.name);
+    }
+}
+
+/// The page from which users copy the figures has these.
+#[test]
+fn the_page_has_the_same_figures() {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/grippers.md");
+    let page = std::fs::read_to_string(path).unwrap();
+    for gripper in grippers() {
+        let FingerKinematics::Parallelogram { a_mm, b_mm, offset_mm, reach_mm, max_theta_rad } =
+            gripper.kinematics
+        else {
+            panic!("{} is a four-bar gripper", gripper.name)
+        };
+        let figures = format!(
+            "`a_mm = {a_mm:?}`, `b_mm = {b_mm:?}`, `offset_mm = {offset_mm:?}`, `reach_mm = {reach_mm:?}`, \
+             `max_theta_rad = {max_theta_rad:?}`"
+        );
+        assert!(page.contains(&figures), "{}: {figures}", gripper.name);
     }
 }

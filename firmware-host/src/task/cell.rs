@@ -112,6 +112,9 @@ impl<'a> Cell<'a> {
             if let Some(trigger) = reached {
                 self.log.trigger(trigger.cause);
             }
+            // What was recorded of the frame stays as it is, so that a replay gives the same.
+            let result =
+                if reached.is_some() { result } else { result.and_then(|()| self.sensing.check_seen()) };
             let Err(error) = result else {
                 return Ok(Felt { motion_px, triggered: reached.is_some() });
             };

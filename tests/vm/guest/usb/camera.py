@@ -42,6 +42,12 @@ class Camera:
         """Answers another computer, which plugs the other end of this connection in."""
         self._start(Port(self, self._number, link))
 
+    def unplug_link(self) -> None:
+        """Unplugs a camera that another computer has plugged in."""
+        if self._port is not None:
+            self._port.detach()
+            self._port = None
+
     def _start(self, port: Port) -> None:
         self._port = port
         for send_for_ever in (self.video.send_for_ever, self.tara.send_for_ever):
