@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import socket
 import threading
 import time
@@ -16,6 +17,8 @@ from guest.usb.usbip import CONTROLLER, Port, Setup
 from guest.usb.uvc import Frame, Video
 
 TARA_VENDOR, TARA_PRODUCT = 0x2560, 0xC114
+# _IO('U', 20) of linux/usbdevice_fs.h.
+USBDEVFS_RESET = 0x5514
 GET_STATUS, CLEAR_FEATURE, GET_DESCRIPTOR, SET_CONFIGURATION, SET_INTERFACE = 0, 1, 6, 9, 11
 
 
@@ -59,6 +62,14 @@ class Camera:
             self._port.detach()
             self._port = None
             wait_for(lambda: not self.nodes("video4linux"), "its device nodes to vanish")
+
+    def reset(self) -> None:
+        """Resets the device on its port, as a hub or ``usbreset`` does: the kernel binds its drivers anew."""
+        interface = Path("/sys/class/video4linux", self.video_node.name, "device").resolve()
+        number = {name: int((interface.parent / name).read_text()) for name in ("busnum", "devnum")}
+        node = Path("/dev/bus/usb", f"{number['busnum']:03}", f"{number['devnum']:03}")
+        with node.open("wb") as file:
+            fcntl.ioctl(file, USBDEVFS_RESET)
 
     def nodes(self, class_: str) -> list[Path]:
         """Device nodes of a class (``video4linux``, ``hidraw``) that belong to this camera, by its serial number."""
