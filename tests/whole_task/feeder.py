@@ -6,6 +6,7 @@ usage: python -m whole_task.feeder FIFO WORLD_ADDRESS
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 from whole_task.world import connect
@@ -15,8 +16,7 @@ with connect(address) as world, Path(path).open("wb", buffering=0) as fifo:
     # Pictures from before the host came are not asked for.
     world.settimeout(None)
     world.sendall(b'{"ask":"frames"}\n')
-    try:
+    # When the host does not listen any more, the feeder has done its work.
+    with suppress(BrokenPipeError):
         while data := world.recv(1 << 20):
             fifo.write(data)
-    except BrokenPipeError:
-        sys.exit("the host does not listen any more")
