@@ -33,7 +33,7 @@ MOMENTS = [
 ]
 PARTS = ["camera", "gripper", "robot", "host"]
 # What each part is called where the host says what went wrong.
-WORDS = {"camera": "stereo pair", "gripper": "gripper", "robot": "robot"}
+WORDS = {"camera": ("stereo pair", "camera"), "gripper": ("gripper",), "robot": ("robot",)}
 
 
 def run_to_the_end(opened: Cell) -> Outcome:
@@ -48,6 +48,8 @@ def test_the_task_is_done_through_real_protocols(tmp_path: Path, kind: str) -> N
     with cell(tmp_path, Setting(1, kind)) as opened:
         outcome = run_to_the_end(opened)
     assert outcome.kind == "inserted", (outcome.report, outcome.truth)
+    # Half a step of the 2F-85's width puts the part off by 0.09 mm; a pose from a frame with moving fingers by 0.25 mm.
+    assert outcome.truth["lateral_mm"] < 0.15, outcome.truth
     assert_triggers(outcome, frames(opened.recording))
 
 
@@ -123,7 +125,8 @@ def kill_one(folder: Path, part: str, generator: random.Random) -> str:
         elif part == "host":
             assert outcome.code == -9
         else:
-            assert outcome.code == 2 and WORDS[part] in outcome.errors, (outcome.kind, outcome.errors)
+            named = any(word in outcome.errors for word in WORDS[part])
+            assert outcome.code == 2 and named, (outcome.kind, outcome.errors)
         counts = recovered(opened.recording)
         assert counts.get("/gelstereo/stage", 0) >= 1 or part == "host", counts
     return f"{part} {within_s} s after {event} {count}: {outcome.kind}"

@@ -202,6 +202,7 @@ impl Server {
     fn truth(&self) -> Result<Value, Failure> {
         let truth = self.world.borrow().truth()?.ok_or("the configuration has no simulated sensor")?;
         Ok(json!({
+            // JSON has no infinity: a part that never left its holder is a metre above the hole.
             "inserted_mm": truth.deepest_mm.max(-1e3),
             "hole_depth_mm": self.hole_depth_mm,
             "depth_mm": truth.fit.depth_mm,

@@ -44,6 +44,7 @@ open_width_mm = 11.5
 opening_speed_mm_s = 100.0
 closing_speed_mm_s = 3.0
 insertion_speed_mm_s = 1.0
+move_speed_mm_s = 200.0
 insertion_depth_mm = 4.0
 approach_mm = 1.0
 overtravel_mm = 3.0
@@ -210,12 +211,20 @@ def test_twenty_seeds_are_inserted_or_refused_with_a_reason(vm: Vm) -> None:
 
 def test_an_adapter_that_is_unplugged_in_mid_grasp_stops_the_task(vm: Vm) -> None:
     """ftdi_sio goes away with the port; the gripper behind it finishes its move."""
-    outcome = vm.vanish(21, "gripper_move", 2, lambda: vm.monitor("device_del", id="adapter"))
+    try:
+        outcome = vm.vanish(21, "gripper_move", 2, lambda: vm.monitor("device_del", id="adapter"))
+    finally:
+        vm.monitor("device_add", driver="usb-serial", chardev="line", id="adapter")
+        vm.serial = vm.agent.ask("serial_ports")
     assert outcome.code == 2 and "gripper" in outcome.errors, (outcome.kind, outcome.errors)
-    vm.monitor("device_add", driver="usb-serial", chardev="line", id="adapter")
-    vm.serial = vm.agent.ask("serial_ports")
+
+
+def test_a_host_that_is_killed_while_inserting_leaves_the_robot_at_rest(vm: Vm) -> None:
+    outcome = vm.vanish(22, "robot_move", 4, lambda: vm.agent.ask("kill"))
+    assert outcome.code == -9, (outcome.kind, outcome.errors)
 
 
 def test_a_camera_that_is_unplugged_while_inserting_stops_the_task(vm: Vm) -> None:
-    outcome = vm.vanish(22, "robot_move", 4, vm.camera.unplug)
-    assert outcome.code == 2 and "pair" in outcome.errors, (outcome.kind, outcome.errors)
+    outcome = vm.vanish(23, "robot_move", 4, vm.camera.unplug)
+    named = "pair" in outcome.errors or "camera" in outcome.errors
+    assert outcome.code == 2 and named, (outcome.kind, outcome.errors)
