@@ -166,8 +166,9 @@ impl Sensing {
     /// Whether the last good frame shows enough markers to be acted on.
     ///
     /// # Errors
-    /// [`SensingError::Lost`] below half of them. In 20 simulated tasks every frame showed 92 % or more; where a part
-    /// dragged the gel by half a pitch from one frame to the next, 0 to 24 %, with a mean motion of 0 px at first.
+    /// [`SensingError::Lost`] below half of them. Frames of simulated tasks showed 92 % or more (154 frames, 13 x 13
+    /// markers). Where a part dragged the gel by half a pitch from frame to frame they showed 0 to 24 %, and their mean
+    /// motion was 0 px at first.
     pub fn check_seen(&self) -> Result<(), SensingError> {
         let markers = self.frame.state.len();
         let seen = self.frame.state.iter().filter(|&&state| state == MarkerState::Seen).count();
