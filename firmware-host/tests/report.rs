@@ -8,6 +8,7 @@ use gelstereo_host::report::{
 };
 use gelstereo_host::run::run;
 use gelstereo_host::source::{Gray, StereoPair};
+use gelstereo_host::task::LatencyReport;
 use proptest::prelude::*;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
@@ -85,6 +86,7 @@ fn report_of(text: &str) -> JobReport {
     let rows = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
     JobReport {
         outcome: Outcome::NotLocalized { reason: text.to_owned() },
+        why: text.to_owned(),
         stages: vec![StageReport { stage, wall_s: 0.0, source_s: 0.0, frames: 0, bad_frames: 0, figures }],
         localized: Some(Localized {
             t_sensor_object: rows,
@@ -105,8 +107,11 @@ fn report_of(text: &str) -> JobReport {
             axial_error_mm: 0.0,
             inserted_mm: 0.0,
             limit_mm: 0.0,
+            hole_offset_mm: 0.0,
+            hole_tilt_rad: 0.0,
             outcome_is_true: false,
         }),
+        latency: LatencyReport::default(),
         digest: text.to_owned(),
         recording: Some(RecordingReport {
             files: vec![text.into()],

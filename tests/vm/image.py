@@ -19,11 +19,12 @@ from tempfile import TemporaryDirectory
 HERE = Path(__file__).resolve().parent
 ENVIRONMENT = {**os.environ, "PATH": os.environ.get("PATH", "") + ":/usr/sbin:/sbin", "LC_ALL": "C"}
 # The VM's own, then: cameras, USB devices made in user space, HID devices made in user space, lights, serial adapters.
+# A network card reaches devices that are made outside the VM.
 MODULES = (
     ["virtio_pci", "9p", "9pnet_virtio", "overlay"]
     + ["uvcvideo", "vivid", "vhci-hcd"]
     + ["usbhid", "hid-generic", "uhid", "hid-led"]
-    + ["xhci-pci", "ftdi_sio", "cdc-acm"]
+    + ["xhci-pci", "ftdi_sio", "cdc-acm", "virtio_net"]
 )
 
 

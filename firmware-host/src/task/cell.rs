@@ -191,6 +191,9 @@ impl<'a> Cell<'a> {
             if !(gripper.moving || robot.moving) {
                 self.watch.rests();
             }
+            // What was recorded of the frame stays as it is, so that a replay gives the same.
+            let result =
+                if reached.is_some() { result } else { result.and_then(|()| self.sensing.check_seen()) };
             let Err(error) = result else {
                 return Ok(Felt { motion_px, triggered: reached.is_some() });
             };

@@ -129,8 +129,11 @@ impl World {
 
     /// Lets one period pass.
     fn tick(&mut self) {
-        self.frame += 1;
-        let dt = self.period_ns as f64 * 1e-9;
+        self.advance(self.period_ns as f64 * 1e-9);
+    }
+
+    /// Lets `dt` seconds pass: gripper and robot move on.
+    pub fn advance(&mut self, dt: f64) {
         let width = &mut self.width_mm;
         let way = width.target - width.now;
         width.now = if way.abs() > width.speed * dt {
@@ -153,7 +156,11 @@ impl World {
         };
     }
 
-    fn hand(&self) -> Result<Hand, WidthError> {
+    /// Where the hand is at this moment.
+    ///
+    /// # Errors
+    /// [`WidthError`] when the gripper stands where it cannot.
+    pub fn hand(&self) -> Result<Hand, WidthError> {
         Ok(Hand {
             t_base_gripper: self.t_base_gripper.now,
             t_gripper_sensor: self.mount.t_gripper_sensor(self.width_mm.now)?,
@@ -164,6 +171,16 @@ impl World {
     /// Lets one period pass and takes a picture; `false` where there is no bench to take one of.
     fn expose(&mut self, pair: &mut StereoPair) -> Result<bool, WidthError> {
         self.tick();
+        self.picture(pair)
+    }
+
+    /// Takes a picture of this moment; `false` where there is no bench to take one of. Its time is that of frames which
+    /// are a period apart.
+    ///
+    /// # Errors
+    /// [`WidthError`] when the gripper stands where it cannot.
+    pub fn picture(&mut self, pair: &mut StereoPair) -> Result<bool, WidthError> {
+        self.frame += 1;
         let hand = self.hand()?;
         let Some(bench) = &mut self.bench else { return Ok(false) };
         pair.time_ns = self.frame * self.period_ns;

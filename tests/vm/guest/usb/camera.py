@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import socket
 import threading
 import time
 from collections.abc import Iterator, Sequence
@@ -35,12 +36,25 @@ class Camera:
     def plug(self) -> None:
         """Plugs the camera in and waits until the kernel's drivers have made its device nodes."""
         modprobe("vhci-hcd", "uvcvideo", "usbhid", "hid-generic")
-        self._port = Port(self, self._number)
-        for send_for_ever in (self.video.send_for_ever, self.tara.send_for_ever):
-            threading.Thread(target=send_for_ever, args=(self._port,), daemon=True).start()
+        self._start(Port(self, self._number))
         wait_for(
             lambda: len(self.nodes("video4linux")) >= 2 and len(self.nodes("hidraw")) == 2, "its device nodes"
         )
+
+    def serve(self, link: socket.socket) -> None:
+        """Answers another computer, which plugs the other end of this connection in."""
+        self._start(Port(self, self._number, link))
+
+    def unplug_link(self) -> None:
+        """Unplugs a camera that another computer has plugged in."""
+        if self._port is not None:
+            self._port.detach()
+            self._port = None
+
+    def _start(self, port: Port) -> None:
+        self._port = port
+        for send_for_ever in (self.video.send_for_ever, self.tara.send_for_ever):
+            threading.Thread(target=send_for_ever, args=(port,), daemon=True).start()
 
     def unplug(self) -> None:
         """Unplugs the camera."""
