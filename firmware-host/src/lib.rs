@@ -18,8 +18,6 @@ pub mod finding;
 pub mod gripper;
 pub mod hid;
 #[cfg(feature = "host")]
-pub mod job;
-#[cfg(feature = "host")]
 pub mod light;
 #[cfg(feature = "host")]
 pub mod notes;
@@ -44,5 +42,7 @@ pub mod sensing;
 #[cfg(feature = "host")]
 pub mod simulate;
 pub mod source;
+#[cfg(feature = "host")]
+pub mod task;
 #[cfg(feature = "host")]
 pub mod world;

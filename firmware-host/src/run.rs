@@ -3,7 +3,6 @@
 use crate::config::{Config, ConfigError, RobotConfig, SourceConfig};
 use crate::gripper::{Gripper, GripperConfig, GripperError};
 use crate::hid::HidError;
-use crate::job::{Devices, Job, JobError};
 use crate::light::{LightOn, set_up_camera};
 use crate::part::{Part, PartError};
 use crate::recording::{Content, LogClock, Recording, RecordingError};
@@ -11,6 +10,7 @@ use crate::report::{JobReport, Outcome, StageReport, TruthReport};
 use crate::robot::{Robot, RobotError};
 use crate::sensing::{Sensing, SensingError};
 use crate::source::{CameraSource, FolderSource, FrameSource, SourceError, StreamSource};
+use crate::task::{Devices, Task, TaskError};
 use crate::world::{
     BenchTruth, PacedSource, SimulatedCamera, SimulatedGripper, SimulatedRobot, TimedSource, World,
     WorldError,
@@ -41,8 +41,8 @@ pub enum HostError {
     Robot(RobotError),
     /// The recording.
     Recording(RecordingError),
-    /// The job broke off.
-    Job(JobError),
+    /// The task broke off.
+    Task(TaskError),
 }
 
 impl std::fmt::Display for HostError {
@@ -57,7 +57,7 @@ impl std::fmt::Display for HostError {
             Self::Gripper(error) => error.fmt(f),
             Self::Robot(error) => error.fmt(f),
             Self::Recording(error) => error.fmt(f),
-            Self::Job(error) => error.fmt(f),
+            Self::Task(error) => error.fmt(f),
         }
     }
 }
@@ -75,7 +75,7 @@ macro_rules! host_from {
 }
 host_from!(ConfigError => Config, PartError => Part, WorldError => World, HidError => Hid, SourceError => Source,
            SensingError => Sensing, GripperError => Gripper, RobotError => Robot, RecordingError => Recording,
-           JobError => Job);
+           TaskError => Task);
 
 /// A job's world and what it senses with.
 pub struct Setup {
@@ -185,7 +185,7 @@ pub fn run(
 /// Does the job with what was set up.
 ///
 /// # Errors
-/// [`HostError::Job`].
+/// [`HostError::Task`].
 pub fn run_with(
     config: &Config,
     setup: Setup,
@@ -194,8 +194,8 @@ pub fn run_with(
     progress: &mut dyn FnMut(&StageReport),
 ) -> Result<JobReport, HostError> {
     let Setup { world, devices, sensing, .. } = setup;
-    let mut report = Job::new(config, devices, sensing, recording, stop, progress).run()?;
-    let truth = world.borrow().truth().map_err(JobError::Width)?;
+    let mut report = Task::new(config, devices, sensing, recording, stop, progress).run()?;
+    let truth = world.borrow().truth().map_err(TaskError::Width)?;
     report.truth = truth.map(|truth| judge(config, &report, &truth));
     Ok(report)
 }

@@ -2,11 +2,11 @@
 
 use super::outputs::{Lines, Outputs};
 use crate::config::{Config, SourceConfig};
-use crate::job::Devices;
 use crate::publish::{Outlet, Protocol, PublishError, Publisher};
 use crate::recording::{Content, Recording};
 use crate::run::{HostError, log_clock, recorded_config};
 use crate::source::{FrameSource, SourceError};
+use crate::task::Devices;
 use crate::world::Rehearsal;
 use gelstereo_core::frames::WidthError;
 use std::io::Write;

@@ -1,0 +1,76 @@
+//! Why a task ends before its last stage.
+
+use crate::gripper::GripperError;
+use crate::report::{Outcome, Stage};
+use crate::robot::RobotError;
+use crate::sensing::SensingError;
+use crate::source::SourceError;
+use gelstereo_core::frames::WidthError;
+
+/// Why a task broke off. Gripper and robot were stopped, and the recording was closed.
+#[derive(Debug)]
+pub enum TaskError {
+    /// No stereo pair.
+    Source(SourceError),
+    /// The gripper.
+    Gripper(GripperError),
+    /// The robot.
+    Robot(RobotError),
+    /// The gripper stands where the mount says that it cannot.
+    Width(WidthError),
+    /// Frames could not be sensed, or a request of the pipeline was refused.
+    Sensing {
+        /// During this stage.
+        stage: Stage,
+        /// Frames that failed in a row; 0 for a request.
+        bad_frames: u32,
+        /// Why the last one failed.
+        error: SensingError,
+    },
+    /// A stage did not end.
+    StageTimeout {
+        /// Which.
+        stage: Stage,
+        /// `task.stage_timeout_s`.
+        limit_s: f64,
+    },
+}
+
+impl std::fmt::Display for TaskError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Source(error) => error.fmt(f),
+            Self::Gripper(error) => error.fmt(f),
+            Self::Robot(error) => error.fmt(f),
+            Self::Width(error) => error.fmt(f),
+            Self::Sensing { stage, bad_frames: 0, error } => write!(f, "{}: {error}", stage.name()),
+            Self::Sensing { stage, bad_frames, error } => {
+                write!(f, "{}: {bad_frames} bad frames in a row, at last: {error}", stage.name())
+            }
+            Self::StageTimeout { stage, limit_s } => write!(
+                f,
+                "{} did not end within {limit_s} s (task.stage_timeout_s); do gripper and robot move?",
+                stage.name()
+            ),
+        }
+    }
+}
+
+impl std::error::Error for TaskError {}
+
+/// Why a stage does not go on.
+pub(super) enum Halt {
+    Outcome(Outcome),
+    Error(TaskError),
+}
+
+macro_rules! halt_from {
+    ($($error:ty => $variant:ident),*) => {
+        $(impl From<$error> for Halt {
+            fn from(error: $error) -> Self {
+                Self::Error(TaskError::$variant(error))
+            }
+        })*
+    };
+}
+halt_from!(SourceError => Source, GripperError => Gripper, RobotError => Robot, WidthError => Width);

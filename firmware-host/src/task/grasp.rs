@@ -1,0 +1,41 @@
+//! Close the fingers until the grasp trigger.
+
+use super::cell::{Cell, Stops, Trigger};
+use super::error::Halt;
+use super::log::figure;
+use crate::report::{Outcome, Stage};
+
+/// Closes until the markers' mean motion reaches the grasp trigger.
+pub(super) fn grasp(cell: &mut Cell) -> Result<(), Halt> {
+    cell.log.begin(Stage::Close);
+    let task = &cell.config.task;
+    let motion_px = cell.config.params.contact.grasp_trigger_px;
+    let trigger = Trigger { motion_px, stops: Stops::Gripper, cause: "grasp" };
+    let (min_mm, _) = cell.config.mount.kinematics.width_range_mm();
+    cell.devices.gripper.move_to(min_mm, task.closing_speed_mm_s, task.closing_force)?;
+    let motion_px = loop {
+        let felt = cell.guarded_frame(&trigger)?;
+        if felt.triggered {
+            break felt.motion_px;
+        }
+        let status = cell.devices.gripper.status()?;
+        if !status.moving {
+            let (motion_px, width_mm) = (felt.motion_px, status.width_mm);
+            return Err(Halt::Outcome(Outcome::NotGrasped { motion_px, width_mm }));
+        }
+    };
+    while cell.devices.gripper.status()?.moving {
+        cell.frame()?;
+    }
+    let width_mm = cell.devices.gripper.status()?.width_mm;
+    let frame = cell.sensing.frame();
+    let salient = frame.salient.iter().filter(|&&salient| salient).count();
+    let pressed_mm = frame.indentation_mm.iter().copied().fold(0.0, f64::max);
+    cell.log.end(vec![
+        figure("motion_px", motion_px),
+        figure("width_mm", width_mm),
+        figure("salient", salient as f64),
+        figure("pressed_mm", pressed_mm),
+    ]);
+    Ok(())
+}

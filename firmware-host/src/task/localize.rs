@@ -1,0 +1,103 @@
+//! Find the part's pose in the hand, and say what it allows.
+
+use super::TaskError;
+use super::cell::Cell;
+use super::error::Halt;
+use super::log::figure;
+use crate::recording::{Topic, messages};
+use crate::report::{Localized, Stage};
+use crate::sensing::{self, Action};
+use gelstereo_core::math::linalg::Symmetric;
+use gelstereo_core::math::{Pose, sqrt};
+use gelstereo_core::register::Registration;
+
+/// The part in the hand.
+#[derive(Clone, Debug)]
+pub(super) struct Held {
+    /// Maps part coordinates to gripper coordinates.
+    pub(super) t_gripper_object: Pose,
+    /// Its evidence.
+    pub(super) localized: Localized,
+}
+
+/// What a localization allows.
+pub(super) enum Localization {
+    /// Align and insert by this pose.
+    Go(Box<Held>),
+    /// The pose is not known well enough.
+    Declined {
+        /// Why, in words.
+        reason: String,
+    },
+}
+
+/// Registers the contact to the part's template, from where the part is expected.
+pub(super) fn localize(cell: &mut Cell) -> Result<Localization, Halt> {
+    cell.log.begin(Stage::Localize);
+    let width_mm = cell.devices.gripper.status()?.width_mm;
+    let t_gripper_sensor = cell.config.mount.t_gripper_sensor(width_mm)?;
+    let guess = t_gripper_sensor.inverse() * cell.config.expected_t_gripper_object();
+    let found = match cell.act(&Action::localize(&guess)) {
+        Ok(Some(found)) if found.converged => found,
+        Ok(Some(found)) => {
+            let reason = format!("registration did not come to rest in {} iterations", found.iterations);
+            return Ok(Localization::Declined { reason });
+        }
+        Ok(None) => {
+            return Ok(Localization::Declined { reason: "registration gave nothing".to_owned() });
+        }
+        Err(Halt::Error(TaskError::Sensing { error, .. })) => {
+            return Ok(Localization::Declined { reason: error.to_string() });
+        }
+        Err(halt) => return Err(halt),
+    };
+    let t_gripper_object = t_gripper_sensor * found.t_sensor_object;
+    let localized = evidence(cell, &found, &t_gripper_object);
+    cell.log.end(vec![
+        figure("points", found.points as f64),
+        figure("inliers", found.inliers as f64),
+        figure("iterations", f64::from(found.iterations)),
+        figure("rmse_mm", found.rmse_mm),
+        figure("axial_sigma_mm", localized.axial_sigma_mm),
+        figure("free", found.free.len() as f64),
+    ]);
+    Ok(Localization::Go(Box::new(Held { t_gripper_object, localized })))
+}
+
+/// Puts a registration's evidence together, and records the pose with its covariance.
+fn evidence(cell: &mut Cell, found: &Registration, t_gripper_object: &Pose) -> Localized {
+    let task = &cell.config.task;
+    let covariance = sensing::covariance(
+        &found.information,
+        &found.t_sensor_object,
+        task.part_sigma_mm,
+        task.part_sigma_rad,
+    );
+    let time_ns = cell.time_ns();
+    cell.log.record(Topic::Pose, || {
+        let metres = sensing::in_metres(&covariance);
+        messages::pose_with_covariance(time_ns, &found.t_sensor_object, &metres)
+    });
+    let axis = found.t_sensor_object.transform_vector(cell.config.insertion_axis());
+    Localized {
+        t_sensor_object: found.t_sensor_object.to_rows(),
+        t_gripper_object: t_gripper_object.to_rows(),
+        converged: found.converged,
+        iterations: found.iterations,
+        inliers: found.inliers,
+        points: found.points,
+        rmse_mm: found.rmse_mm,
+        sigma: core::array::from_fn(|i| sqrt(covariance[i][i])),
+        axial_sigma_mm: sigma_along(&covariance, axis.to_array()),
+        free: found.free.iter().map(ToString::to_string).collect(),
+    }
+}
+
+/// Standard deviation of the part's origin along a unit direction.
+fn sigma_along(covariance: &Symmetric<6>, axis: [f64; 3]) -> f64 {
+    let variance: f64 = (0..3)
+        .flat_map(|i| (0..3).map(move |j| (i, j)))
+        .map(|(i, j)| axis[i] * covariance[i][j] * axis[j])
+        .sum();
+    sqrt(variance)
+}

@@ -1,0 +1,39 @@
+//! Open the gripper at the part; take the rest frame.
+
+use super::cell::Cell;
+use super::error::Halt;
+use super::log::figure;
+use crate::report::Stage;
+use crate::sensing::Action;
+use gelstereo_core::track::MarkerState;
+
+/// Makes the gripper ready, opens it and brings it to the part.
+pub(super) fn open(cell: &mut Cell) -> Result<(), Halt> {
+    cell.log.begin(Stage::Open);
+    let task = &cell.config.task;
+    cell.devices.gripper.activate()?;
+    cell.devices.gripper.move_to(task.open_width_mm, task.opening_speed_mm_s, task.closing_force)?;
+    cell.devices.robot.move_to(&task.grasp_pose.pose(), task.move_speed_mm_s)?;
+    // Frames on the way show neither rest nor contact: they are let go.
+    while cell.devices.gripper.status()?.moving || cell.devices.robot.status()?.moving {
+        cell.take_pair()?;
+    }
+    let width_mm = cell.devices.gripper.status()?.width_mm;
+    cell.log.end(vec![figure("width_mm", width_mm)]);
+    Ok(())
+}
+
+/// Takes the frame without contact that motion counts from.
+pub(super) fn rest(cell: &mut Cell) -> Result<(), Halt> {
+    cell.log.begin(Stage::Rest);
+    cell.act(&Action::Reset)?;
+    cell.frame()?;
+    if let Some(record) = cell.sensing.rest_record() {
+        cell.log.rest(&record);
+    }
+    let frame = cell.sensing.frame();
+    let seen = frame.state.iter().filter(|&&state| state == MarkerState::Seen).count();
+    let figures = vec![figure("markers", frame.state.len() as f64), figure("seen", seen as f64)];
+    cell.log.end(figures);
+    Ok(())
+}
