@@ -11,9 +11,9 @@
 #![allow(clippy::print_stdout)]
 
 use clap::Parser;
-use gelstereo_host::camera::{CameraConfig, CaptureMode, ControlSettings, PixelFormat, Side, list};
+use gelstereo_host::camera::{CameraConfig, ControlSettings, PixelFormat, Side, list};
 use gelstereo_host::source::{
-    CameraSource, Encoded, FrameSource, Gray, Next, SourceError, StereoLayout, StereoPair,
+    CameraSource, Encoded, FrameMode, FrameSource, Gray, Next, SourceError, StereoLayout, StereoPair,
 };
 use serde_json::{Value, json};
 use std::error::Error;
@@ -46,8 +46,8 @@ struct Arguments {
     #[arg(long, default_value_t = 30.0)]
     rate: f64,
     /// latest or every.
-    #[arg(long, default_value = "every", value_parser = word::<CaptureMode>)]
-    mode: CaptureMode,
+    #[arg(long, default_value = "every", value_parser = word::<FrameMode>)]
+    mode: FrameMode,
     /// Largest time between two devices' images, ms.
     #[arg(long, default_value_t = 5.0)]
     max_skew_ms: f64,

@@ -1,11 +1,13 @@
 //! Cameras in the configuration, and in the simulated world.
 #![allow(clippy::unwrap_used)]
 
-use gelstereo_host::camera::{CameraConfig, CaptureMode, ControlSettings, PixelFormat};
+use gelstereo_host::camera::{CameraConfig, ControlSettings, PixelFormat};
 use gelstereo_host::check::check;
 use gelstereo_host::config::{Config, SourceConfig};
 use gelstereo_host::gripper::Gripper;
-use gelstereo_host::source::{FrameSource, Next, SourceError, SourceEvent, StereoLayout, StereoPair};
+use gelstereo_host::source::{
+    FrameMode, FrameSource, Next, SourceError, SourceEvent, StereoLayout, StereoPair,
+};
 use gelstereo_host::world::{SimulatedGripper, TimedSource, World};
 use gelstereo_sim::Scene;
 use std::rc::Rc;
@@ -51,7 +53,7 @@ fn a_camera_is_configured_and_written_back() {
         format: PixelFormat::Y16,
         size_px: [640, 480],
         frame_rate_hz: 60.0,
-        mode: CaptureMode::Every,
+        mode: FrameMode::Every,
         controls: ControlSettings {
             exposure_us: Some(8000.0),
             other: [("sharpness".to_owned(), 2)].into(),

@@ -3,7 +3,8 @@
 #![allow(clippy::unwrap_used)]
 
 use gelstereo_host::codec::frame_stream::{FrameHeader, HEADER_BYTES, PayloadFormat};
-use gelstereo_host::source::stream::{StreamConfig, StreamMode, StreamSource};
+use gelstereo_host::source::FrameMode;
+use gelstereo_host::source::stream::{StreamConfig, StreamSource};
 use gelstereo_host::source::{
     Encoded, FrameSource, Next, SourceError, SourceEvent, StereoLayout, StereoPair,
 };
@@ -35,7 +36,7 @@ fn frame(sequence: u64) -> Vec<u8> {
 }
 
 fn every() -> StreamConfig {
-    StreamConfig { mode: StreamMode::Every, ..StreamConfig::default() }
+    StreamConfig { mode: FrameMode::Every, ..StreamConfig::default() }
 }
 
 fn open(config: &StreamConfig, bytes: Vec<u8>) -> StreamSource {

@@ -1,21 +1,9 @@
 //! What is wanted of a camera.
 
 use super::{CaptureError, ControlSettings, PixelFormat};
-use crate::source::StereoLayout;
+use crate::source::{FrameMode, StereoLayout};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
-
-/// Which frames are handed over.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum CaptureMode {
-    /// The newest; what came before it is passed over undecoded and counted.
-    #[default]
-    Latest,
-    /// All, in their order. What the reader leaves longer than `queue_frames` is lost, oldest first, and
-    /// counted.
-    Every,
-}
 
 /// A stereo camera: one device that holds both views, or two devices.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -43,7 +31,7 @@ pub struct CameraConfig {
     pub frame_rate_hz: f64,
     /// Which frames are handed over. Default: `latest`. Change it to `every` where no frame may be passed
     /// over.
-    pub mode: CaptureMode,
+    pub mode: FrameMode,
     /// Two devices' images farther apart in time are no pair; at most half a frame's period. Valid: 0.001 to
     /// 5000 ms. Default: `5` ms. Raise it for devices without a common trigger; moving markers then lie
     /// apart.
@@ -79,7 +67,7 @@ impl Default for CameraConfig {
             format: PixelFormat::default(),
             size_px: [1280, 480],
             frame_rate_hz: 30.0,
-            mode: CaptureMode::default(),
+            mode: FrameMode::default(),
             max_skew_ms: 5.0,
             buffers: 4,
             queue_frames: 8,

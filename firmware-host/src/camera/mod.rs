@@ -37,7 +37,7 @@ mod worker;
 
 pub use backoff::Backoff;
 pub use clock::{Timestamp, TimestampCheck};
-pub use config::{CameraConfig, CaptureMode};
+pub use config::CameraConfig;
 pub use controls::{Control, ControlKind, ControlSettings, MenuItem};
 pub use error::CaptureError;
 pub(crate) use format::trim_jpeg;

@@ -8,7 +8,8 @@ use gelstereo_host::publish::Protocol;
 use gelstereo_host::run::Setup;
 use gelstereo_host::sense::supervisor::Supervisor;
 use gelstereo_host::sense::{Control, Ended, Listeners, Parts, Report, Sense, named_source, open_outputs};
-use gelstereo_host::source::stream::{StreamConfig, StreamMode};
+use gelstereo_host::source::FrameMode;
+use gelstereo_host::source::stream::StreamConfig;
 use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -109,7 +110,7 @@ fn configuration(arguments: &Arguments) -> Result<Config, CliError> {
     if let Some(path) = &arguments.stream {
         config.source = SourceConfig::Stream(StreamConfig {
             path: path.clone(),
-            mode: if arguments.every { StreamMode::Every } else { StreamMode::Latest },
+            mode: if arguments.every { FrameMode::Every } else { FrameMode::Latest },
             raw_size_px: arguments.raw_size,
             ..StreamConfig::default()
         });

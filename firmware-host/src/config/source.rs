@@ -4,7 +4,8 @@ use super::range::{RATE_HZ, check};
 use super::{ConfigError, TaskConfig};
 use crate::camera::CameraConfig;
 use crate::codec::frame_stream::{MAX_PAYLOAD_BYTES, MAX_SIDE_PX};
-use crate::source::stream::{StreamConfig, StreamMode};
+use crate::source::FrameMode;
+use crate::source::stream::StreamConfig;
 use gelstereo_core::rig::Rig;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -74,7 +75,7 @@ impl SourceConfig {
         match self {
             Self::Simulated | Self::Folder { .. } => false,
             Self::Camera(_) => true,
-            Self::Stream(stream) => stream.mode == StreamMode::Latest,
+            Self::Stream(stream) => stream.mode == FrameMode::Latest,
         }
     }
 }

@@ -2,12 +2,12 @@
 
 use super::pairing::{Match, Pairing, Stamped};
 use super::{
-    Capture, Encoded, FrameSource, Gray, Next, SourceError, SourceEvent, StereoPair, epoch_ns, monotonic_ns,
+    Capture, Encoded, FrameMode, FrameSource, Gray, Next, SourceError, SourceEvent, StereoPair, epoch_ns,
+    monotonic_ns,
 };
 use crate::camera::{
-    CameraConfig, CameraHandle, CameraInfo, CameraStatistics, CaptureError, CaptureMode, Control,
-    ControlSettings, FrameDecoder, FrameFault, Mailbox, Message, PixelFormat, RawFrame, Side, Statistics,
-    trim_jpeg,
+    CameraConfig, CameraHandle, CameraInfo, CameraStatistics, CaptureError, Control, ControlSettings,
+    FrameDecoder, FrameFault, Mailbox, Message, PixelFormat, RawFrame, Side, Statistics, trim_jpeg,
 };
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -129,7 +129,7 @@ impl CameraSource {
 
     /// Takes what the devices' threads have said, up to an event, and in the mode `every` up to a pair.
     fn receive(&mut self) -> Result<(), SourceError> {
-        let latest = self.config.mode == CaptureMode::Latest;
+        let latest = self.config.mode == FrameMode::Latest;
         while self.events.is_empty() && (latest || self.ready.is_empty()) {
             let Some((side, message)) = self.mailbox.take() else { break };
             match message {
@@ -169,7 +169,7 @@ impl CameraSource {
 
     /// A pair to be decoded, unless a newer one comes before.
     fn offer(&mut self, pair: RawPair) {
-        if self.config.mode == CaptureMode::Latest
+        if self.config.mode == FrameMode::Latest
             && let Some(passed_over) = self.ready.pop_front()
         {
             self.discard(passed_over);

@@ -7,6 +7,7 @@ mod folder;
 mod huffman;
 pub mod jpeg;
 mod layout;
+mod mode;
 #[cfg(feature = "host")]
 mod natural;
 pub mod pairing;
@@ -20,6 +21,7 @@ pub(crate) use clock::{epoch_ns, monotonic_ns};
 #[cfg(feature = "host")]
 pub use folder::FolderSource;
 pub use layout::OddWidth;
+pub use mode::FrameMode;
 #[cfg(feature = "host")]
 pub(crate) use natural::compare as compare_names;
 #[cfg(feature = "host")]

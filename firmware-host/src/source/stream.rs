@@ -6,7 +6,9 @@
 use super::clock::monotonic_ns;
 use super::jpeg::JpegDecoder;
 use super::stream_reader::{Arrival, Frame, Queue, Reader};
-use super::{Capture, Encoded, FrameSource, Gray, Next, SourceError, SourceEvent, StereoLayout, StereoPair};
+use super::{
+    Capture, Encoded, FrameMode, FrameSource, Gray, Next, SourceError, SourceEvent, StereoLayout, StereoPair,
+};
 use crate::codec::frame_stream::PayloadFormat;
 use gelstereo_core::image::GrayView;
 use serde::{Deserialize, Serialize};
@@ -17,17 +19,6 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 /// Stands for standard input where a path is expected.
 pub const STANDARD_INPUT: &str = "-";
 
-/// Which frames of a stream are handed over.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum StreamMode {
-    /// The newest; those before it that were not fetched are dropped and counted.
-    #[default]
-    Latest,
-    /// All, in their order. The producer waits while the host is behind.
-    Every,
-}
-
 /// A stream of frames through a pipe.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -37,7 +28,7 @@ pub struct StreamConfig {
     pub path: PathBuf,
     /// Which frames are handed over: `latest` for a camera, `every` for a file or a pipe that can wait.
     /// Default: `latest`. Change it to `every` where no frame may be passed over.
-    pub mode: StreamMode,
+    pub mode: FrameMode,
     /// Width and height in pixels of frames without headers, both views together: grey bytes and nothing
     /// else. Valid: 1 to 16384 px, an even width. Default: none, the frames have headers. Set it for
     /// producers that write plain pixels.
@@ -60,7 +51,7 @@ impl Default for StreamConfig {
     fn default() -> Self {
         Self {
             path: PathBuf::from(STANDARD_INPUT),
-            mode: StreamMode::default(),
+            mode: FrameMode::default(),
             raw_size_px: None,
             layout: StereoLayout::default(),
             frame_rate_hz: None,
@@ -141,7 +132,7 @@ impl StreamSource {
             joint: Gray::default(),
             views: Default::default(),
             lost: 0,
-            offset_ns: if config.mode == StreamMode::Latest { epoch_offset_ns() } else { 0 },
+            offset_ns: if config.mode == FrameMode::Latest { epoch_offset_ns() } else { 0 },
             heard: Instant::now(),
             patience: Duration::from_millis(config.stall_timeout_ms),
             ended: false,

@@ -1,8 +1,8 @@
 //! The thread behind a stream, and the queue through which it hands frames over.
 
 use super::clock::monotonic_ns;
-use super::stream::{StreamConfig, StreamMode};
-use super::{SourceError, SourceEvent};
+use super::stream::StreamConfig;
+use super::{FrameMode, SourceError, SourceEvent};
 use crate::codec::frame_stream::{FrameDecoder, FrameHeader, FrameStreamError, PayloadFormat};
 use std::collections::VecDeque;
 use std::fs::File;
@@ -89,9 +89,9 @@ impl Queue {
     }
 
     /// Hands an arrival over; `false` when nobody takes it any more.
-    fn put(&self, mut arrival: Arrival, mode: StreamMode) -> bool {
+    fn put(&self, mut arrival: Arrival, mode: FrameMode) -> bool {
         let mut content = self.lock();
-        if let (StreamMode::Latest, Arrival::Frame(newest)) = (mode, &mut arrival) {
+        if let (FrameMode::Latest, Arrival::Frame(newest)) = (mode, &mut arrival) {
             let older = content.arrivals.iter().position(|waiting| matches!(waiting, Arrival::Frame(_)));
             if let Some(Arrival::Frame(older)) = older.and_then(|at| content.arrivals.remove(at)) {
                 newest.dropped += older.dropped + 1;
@@ -127,7 +127,7 @@ enum Input {
 /// The thread's own.
 pub(super) struct Reader {
     name: String,
-    mode: StreamMode,
+    mode: FrameMode,
     queue: Arc<Queue>,
     framing: Framing,
     /// Number that the next frame should have; unknown before a producer's first one.
