@@ -2,6 +2,7 @@
 
 mod align;
 mod cell;
+mod chance;
 mod devices;
 mod error;
 mod grasp;
@@ -9,22 +10,25 @@ mod insert;
 mod localize;
 mod log;
 mod prepare;
+mod search;
+mod second_look;
 
 pub use devices::Devices;
 pub use error::TaskError;
 
 use crate::config::Config;
 use crate::recording::Recording;
-use crate::report::{JobReport, Localized, Outcome, Stage, StageReport};
+use crate::report::{Forecast, JobReport, Localized, Outcome, Stage, StageReport};
 use crate::sensing::Sensing;
 use align::align;
 use cell::Cell;
 use error::Halt;
 use grasp::grasp;
-use insert::insert;
 use localize::{Localization, localize};
 use log::Log;
 use prepare::{open, rest};
+use search::insert_by_search;
+use second_look::look_until_known;
 use std::sync::atomic::AtomicBool;
 
 /// One task.
@@ -83,12 +87,23 @@ impl<'a> Task<'a> {
         open(cell)?;
         rest(cell)?;
         grasp(cell)?;
-        let held = match localize(cell)? {
+        let guess = cell.config.expected_t_gripper_object();
+        let known = match localize(cell, &guess)? {
+            Localization::Go(first) => look_until_known(cell, *first)?,
+            other => other,
+        };
+        let held = match known {
             Localization::Go(held) => held,
             Localization::Declined { reason } => return Ok(Outcome::NotLocalized { reason }),
+            Localization::TooUncertain { localized, forecast } => {
+                let looks = localized.looks;
+                self.localized = Some(*localized);
+                let Forecast { chance, weakest, .. } = forecast;
+                return Ok(Outcome::Declined { chance, looks, weakest });
+            }
         };
         self.localized = Some(held.localized.clone());
         let above = align(cell, &held)?;
-        insert(cell, &above, &held)
+        insert_by_search(cell, &above, &held)
     }
 }
