@@ -1,6 +1,7 @@
 //! What came of a job.
 
 use crate::recording::RecordingReport;
+use crate::task::LatencyReport;
 use serde::{Deserialize, Serialize};
 
 /// A stage of the job (Fig. 11 of the paper).
@@ -19,6 +20,8 @@ pub enum Stage {
     Align,
     /// Lowering until the insertion trigger.
     Insert,
+    /// Leaving the hole, with or without the part.
+    Retreat,
     /// The end.
     Done,
     /// No job: sensing alone.
@@ -36,6 +39,7 @@ impl Stage {
             Self::Localize => "localize",
             Self::Align => "align",
             Self::Insert => "insert",
+            Self::Retreat => "retreat",
             Self::Done => "done",
             Self::Sense => "sense",
         }
@@ -212,6 +216,10 @@ pub struct TruthReport {
     pub inserted_mm: f64,
     /// How deep it could have gone in the posture in which it was aligned.
     pub limit_mm: f64,
+    /// Distance of the tip from the hole's axis when the hand was farthest into the hole.
+    pub hole_offset_mm: f64,
+    /// Angle between the axes of part and hole then.
+    pub hole_tilt_rad: f64,
     /// Whether the outcome says what happened.
     pub outcome_is_true: bool,
 }
@@ -221,8 +229,12 @@ pub struct TruthReport {
 pub struct JobReport {
     /// How it ended.
     pub outcome: Outcome,
+    /// Why it stopped, in one sentence.
+    pub why: String,
     /// The stages that were begun.
     pub stages: Vec<StageReport>,
+    /// From images to results and to stop commands.
+    pub latency: LatencyReport,
     /// The part in the hand, once it was found.
     pub localized: Option<Localized>,
     /// What really happened, where that is known: in simulation only.

@@ -6,11 +6,11 @@ use crate::hid::HidError;
 use crate::light::{LightOn, set_up_camera};
 use crate::part::{Part, PartError};
 use crate::recording::{Content, LogClock, Recording, RecordingError};
-use crate::report::{JobReport, Outcome, StageReport, TruthReport};
+use crate::report::{JobReport, Outcome, Stage, StageReport, TruthReport};
 use crate::robot::{Robot, RobotError};
 use crate::sensing::{Sensing, SensingError};
 use crate::source::{CameraSource, FolderSource, FrameSource, SourceError, StreamSource};
-use crate::task::{Devices, Task, TaskError};
+use crate::task::{Devices, DriverThread, Task, TaskError};
 use crate::world::{
     BenchTruth, PacedSource, SimulatedCamera, SimulatedGripper, SimulatedRobot, TimedSource, World,
     WorldError,
@@ -19,6 +19,7 @@ use gelstereo_core::math::Pose;
 use std::cell::RefCell;
 use std::rc::Rc;
 use std::sync::atomic::AtomicBool;
+use std::time::Duration;
 
 /// Why the host did not do what it was asked.
 #[derive(Debug)]
@@ -39,6 +40,8 @@ pub enum HostError {
     Gripper(GripperError),
     /// The robot cannot be reached.
     Robot(RobotError),
+    /// The system has no more threads.
+    Thread(std::io::Error),
     /// The recording.
     Recording(RecordingError),
     /// The task broke off.
@@ -56,6 +59,7 @@ impl std::fmt::Display for HostError {
             Self::Sensing(error) => error.fmt(f),
             Self::Gripper(error) => error.fmt(f),
             Self::Robot(error) => error.fmt(f),
+            Self::Thread(error) => write!(f, "no thread for a driver: {error}"),
             Self::Recording(error) => error.fmt(f),
             Self::Task(error) => error.fmt(f),
         }
@@ -114,12 +118,19 @@ impl Setup {
             Some(source) if config.source.is_live() => Box::new(TimedSource::new(source, Rc::clone(&world))),
             Some(source) => Box::new(PacedSource { source, world: Rc::clone(&world) }),
         };
+        let max_silence = Duration::from_secs_f64(config.task.device_timeout_s);
         let gripper: Box<dyn Gripper> = match config.gripper.open()? {
-            Some(gripper) => gripper,
+            Some(driver) => {
+                let name = config.gripper.port().unwrap_or_default();
+                Box::new(DriverThread::start(driver, name, max_silence).map_err(HostError::Thread)?)
+            }
             None => Box::new(SimulatedGripper(Rc::clone(&world))),
         };
         let robot: Box<dyn Robot> = match config.robot.open()? {
-            Some(robot) => robot,
+            Some(driver) => {
+                let name = config.robot.address().unwrap_or_default();
+                Box::new(DriverThread::start(driver, name, max_silence).map_err(HostError::Thread)?)
+            }
             None => Box::new(SimulatedRobot(Rc::clone(&world))),
         };
         let devices = Devices { source, gripper, robot };
@@ -207,6 +218,7 @@ fn judge(config: &Config, report: &JobReport, truth: &BenchTruth) -> TruthReport
         Outcome::Inserted { .. } => truth.deepest_mm >= depth_mm,
         Outcome::Jammed { .. } => truth.deepest_mm < depth_mm && truth.fit.depth_mm > truth.fit.limit_mm,
         Outcome::NothingFelt { .. } => truth.fit.depth_mm <= truth.fit.limit_mm,
+        Outcome::Interrupted { stage: Stage::Retreat } => true,
         _ => truth.deepest_mm < depth_mm,
     };
     let axis = config.insertion_axis();
@@ -228,6 +240,8 @@ fn judge(config: &Config, report: &JobReport, truth: &BenchTruth) -> TruthReport
         axial_error_mm: origin_error_mm.dot(real_axis),
         inserted_mm: truth.deepest_mm,
         limit_mm: truth.fit.limit_mm,
+        hole_offset_mm: truth.fit.lateral_mm,
+        hole_tilt_rad: truth.fit.tilt_rad,
         outcome_is_true,
     }
 }

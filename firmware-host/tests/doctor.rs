@@ -102,12 +102,19 @@ const HIDRAW: UdevMatch<'_> = UdevMatch { subsystem: "hidraw", usb: Some(("2560"
 
 #[test]
 fn whoever_lacks_access_learns_the_group_or_the_rule() {
-    let dialout = advise(Permissions { mode: 0o20660, gid: 20 }, Some("dialout"), HIDRAW);
+    let node = Path::new("/dev/hidraw3");
+    let dialout = advise(Permissions { mode: 0o20660, gid: 20 }, Some("dialout"), HIDRAW, node);
     assert!(dialout.contains("sudo usermod -aG dialout $USER"), "{dialout}");
-    let rule = advise(Permissions { mode: 0o20600, gid: 0 }, Some("root"), HIDRAW);
+    let rule = advise(Permissions { mode: 0o20600, gid: 0 }, Some("root"), HIDRAW, node);
     let expected = "SUBSYSTEM==\"hidraw\", ATTRS{idVendor}==\"2560\", ATTRS{idProduct}==\"c114\", MODE=\"0660\", \
                     TAG+=\"uaccess\"";
     assert!(rule.ends_with(expected), "{rule}");
+    let port = UdevMatch { subsystem: "tty", usb: None };
+    let rule = advise(Permissions { mode: 0o20600, gid: 0 }, None, port, Path::new("/dev/ttyS0"));
+    assert!(
+        rule.ends_with("SUBSYSTEM==\"tty\", KERNEL==\"ttyS0\", MODE=\"0660\", TAG+=\"uaccess\""),
+        "{rule}"
+    );
 }
 
 proptest! {
@@ -115,7 +122,7 @@ proptest! {
     #[test]
     fn advice_gives_access(mode in 0u32..0o1000, gid in 0u32..3, named in any::<bool>()) {
         let group = named.then_some("video");
-        let advice = advise(Permissions { mode, gid }, group, HIDRAW);
+        let advice = advise(Permissions { mode, gid }, group, HIDRAW, Path::new("/dev/hidraw0"));
         let by_group = advice.contains("usermod");
         prop_assert_eq!(by_group, named && gid != 0 && mode & 0o060 == 0o060);
         prop_assert!(by_group || advice.contains("SUBSYSTEM"));

@@ -109,8 +109,8 @@ fn a_ring_keeps_what_its_replay_needs() {
     let (mode, ring_s, ring_after_s) = (RecordingMode::Ring, 0.3, 0.2);
     let settings = RecordingConfig { path, mode, ring_s, ring_after_s, ..RecordingConfig::default() };
     let (files, frames) = recorded(settings);
-    // The grasp, and the insertion with the end.
-    assert_eq!(files.len(), 2);
+    // The grasp, the insertion, and the end of the retreat.
+    assert_eq!(files.len(), 3);
     let report = replay(&files, None, &mut |_| {}).unwrap();
     assert!(report.is_good() && report.frames > 20 && report.frames < frames, "{report}");
     assert!(report.to_string().contains("begins in the middle of a run"), "{report}");

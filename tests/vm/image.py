@@ -54,7 +54,7 @@ def require_tools() -> None:
     wanted = ["qemu-system-x86_64", "busybox", "depmod", "modprobe", "cpio", "apt-get", "dpkg-deb"]
     missing = [tool for tool in wanted if shutil.which(tool, path=ENVIRONMENT["PATH"]) is None]
     if missing:
-        raise Unavailable(f"not installed: {', '.join(missing)} (tests/vm/setup.sh installs them on Debian)")
+        raise Unavailable(f"not installed: {', '.join(missing)} (.ci/long-prerequisites.sh installs them on Debian)")
     if os.uname().machine != "x86_64":
         raise Unavailable(f"the VM runs the host's x86-64 programs; this is {os.uname().machine}")
 
@@ -82,7 +82,7 @@ def kernel_package() -> str:
         kind, _, name = line.strip().partition(": ")
         if kind == "Depends" and name.startswith("linux-image-"):
             return name
-    raise Unavailable("apt knows no linux-image-amd64; run tests/vm/setup.sh on Debian")
+    raise Unavailable("apt knows no linux-image-amd64; run .ci/long-prerequisites.sh on Debian")
 
 
 def make(package: str, cache: Path, scratch: Path) -> None:

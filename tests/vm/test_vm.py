@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import gelstereo as gs
 import image
 import machine
 import numpy as np
@@ -18,7 +19,7 @@ import pytest
 from guest.checks import CHECKS, load_all
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-PROGRAMS = ["camera_probe", "hid_probe"]
+EXAMPLES = ["camera_probe", "hid_probe"]
 
 pytestmark = pytest.mark.long
 load_all()
@@ -35,6 +36,17 @@ def write_frames(folder: Path) -> None:
     for number in range(3):
         views = [view(1280, 720, 20 * side + number, generator) for side in range(2)]
         write_jpeg(folder / f"large_{number:02}.jpg", np.hstack(views))
+    write_gel(folder)
+
+
+def write_gel(folder: Path) -> None:
+    """The simulated sensor at rest and under a ball, at 4 Hz, and the rig that sees it."""
+    scene = gs.Scene.load(REPOSITORY / "scenes" / "press_sphere.toml")
+    frames = gs.simulate(scene)
+    for number, index in enumerate([*range(6), *range(6), *range(8, len(frames) - 5, 6)]):
+        frame = frames[index]
+        write_jpeg(folder / f"gel_{number:02}.jpg", np.hstack([frame.left, frame.right]))
+    (folder / "rig.toml").write_text(scene.rig.to_toml(), encoding="utf-8")
 
 
 def view(width: int, height: int, shift_px: int, generator: np.random.Generator) -> npt.NDArray[np.uint8]:
@@ -54,10 +66,11 @@ def write_jpeg(path: Path, gray: npt.NDArray[np.uint8]) -> None:
 def build_programs(out: Path) -> None:
     """Builds what the checks run, and tells the guest where it is."""
     command = ["cargo", "build", "--quiet", "--release", "-p", "gelstereo-host"]
-    command += [part for name in PROGRAMS for part in ("--example", name)]
+    command += ["--bin", "gelstereo-host", *(part for name in EXAMPLES for part in ("--example", name))]
     subprocess.run(command, cwd=REPOSITORY, check=True)
     target = Path(os.environ.get("CARGO_TARGET_DIR", REPOSITORY / "target")) / "release"
-    programs = {name: str(target / "examples" / name) for name in PROGRAMS}
+    programs = {name: str(target / "examples" / name) for name in EXAMPLES}
+    programs["gelstereo-host"] = str(target / "gelstereo-host")
     (out / "programs.json").write_text(json.dumps(programs), encoding="utf-8")
 
 

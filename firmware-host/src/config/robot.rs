@@ -47,11 +47,20 @@ impl RobotConfig {
         check(watchdog_ms >= timeout_ms, "robot.watchdog_ms", *watchdog_ms, "robot.timeout_ms or more")
     }
 
+    /// Where a real robot is connected.
+    #[must_use]
+    pub fn address(&self) -> Option<&str> {
+        match self {
+            Self::Simulated => None,
+            Self::Bridge { address, .. } => Some(address),
+        }
+    }
+
     /// Connects to a real robot; nothing moves. `None` for the simulated one.
     ///
     /// # Errors
     /// [`RobotError`].
-    pub fn open(&self) -> Result<Option<Box<dyn Robot>>, RobotError> {
+    pub fn open(&self) -> Result<Option<Box<dyn Robot + Send>>, RobotError> {
         let Self::Bridge { address, timeout_ms, watchdog_ms } = self else {
             return Ok(None);
         };

@@ -57,6 +57,37 @@ impl SourceConfig {
                 advice: "wait for at least two periods",
             });
         }
+        self.validate_blind_travel(task)
+    }
+
+    /// Whether the moves are so slow that a camera that is well never looks silent.
+    fn validate_blind_travel(&self, task: &TaskConfig) -> Result<(), ConfigError> {
+        let Self::Camera(camera) = self else { return Ok(()) };
+        let limits = [
+            ("task.max_blind_travel_mm", task.max_blind_travel_mm, "closing", task.closing_speed_mm_s),
+            ("task.max_blind_travel_mm", task.max_blind_travel_mm, "insertion", task.insertion_speed_mm_s),
+            (
+                "task.max_blind_free_travel_mm",
+                task.max_blind_free_travel_mm,
+                "opening",
+                task.opening_speed_mm_s,
+            ),
+            ("task.max_blind_free_travel_mm", task.max_blind_free_travel_mm, "move", task.move_speed_mm_s),
+        ];
+        for (name, travel_mm, motion, speed_mm_s) in limits {
+            let waits_s = travel_mm / speed_mm_s;
+            if waits_s < MIN_WAIT_PERIODS / camera.frame_rate_hz {
+                return Err(ConfigError::Contradiction {
+                    name,
+                    found: format!("{travel_mm} mm, {:.0} ms at {speed_mm_s} mm/s", waits_s * 1e3),
+                    other: format!(
+                        "task.{motion}_speed_mm_s allows no two periods of {} Hz within it",
+                        camera.frame_rate_hz
+                    ),
+                    advice: "lower the speed, or raise the travel",
+                });
+            }
+        }
         Ok(())
     }
 
@@ -66,6 +97,17 @@ impl SourceConfig {
             Self::Folder { frame_rate_hz, .. } => RATE_HZ.check("source.frame_rate_hz", *frame_rate_hz),
             Self::Camera(camera) => camera.validate().map_err(ConfigError::Camera),
             Self::Stream(stream) => validate_stream(stream),
+        }
+    }
+
+    /// Nominal rate of its frames. A stream without a rate, and the simulated sensor, have that of the simulated world.
+    #[must_use]
+    pub fn frame_rate_hz(&self, simulated_hz: f64) -> f64 {
+        match self {
+            Self::Simulated => simulated_hz,
+            Self::Folder { frame_rate_hz, .. } => *frame_rate_hz,
+            Self::Camera(camera) => camera.frame_rate_hz,
+            Self::Stream(stream) => stream.frame_rate_hz.unwrap_or(simulated_hz),
         }
     }
 

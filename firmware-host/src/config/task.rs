@@ -2,7 +2,8 @@
 
 use super::ConfigError;
 use super::range::{
-    CLEARANCE_MM, FAR_MM, FULL_TURN_RAD, LENGTH_MM, SIGMA_MM, SIGMA_RAD, SPEED_MM_S, STAGE_S, TIME_S, check,
+    CLEARANCE_MM, FAR_MM, FULL_TURN_RAD, LENGTH_MM, PERIODS, SIGMA_MM, SIGMA_RAD, SPEED_MM_S, STAGE_S,
+    TIME_S, check,
 };
 use gelstereo_core::frames::FingerKinematics;
 use gelstereo_core::math::{DVec3, Pose, so3};
@@ -93,9 +94,24 @@ pub struct TaskConfig {
     /// Speed of the insertion. Valid: 0.01 to 10000 mm/s. Default: `10` mm/s. Lower it for tight fits: the part
     /// goes on for one frame after the gel feels the hole's bottom.
     pub insertion_speed_mm_s: f64,
-    /// How long to wait for a stereo pair. Valid: 0.001 to 3600 s. Default: `2` s. Raise it for a slow
-    /// camera.
+    /// How long to wait for a stereo pair while nothing moves. Valid: 0.001 to 3600 s. Default: `2` s. Raise
+    /// it for a slow camera.
     pub frame_timeout_s: f64,
+    /// A move that a trigger ends is stopped when no stereo pair has come for so long a way. At 20 mm/s the
+    /// default is 150 ms. Valid: 0.001 to 1000 mm, and two periods of the camera at the speeds of closing and
+    /// insertion. Default: `3` mm. Lower it for stiff gels and hard parts.
+    pub max_blind_travel_mm: f64,
+    /// The same for moves on free ways: opening, lifting, aligning. At 400 mm/s the default is 300 ms. Valid:
+    /// 0.001 to 1000 mm, and two periods of the camera at the speeds of opening and moving. Default: `120` mm.
+    /// Lower it where the way may be blocked.
+    pub max_blind_free_travel_mm: f64,
+    /// Everything is stopped when a result comes so many periods of a live source after its image while
+    /// something moves. Valid: 1 to 1000. Default: `3`. Raise it on a slow computer, together with slower
+    /// moves.
+    pub max_late_periods: f64,
+    /// Everything is stopped when gripper or robot leave a status request unanswered for so long. Valid: 0.001
+    /// to 3600 s. Default: `0.5` s. Raise it for a slow controller.
+    pub device_timeout_s: f64,
     /// The job breaks off when one stage takes longer, on the frame source's clock. No stage may be planned
     /// to take longer. Valid: 0.1 to 3600 s. Default: `120` s. Raise it for long or slow moves; the recording
     /// may grow with it.
@@ -155,6 +171,10 @@ impl Default for TaskConfig {
             move_speed_mm_s: 400.0,
             insertion_speed_mm_s: 10.0,
             frame_timeout_s: 2.0,
+            max_blind_travel_mm: 3.0,
+            max_blind_free_travel_mm: 120.0,
+            max_late_periods: 3.0,
+            device_timeout_s: 0.5,
             stage_timeout_s: 120.0,
             max_bad_frames: 2,
             clearance_mm: None,
@@ -191,6 +211,10 @@ impl TaskConfig {
             ("task.move_speed_mm_s", t.move_speed_mm_s, SPEED_MM_S),
             ("task.insertion_speed_mm_s", t.insertion_speed_mm_s, SPEED_MM_S),
             ("task.frame_timeout_s", t.frame_timeout_s, TIME_S),
+            ("task.max_blind_travel_mm", t.max_blind_travel_mm, LENGTH_MM),
+            ("task.max_blind_free_travel_mm", t.max_blind_free_travel_mm, LENGTH_MM),
+            ("task.max_late_periods", t.max_late_periods, PERIODS),
+            ("task.device_timeout_s", t.device_timeout_s, TIME_S),
             ("task.stage_timeout_s", t.stage_timeout_s, STAGE_S),
         ];
         for (name, found, range) in within {

@@ -46,7 +46,7 @@ pub fn access(roots: &Roots, node: &Path, device: UdevMatch<'_>) -> Access {
     }
     let permissions = Permissions { mode: found.st_mode, gid: found.st_gid };
     let group = group_name(roots, permissions.gid);
-    Access::Denied { advice: advise(permissions, group.as_deref(), device) }
+    Access::Denied { advice: advise(permissions, group.as_deref(), device, node) }
 }
 
 /// Elsewhere nothing is known of it.
@@ -58,7 +58,7 @@ pub fn access(_roots: &Roots, _node: &Path, _device: UdevMatch<'_>) -> Access {
 
 /// What gives a user access.
 #[must_use]
-pub fn advise(permissions: Permissions, group: Option<&str>, device: UdevMatch<'_>) -> String {
+pub fn advise(permissions: Permissions, group: Option<&str>, device: UdevMatch<'_>, node: &Path) -> String {
     const GROUP_MAY: u32 = 0o060;
     match group {
         // Nobody is put into root's group for the sake of a camera.
@@ -68,16 +68,20 @@ pub fn advise(permissions: Permissions, group: Option<&str>, device: UdevMatch<'
         _ => format!(
             "put this line into /etc/udev/rules.d/70-gelstereo.rules, run `sudo udevadm control --reload` and plug the \
              device in again: {}",
-            udev_rule(device)
+            udev_rule(device, node)
         ),
     }
 }
 
-fn udev_rule(device: UdevMatch<'_>) -> String {
-    let usb = device.usb.map_or(String::new(), |(vendor, product)| {
-        format!(", ATTRS{{idVendor}}==\"{vendor}\", ATTRS{{idProduct}}==\"{product}\"")
-    });
-    format!("SUBSYSTEM==\"{}\"{usb}, MODE=\"0660\", TAG+=\"uaccess\"", device.subsystem)
+fn udev_rule(device: UdevMatch<'_>, node: &Path) -> String {
+    let which = match device.usb {
+        Some((vendor, product)) => {
+            format!("ATTRS{{idVendor}}==\"{vendor}\", ATTRS{{idProduct}}==\"{product}\"")
+        }
+        // A rule for the whole subsystem would open consoles too.
+        None => format!("KERNEL==\"{}\"", node.file_name().unwrap_or_default().to_string_lossy()),
+    };
+    format!("SUBSYSTEM==\"{}\", {which}, MODE=\"0660\", TAG+=\"uaccess\"", device.subsystem)
 }
 
 fn group_name(roots: &Roots, gid: u32) -> Option<String> {

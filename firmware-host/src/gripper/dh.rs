@@ -106,6 +106,10 @@ impl Gripper for DhRobotics {
         Ok(())
     }
 
+    fn sent_ns(&self) -> Option<u64> {
+        self.master.sent_ns()
+    }
+
     fn status(&mut self) -> Result<GripperStatus, GripperError> {
         let [_, grip, position] = self.state()?;
         if grip == DROPPED {

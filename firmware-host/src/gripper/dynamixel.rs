@@ -147,6 +147,10 @@ impl Gripper for DynamixelGripper {
         Ok(())
     }
 
+    fn sent_ns(&self) -> Option<u64> {
+        self.line.sent_ns()
+    }
+
     fn status(&mut self) -> Result<GripperStatus, GripperError> {
         let (moving, position) = self.state()?;
         Ok(servo::status(&self.widths, self.goal, moving, position))

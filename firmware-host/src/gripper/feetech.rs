@@ -128,6 +128,10 @@ impl Gripper for FeetechGripper {
         if moving { self.go(position, &[]) } else { Ok(()) }
     }
 
+    fn sent_ns(&self) -> Option<u64> {
+        self.line.sent_ns()
+    }
+
     fn status(&mut self) -> Result<GripperStatus, GripperError> {
         let (moving, position) = self.state()?;
         Ok(servo::status(&self.widths, self.goal, moving, position))

@@ -1,6 +1,7 @@
 //! Lines of bytes to a device: serial ports and TCP connections.
 
 use super::GripperError;
+use crate::source::monotonic_ns;
 use std::io::{ErrorKind, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::time::{Duration, Instant};
@@ -26,6 +27,12 @@ pub trait Line: Send {
 
     /// Its name in errors.
     fn name(&self) -> &str;
+
+    /// When the last bytes were sent, nanoseconds of `CLOCK_MONOTONIC`: a serial port has drained, a TCP connection's
+    /// bytes are with the system. Lines that do not measure it have none.
+    fn sent_ns(&self) -> Option<u64> {
+        None
+    }
 
     /// Drops what came and was not read.
     ///
@@ -65,6 +72,7 @@ fn fail(port: &str, error: impl std::fmt::Display) -> GripperError {
 pub struct SerialLine {
     port: Box<dyn serialport::SerialPort>,
     name: String,
+    sent_ns: Option<u64>,
 }
 
 #[cfg(feature = "host")]
@@ -75,7 +83,7 @@ impl SerialLine {
     /// [`GripperError::Port`].
     pub fn open(path: &str, baud_rate: u32) -> Result<Self, GripperError> {
         let port = serialport::new(path, baud_rate).open().map_err(|error| fail(path, error))?;
-        Ok(Self { port, name: path.to_owned() })
+        Ok(Self { port, name: path.to_owned(), sent_ns: None })
     }
 }
 
@@ -83,7 +91,11 @@ impl SerialLine {
 impl Line for SerialLine {
     fn send(&mut self, bytes: &[u8]) -> Result<(), GripperError> {
         self.port.set_timeout(WRITE_TIMEOUT).map_err(|error| fail(&self.name, error))?;
-        self.port.write_all(bytes).map_err(|error| fail(&self.name, error))
+        self.port.write_all(bytes).map_err(|error| fail(&self.name, error))?;
+        // Waits until the last byte has left the port's buffer.
+        self.port.flush().map_err(|error| fail(&self.name, error))?;
+        self.sent_ns = Some(monotonic_ns());
+        Ok(())
     }
 
     fn receive(&mut self, buffer: &mut [u8], deadline: Instant) -> Result<usize, GripperError> {
@@ -100,12 +112,17 @@ impl Line for SerialLine {
     fn name(&self) -> &str {
         &self.name
     }
+
+    fn sent_ns(&self) -> Option<u64> {
+        self.sent_ns
+    }
 }
 
 /// A TCP connection.
 pub struct TcpLine {
     stream: TcpStream,
     name: String,
+    sent_ns: Option<u64>,
 }
 
 impl TcpLine {
@@ -122,7 +139,7 @@ impl TcpLine {
                     // A command must not wait for the acknowledgement of the one before.
                     stream.set_nodelay(true).map_err(|error| fail(&name, error))?;
                     stream.set_write_timeout(Some(WRITE_TIMEOUT)).map_err(|error| fail(&name, error))?;
-                    return Ok(Self { stream, name });
+                    return Ok(Self { stream, name, sent_ns: None });
                 }
                 Err(error) => last = fail(&name, error),
             }
@@ -133,7 +150,9 @@ impl TcpLine {
 
 impl Line for TcpLine {
     fn send(&mut self, bytes: &[u8]) -> Result<(), GripperError> {
-        self.stream.write_all(bytes).map_err(|error| fail(&self.name, error))
+        self.stream.write_all(bytes).map_err(|error| fail(&self.name, error))?;
+        self.sent_ns = Some(monotonic_ns());
+        Ok(())
     }
 
     fn receive(&mut self, buffer: &mut [u8], deadline: Instant) -> Result<usize, GripperError> {
@@ -150,6 +169,10 @@ impl Line for TcpLine {
 
     fn name(&self) -> &str {
         &self.name
+    }
+
+    fn sent_ns(&self) -> Option<u64> {
+        self.sent_ns
     }
 }
 

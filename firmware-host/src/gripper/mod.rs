@@ -160,6 +160,9 @@ pub trait Gripper {
     /// [`GripperError`].
     fn move_to(&mut self, width_mm: f64, speed_mm_s: f64, force: f64) -> Result<(), GripperError>;
 
+    /// Begins to stop without waiting for the gripper, where the driver can; [`Self::stop`] follows in any case.
+    fn begin_stop(&mut self) {}
+
     /// Stops where the fingers are.
     ///
     /// # Errors
@@ -171,4 +174,10 @@ pub trait Gripper {
     /// # Errors
     /// [`GripperError::Device`].
     fn status(&mut self) -> Result<GripperStatus, GripperError>;
+
+    /// When the last bytes to the gripper were on the wire, nanoseconds of `CLOCK_MONOTONIC`. A simulated gripper has no
+    /// wire.
+    fn sent_ns(&self) -> Option<u64> {
+        None
+    }
 }

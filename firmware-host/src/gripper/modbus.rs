@@ -41,6 +41,12 @@ impl Master {
         Self { line, framing, unit, timeout, transaction: 0 }
     }
 
+    /// When the last bytes were sent; see [`Line::sent_ns`].
+    #[must_use]
+    pub fn sent_ns(&self) -> Option<u64> {
+        self.line.sent_ns()
+    }
+
     /// Sends a request and waits for its reply. What came before is dropped; a late reply is told apart by its
     /// transaction number, or on serial lines by waiting until the line is quiet.
     ///

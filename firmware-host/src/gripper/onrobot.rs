@@ -74,6 +74,10 @@ impl Gripper for OnRobot {
         self.master.ask(Request::WriteSingle { address: CONTROL, value: STOP }).map(|_| ())
     }
 
+    fn sent_ns(&self) -> Option<u64> {
+        self.master.sent_ns()
+    }
+
     fn status(&mut self) -> Result<GripperStatus, GripperError> {
         let (width_mm, status) = self.state()?;
         Ok(GripperStatus {

@@ -119,6 +119,10 @@ impl Gripper for Robotiq {
         self.write(command).map(|_| ())
     }
 
+    fn sent_ns(&self) -> Option<u64> {
+        self.master.sent_ns()
+    }
+
     fn status(&mut self) -> Result<GripperStatus, GripperError> {
         let status = self.read()?;
         if status.fault.needs_activation() {

@@ -116,6 +116,10 @@ impl Gripper for RobotiqUrcap {
         Ok(())
     }
 
+    fn sent_ns(&self) -> Option<u64> {
+        self.line.sent_ns()
+    }
+
     fn status(&mut self) -> Result<GripperStatus, GripperError> {
         let fault = Fault(self.get(Variable::Flt)? & 0x0F);
         if fault.needs_activation() {

@@ -1,6 +1,7 @@
 //! Any robot behind a TCP connection with one JSON object a line; docs/robot-bridge.md has the protocol.
 
 use super::{Robot, RobotError, RobotStatus};
+use crate::source::monotonic_ns;
 use gelstereo_core::math::{DQuat, DVec3, Pose};
 use serde::{Deserialize, Serialize};
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
@@ -74,6 +75,7 @@ pub struct BridgeRobot {
     address: String,
     timeout: Duration,
     id: u64,
+    sent_ns: Option<u64>,
 }
 
 impl BridgeRobot {
@@ -103,7 +105,7 @@ impl BridgeRobot {
         stream.set_nodelay(true).map_err(fail)?;
         stream.set_write_timeout(Some(timeout)).map_err(fail)?;
         let reader = BufReader::new(stream.try_clone().map_err(fail)?);
-        let mut robot = Self { stream, reader, address: address.to_owned(), timeout, id: 0 };
+        let mut robot = Self { stream, reader, address: address.to_owned(), timeout, id: 0, sent_ns: None };
         let watchdog_ms = watchdog.as_millis() as u64;
         let answer = robot.ask(Body::Hello { version: VERSION, watchdog_ms })?;
         match answer.version {
@@ -124,6 +126,7 @@ impl BridgeRobot {
             .map_err(|error| RobotError::Device { message: error.to_string() })?;
         line.push('\n');
         self.stream.write_all(line.as_bytes()).map_err(|error| connection(&self.address, error))?;
+        self.sent_ns = Some(monotonic_ns());
         let begun = Instant::now();
         loop {
             let answer = self.read_line(begun)?;
@@ -188,5 +191,9 @@ impl Robot for BridgeRobot {
                     .to_owned(),
             }),
         }
+    }
+
+    fn sent_ns(&self) -> Option<u64> {
+        self.sent_ns
     }
 }

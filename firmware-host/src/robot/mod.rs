@@ -73,6 +73,9 @@ pub trait Robot {
     /// [`RobotError`].
     fn move_to(&mut self, t_base_gripper: &Pose, speed_mm_s: f64) -> Result<(), RobotError>;
 
+    /// Begins to stop without waiting for the robot, where the driver can; [`Self::stop`] follows in any case.
+    fn begin_stop(&mut self) {}
+
     /// Stops where it is.
     ///
     /// # Errors
@@ -84,4 +87,10 @@ pub trait Robot {
     /// # Errors
     /// [`RobotError::Device`].
     fn status(&mut self) -> Result<RobotStatus, RobotError>;
+
+    /// When the last bytes to the robot were on the wire, nanoseconds of `CLOCK_MONOTONIC`. A simulated robot has no
+    /// wire.
+    fn sent_ns(&self) -> Option<u64> {
+        None
+    }
 }

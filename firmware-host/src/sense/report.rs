@@ -21,7 +21,9 @@ pub struct Quantiles {
 }
 
 impl Quantiles {
-    fn of(histogram: &Histogram) -> Self {
+    /// Of the durations that were counted.
+    #[must_use]
+    pub fn of(histogram: &Histogram) -> Self {
         let ms = |duration: Duration| duration.as_secs_f64() * 1e3;
         Self {
             p50_ms: histogram.quantile(0.5).map(ms),

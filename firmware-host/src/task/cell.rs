@@ -1,8 +1,11 @@
 //! The robot cell as the stages see it: take a stereo pair, sense it, stop what must be stopped, record.
 
+use super::TaskError;
+use super::devices::{Devices, Stops};
 use super::error::Halt;
+use super::latency::{FrameTimes, LatencyMeter, LatencyReport};
 use super::log::Log;
-use super::{Devices, TaskError};
+use super::watch::{Guard, Watch};
 use crate::config::Config;
 use crate::report::Outcome;
 use crate::sensing::{Action, Sensing};
@@ -19,8 +22,14 @@ pub(super) struct Cell<'a> {
     pub(super) sensing: Sensing,
     pub(super) log: Log<'a>,
     stop: &'a AtomicBool,
+    watch: Watch,
+    latency: LatencyMeter,
     pair: StereoPair,
+    times: FrameTimes,
 }
+
+/// A request to stop is noticed within this time, which is shorter than a frame of any sensor of this kind.
+const SLICE: Duration = Duration::from_millis(10);
 
 /// What a frame shows of a guarded move.
 pub(super) struct Felt {
@@ -28,13 +37,6 @@ pub(super) struct Felt {
     pub(super) motion_px: f64,
     /// Whether it reached the trigger, and the device was stopped.
     pub(super) triggered: bool,
-}
-
-/// What a trigger stops.
-#[derive(Clone, Copy)]
-pub(super) enum Stops {
-    Gripper,
-    Robot,
 }
 
 /// Mean marker motion that stops a device.
@@ -54,34 +56,83 @@ impl<'a> Cell<'a> {
         log: Log<'a>,
         stop: &'a AtomicBool,
     ) -> Self {
-        Self { config, devices, sensing, log, stop, pair: StereoPair::default() }
+        Self {
+            config,
+            devices,
+            sensing,
+            log,
+            stop,
+            watch: Watch::new(config),
+            latency: LatencyMeter::default(),
+            pair: StereoPair::default(),
+            times: FrameTimes::default(),
+        }
+    }
+
+    /// Starts to move the fingers with the task's closing force.
+    pub(super) fn move_gripper(&mut self, width_mm: f64, speed_mm_s: f64, guard: Guard) -> Result<(), Halt> {
+        let task = &self.config.task;
+        self.watch.moves(task, guard, speed_mm_s);
+        Ok(self.devices.gripper.move_to(width_mm, speed_mm_s, task.closing_force)?)
+    }
+
+    /// Starts to move the robot.
+    pub(super) fn move_robot(
+        &mut self,
+        t_base_gripper: &Pose,
+        speed_mm_s: f64,
+        guard: Guard,
+    ) -> Result<(), Halt> {
+        self.watch.moves(&self.config.task, guard, speed_mm_s);
+        Ok(self.devices.robot.move_to(t_base_gripper, speed_mm_s)?)
+    }
+
+    /// Whether fingers or robot move.
+    pub(super) fn moves(&mut self) -> Result<bool, Halt> {
+        let moving = self.devices.gripper.status()?.moving || self.devices.robot.status()?.moving;
+        if !moving {
+            self.watch.rests();
+        }
+        Ok(moving)
     }
 
     /// Goes on to the next stereo pair without sensing it.
     pub(super) fn take_pair(&mut self) -> Result<(), Halt> {
         let stage = self.log.stage();
-        if self.stop.load(Ordering::Relaxed) {
-            return Err(Halt::Outcome(Outcome::Interrupted { stage }));
-        }
-        let timeout = Duration::from_secs_f64(self.config.task.frame_timeout_s);
-        let asked = Instant::now();
-        loop {
-            let left = timeout.saturating_sub(asked.elapsed());
-            match self.devices.source.next_pair(left, &mut self.pair)? {
-                Next::Pair => break,
-                Next::Event(event) => self.log.event(&event),
-                Next::End => return Err(Halt::Outcome(Outcome::SourceEnded { stage })),
-            }
-            if asked.elapsed() >= timeout {
-                return Err(SourceError::Timeout { waited: timeout }.into());
-            }
-        }
+        self.wait_for_pair()?;
+        self.times = FrameTimes::received(&self.pair.capture);
         self.log.pair_came(self.pair.time_ns);
         let limit_s = self.config.task.stage_timeout_s;
         if self.log.source_s() > limit_s {
             return Err(Halt::Error(TaskError::StageTimeout { stage, limit_s }));
         }
         Ok(())
+    }
+
+    /// Waits in short slices, so that a request to stop and a silent device are noticed at once.
+    fn wait_for_pair(&mut self) -> Result<(), Halt> {
+        let (stage, patience, asked) = (self.log.stage(), self.watch.patience(), Instant::now());
+        loop {
+            if self.stop.load(Ordering::Relaxed) {
+                return Err(Halt::Outcome(Outcome::Interrupted { stage }));
+            }
+            let slice = patience.saturating_sub(asked.elapsed()).min(SLICE);
+            match self.devices.source.next_pair(slice, &mut self.pair) {
+                Ok(Next::Pair) => return Ok(()),
+                Ok(Next::Event(event)) => self.log.event(&event),
+                Ok(Next::End) => return Err(Halt::Outcome(Outcome::SourceEnded { stage })),
+                Err(SourceError::Timeout { .. }) => {}
+                Err(error) => return Err(error.into()),
+            }
+            let silent = asked.elapsed();
+            if silent >= patience {
+                return Err(match self.watch.moving() {
+                    true => Halt::Error(TaskError::CameraSilent { stage, silent }),
+                    false => SourceError::Timeout { waited: silent }.into(),
+                });
+            }
+            self.moves()?;
+        }
     }
 
     /// Goes on to the next frame that can be sensed; returns its mean marker motion in pixels.
@@ -100,17 +151,22 @@ impl<'a> Cell<'a> {
         loop {
             self.take_pair()?;
             let result = self.sensing.process(&self.pair).map(|_| ());
+            self.times.sensed();
             let motion_px = self.sensing.frame().motion_px;
             let reached = trigger.filter(|trigger| result.is_ok() && motion_px >= trigger.motion_px);
-            match reached.map(|trigger| trigger.stops) {
-                Some(Stops::Gripper) => self.devices.gripper.stop()?,
-                Some(Stops::Robot) => self.devices.robot.stop()?,
-                None => {}
+            if let Some(trigger) = reached {
+                let wire_ns = self.devices.stop_one(trigger.stops)?;
+                self.latency.stop(trigger.cause, &self.times, wire_ns, self.pair.capture.dropped);
             }
+            self.latency.frame(&self.times);
             let (gripper, robot) = (self.devices.gripper.status()?, self.devices.robot.status()?);
             self.log.sensed(&self.pair, &gripper, &robot, &result, &self.sensing);
             if let Some(trigger) = reached {
                 self.log.trigger(trigger.cause);
+            }
+            self.watch.check_result(self.log.stage(), self.times.image_to_sensed())?;
+            if !(gripper.moving || robot.moving) {
+                self.watch.rests();
             }
             let Err(error) = result else {
                 return Ok(Felt { motion_px, triggered: reached.is_some() });
@@ -123,9 +179,9 @@ impl<'a> Cell<'a> {
         }
     }
 
-    /// Moves the robot, sensing on the way.
+    /// Moves the robot on a free way, sensing meanwhile.
     pub(super) fn go(&mut self, t_base_gripper: &Pose, speed_mm_s: f64) -> Result<(), Halt> {
-        self.devices.robot.move_to(t_base_gripper, speed_mm_s)?;
+        self.move_robot(t_base_gripper, speed_mm_s, Guard::Free)?;
         while self.devices.robot.status()?.moving {
             self.frame()?;
         }
@@ -138,6 +194,10 @@ impl<'a> Cell<'a> {
         self.log.acted(action, &result, &self.sensing);
         let stage = self.log.stage();
         result.map_err(|error| Halt::Error(TaskError::Sensing { stage, bad_frames: 0, error }))
+    }
+
+    pub(super) fn latency(&self) -> LatencyReport {
+        self.latency.report()
     }
 
     /// Time of the last stereo pair.

@@ -3,7 +3,14 @@
 use super::TaskError;
 use crate::gripper::Gripper;
 use crate::robot::Robot;
-use crate::source::FrameSource;
+use crate::source::{FrameSource, monotonic_ns};
+
+/// What a trigger stops.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Stops {
+    Gripper,
+    Robot,
+}
 
 /// What the task works with.
 pub struct Devices {
@@ -16,11 +23,28 @@ pub struct Devices {
 }
 
 impl Devices {
-    /// Stops gripper and robot; the one is stopped even if the other fails.
+    /// Stops one device; returns when the last byte was on the wire, nanoseconds of `CLOCK_MONOTONIC`. For a simulated
+    /// device it is the moment when it has stopped.
+    ///
+    /// # Errors
+    /// The device's.
+    pub(super) fn stop_one(&mut self, which: Stops) -> Result<u64, TaskError> {
+        let sent_ns = match which {
+            Stops::Gripper => {
+                self.gripper.stop().map(|()| self.gripper.sent_ns()).map_err(TaskError::Gripper)?
+            }
+            Stops::Robot => self.robot.stop().map(|()| self.robot.sent_ns()).map_err(TaskError::Robot)?,
+        };
+        Ok(sent_ns.unwrap_or_else(monotonic_ns))
+    }
+
+    /// Stops gripper and robot at the same time; the one is stopped even if the other fails.
     ///
     /// # Errors
     /// The first error of both.
     pub(super) fn stop(&mut self) -> Result<(), TaskError> {
+        self.gripper.begin_stop();
+        self.robot.begin_stop();
         let (gripper, robot) = (self.gripper.stop(), self.robot.stop());
         gripper.map_err(TaskError::Gripper)?;
         robot.map_err(TaskError::Robot)

@@ -6,6 +6,7 @@ use crate::robot::RobotError;
 use crate::sensing::SensingError;
 use crate::source::SourceError;
 use gelstereo_core::frames::WidthError;
+use std::time::Duration;
 
 /// Why a task broke off. Gripper and robot were stopped, and the recording was closed.
 #[derive(Debug)]
@@ -27,6 +28,22 @@ pub enum TaskError {
         /// Why the last one failed.
         error: SensingError,
     },
+    /// The camera was silent while something moved.
+    CameraSilent {
+        /// During this stage.
+        stage: Stage,
+        /// For how long.
+        silent: Duration,
+    },
+    /// A result came too late while something moved.
+    Late {
+        /// During this stage.
+        stage: Stage,
+        /// From the image to the result.
+        took: Duration,
+        /// `task.max_late_periods`, as a time.
+        limit: Duration,
+    },
     /// A stage did not end.
     StageTimeout {
         /// Which.
@@ -47,6 +64,21 @@ impl std::fmt::Display for TaskError {
             Self::Sensing { stage, bad_frames, error } => {
                 write!(f, "{}: {bad_frames} bad frames in a row, at last: {error}", stage.name())
             }
+            Self::CameraSilent { stage, silent } => write!(
+                f,
+                "{}: the camera was silent for {:.0} ms while something moved; everything was stopped \
+                 (task.max_blind_travel_mm)",
+                stage.name(),
+                silent.as_secs_f64() * 1e3
+            ),
+            Self::Late { stage, took, limit } => write!(
+                f,
+                "{}: a result came {:.0} ms after its image while something moved, later than {:.0} ms; everything \
+                 was stopped (task.max_late_periods)",
+                stage.name(),
+                took.as_secs_f64() * 1e3,
+                limit.as_secs_f64() * 1e3
+            ),
             Self::StageTimeout { stage, limit_s } => write!(
                 f,
                 "{} did not end within {limit_s} s (task.stage_timeout_s); do gripper and robot move?",
@@ -62,6 +94,12 @@ impl std::error::Error for TaskError {}
 pub(super) enum Halt {
     Outcome(Outcome),
     Error(TaskError),
+}
+
+impl From<TaskError> for Halt {
+    fn from(error: TaskError) -> Self {
+        Self::Error(error)
+    }
 }
 
 macro_rules! halt_from {

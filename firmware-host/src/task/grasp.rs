@@ -1,8 +1,10 @@
 //! Close the fingers until the grasp trigger.
 
-use super::cell::{Cell, Stops, Trigger};
+use super::cell::{Cell, Trigger};
+use super::devices::Stops;
 use super::error::Halt;
 use super::log::figure;
+use super::watch::Guard;
 use crate::report::{Outcome, Stage};
 
 /// Closes until the markers' mean motion reaches the grasp trigger.
@@ -12,7 +14,7 @@ pub(super) fn grasp(cell: &mut Cell) -> Result<(), Halt> {
     let motion_px = cell.config.params.contact.grasp_trigger_px;
     let trigger = Trigger { motion_px, stops: Stops::Gripper, cause: "grasp" };
     let (min_mm, _) = cell.config.mount.kinematics.width_range_mm();
-    cell.devices.gripper.move_to(min_mm, task.closing_speed_mm_s, task.closing_force)?;
+    cell.move_gripper(min_mm, task.closing_speed_mm_s, Guard::Triggered)?;
     let motion_px = loop {
         let felt = cell.guarded_frame(&trigger)?;
         if felt.triggered {

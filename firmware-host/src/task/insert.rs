@@ -1,9 +1,11 @@
 //! Lower the part until the insertion trigger.
 
-use super::cell::{Cell, Stops, Trigger};
+use super::cell::{Cell, Trigger};
+use super::devices::Stops;
 use super::error::Halt;
 use super::localize::Held;
 use super::log::figure;
+use super::watch::Guard;
 use crate::report::{Outcome, Stage};
 use crate::sensing::Action;
 use gelstereo_core::math::Pose;
@@ -18,7 +20,7 @@ pub(super) fn insert(cell: &mut Cell, above: &Pose, held: &Held) -> Result<Outco
     let inwards = (*above * held.t_gripper_object).transform_vector(cell.config.insertion_axis());
     let way_mm = task.approach_mm + task.insertion_depth_mm + task.overtravel_mm;
     let last = Pose::from_translation_mm(inwards * way_mm) * *above;
-    cell.devices.robot.move_to(&last, task.insertion_speed_mm_s)?;
+    cell.move_robot(&last, task.insertion_speed_mm_s, Guard::Triggered)?;
     let felt = loop {
         let felt = cell.guarded_frame(&trigger)?;
         if felt.triggered || !cell.devices.robot.status()?.moving {

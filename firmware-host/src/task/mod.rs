@@ -1,20 +1,26 @@
-//! The paper's task: grasp, localize, align, insert (section V-A).
+//! The paper's task: grasp, localize, align, insert (section V-A), and then leave the hole.
 
 mod align;
 mod cell;
 mod chance;
 mod devices;
+mod driver_thread;
 mod error;
 mod grasp;
 mod insert;
+mod latency;
 mod localize;
 mod log;
 mod prepare;
+mod retreat;
 mod search;
 mod second_look;
+mod watch;
 
 pub use devices::Devices;
+pub use driver_thread::{Driver, DriverThread};
 pub use error::TaskError;
+pub use latency::{LatencyReport, StopReport};
 
 use crate::config::Config;
 use crate::recording::Recording;
@@ -70,9 +76,12 @@ impl<'a> Task<'a> {
         let recording = log.close();
         let outcome = result?;
         stopped?;
+        let latency = self.cell.latency();
         let summary = self.cell.log.into_parts();
         Ok(JobReport {
+            why: outcome.to_string(),
             outcome,
+            latency,
             stages: summary.stages,
             localized: self.localized,
             truth: None,

@@ -3,6 +3,7 @@
 use super::cell::Cell;
 use super::error::Halt;
 use super::log::figure;
+use super::watch::Guard;
 use crate::report::Stage;
 use crate::sensing::Action;
 use gelstereo_core::track::MarkerState;
@@ -12,10 +13,10 @@ pub(super) fn open(cell: &mut Cell) -> Result<(), Halt> {
     cell.log.begin(Stage::Open);
     let task = &cell.config.task;
     cell.devices.gripper.activate()?;
-    cell.devices.gripper.move_to(task.open_width_mm, task.opening_speed_mm_s, task.closing_force)?;
-    cell.devices.robot.move_to(&task.grasp_pose.pose(), task.move_speed_mm_s)?;
+    cell.move_gripper(task.open_width_mm, task.opening_speed_mm_s, Guard::Free)?;
+    cell.move_robot(&task.grasp_pose.pose(), task.move_speed_mm_s, Guard::Free)?;
     // Frames on the way show neither rest nor contact: they are let go.
-    while cell.devices.gripper.status()?.moving || cell.devices.robot.status()?.moving {
+    while cell.moves()? {
         cell.take_pair()?;
     }
     let width_mm = cell.devices.gripper.status()?.width_mm;

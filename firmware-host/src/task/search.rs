@@ -4,37 +4,42 @@ use super::cell::Cell;
 use super::error::Halt;
 use super::insert::insert;
 use super::localize::Held;
+use super::log::figure;
+use super::retreat::retreat;
 use crate::report::{Outcome, Stage};
-use gelstereo_core::math::{DVec3, Pose, cos, sin, sqrt};
+use gelstereo_core::math::{Pose, cos, sin, sqrt};
 
 /// Standard deviations of the tip's place that the search covers.
 const REACH_SIGMAS: f64 = 3.0;
 
-/// Inserts from `above`; where the part jams, tries along a spiral, `task.max_tries` times in all.
+/// Inserts from `above` and leaves the hole. Where the part jams, tries along a spiral, `task.max_tries` times in all.
 pub(super) fn insert_by_search(cell: &mut Cell, above: &Pose, held: &Held) -> Result<Outcome, Halt> {
-    let mut outcome = insert(cell, above, held)?;
+    let mut outcome = try_at(cell, above, held)?;
     let task = &cell.config.task;
     let (Some(clearance_mm), Some(forecast)) = (task.clearance_mm, &held.localized.forecast) else {
         return Ok(outcome);
     };
     let axis = (*above * held.t_gripper_object).transform_vector(cell.config.insertion_axis());
+    let across = axis.any_orthonormal_vector();
     let reach_mm = (REACH_SIGMAS * forecast.lateral_sigma_mm).max(clearance_mm);
-    let steps = spiral(clearance_mm, reach_mm).take(task.max_tries.saturating_sub(1) as usize);
-    let mut last = *above;
-    for step in steps {
+    for step in spiral(clearance_mm, reach_mm).take(task.max_tries.saturating_sub(1) as usize) {
         if !matches!(outcome, Outcome::Jammed { .. }) {
             break;
         }
-        let across = axis.any_orthonormal_vector();
+        cell.log.begin(Stage::Align);
         let shift_mm = across * step.x_mm + axis.cross(across) * step.y_mm;
         let next = Pose::from_translation_mm(shift_mm) * *above;
-        cell.log.begin(Stage::Align);
-        cell.go(&last, task.move_speed_mm_s)?;
         cell.go(&next, task.move_speed_mm_s)?;
-        cell.log.end(vec![super::log::figure("shift_mm", DVec3::length(shift_mm))]);
-        outcome = insert(cell, &next, held)?;
-        last = next;
+        cell.log.end(vec![figure("shift_mm", shift_mm.length())]);
+        outcome = try_at(cell, &next, held)?;
     }
+    Ok(outcome)
+}
+
+/// Inserts once, and leaves the hole: a part that jams goes back to where it came from.
+fn try_at(cell: &mut Cell, above: &Pose, held: &Held) -> Result<Outcome, Halt> {
+    let outcome = insert(cell, above, held)?;
+    retreat(cell, above, &outcome)?;
     Ok(outcome)
 }
 

@@ -11,6 +11,7 @@ use super::grasp::grasp;
 use super::localize::{Held, Localization, localize};
 use super::log::figure;
 use super::prepare::rest;
+use super::watch::Guard;
 use crate::report::{Forecast, Stage};
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::register::{FusedPose, PoseEstimate, fuse_poses};
@@ -96,23 +97,27 @@ fn disturbed(cell: &Cell, known: &PoseEstimate, t_base_gripper: &Pose) -> PoseEs
 fn regrasp(cell: &mut Cell, t_base_object: &Pose, turn_rad: f64) -> Result<(), Halt> {
     cell.log.begin(Stage::Open);
     let task = &cell.config.task;
-    cell.devices.gripper.move_to(task.open_width_mm, task.opening_speed_mm_s, task.closing_force)?;
-    while cell.devices.gripper.status()?.moving {
-        cell.take_pair()?;
-    }
+    cell.move_gripper(task.open_width_mm, task.opening_speed_mm_s, Guard::Free)?;
+    wait(cell)?;
     let lift = Pose::from_translation_mm(DVec3::Z * task.lift_mm);
     let from = cell.devices.robot.status()?.t_base_gripper;
     let to = hand_around(cell, t_base_object, turn_rad);
     for waypoint in [lift * from, lift * to, to] {
-        cell.devices.robot.move_to(&waypoint, task.move_speed_mm_s)?;
-        while cell.devices.robot.status()?.moving {
-            cell.take_pair()?;
-        }
+        cell.move_robot(&waypoint, task.move_speed_mm_s, Guard::Free)?;
+        wait(cell)?;
     }
     let width_mm = cell.devices.gripper.status()?.width_mm;
     cell.log.end(vec![figure("width_mm", width_mm), figure("turn_rad", turn_rad)]);
     rest(cell)?;
     grasp(cell)
+}
+
+/// Lets frames go until nothing moves.
+fn wait(cell: &mut Cell) -> Result<(), Halt> {
+    while cell.moves()? {
+        cell.take_pair()?;
+    }
+    Ok(())
 }
 
 /// Localizes the part in the hand, and fuses that with what was known of it in the base frame.

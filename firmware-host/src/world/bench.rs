@@ -15,8 +15,17 @@ use gelstereo_sim::{ContactState, Scene, Shape, Simulator, Truth};
 /// Where the peg is held.
 #[derive(Clone, Copy, Debug)]
 enum Hold {
-    Holder { t_base_object: Pose },
-    Hand { t_gripper_object: Pose },
+    Holder {
+        t_base_object: Pose,
+    },
+    Hand {
+        t_gripper_object: Pose,
+    },
+    /// Let go: it stays where it is, and was held so before.
+    Released {
+        t_base_object: Pose,
+        t_gripper_object: Pose,
+    },
 }
 
 /// The gripper stalls when the gel is pressed to this share of its thickness.
@@ -34,6 +43,8 @@ pub struct Bench {
     /// Where the part's origin was in the sensor frame when it first touched the gel.
     touch_mm: Option<DVec3>,
     deepest_mm: f64,
+    /// The fit when the hand was farthest into the hole.
+    deepest_fit: Option<Fit>,
     truth: Truth,
 }
 
@@ -42,7 +53,7 @@ pub struct Bench {
 pub struct BenchTruth {
     /// Part in the gripper, as it was grasped.
     pub t_gripper_object: Pose,
-    /// Peg against hole, as if nothing held the peg back.
+    /// Peg against hole when the hand was farthest into it, as if nothing held the peg back.
     pub fit: Fit,
     /// How deep the peg got into the hole at most; negative when it never reached the rim.
     pub deepest_mm: f64,
@@ -79,6 +90,7 @@ impl Bench {
             hold: Hold::Holder { t_base_object: misplaced(config) },
             touch_mm: None,
             deepest_mm: f64::NEG_INFINITY,
+            deepest_fit: None,
             truth: Truth::default(),
         })
     }
@@ -86,6 +98,7 @@ impl Bench {
     /// Takes a picture; `frame` keys its noise.
     pub fn expose(&mut self, hand: &Hand, frame: u64, pair: &mut StereoPair) {
         self.push(hand);
+        self.release(hand);
         let (t_base_object, fit) = self.t_base_object(hand);
         let t_sensor_object = (hand.t_base_gripper * hand.t_gripper_sensor).inverse() * t_base_object;
         // The part sticks to where it first touched.
@@ -101,6 +114,9 @@ impl Bench {
         }
         if matches!(self.hold, Hold::Hand { .. }) {
             self.deepest_mm = self.deepest_mm.max(fit.depth_mm.min(fit.limit_mm));
+            if self.deepest_fit.is_none_or(|deepest| fit.depth_mm > deepest.depth_mm) {
+                self.deepest_fit = Some(fit);
+            }
         }
         for (gray, size_px) in [&mut pair.left, &mut pair.right].into_iter().zip(self.size_px) {
             (gray.width, gray.height) = size_px;
@@ -125,8 +141,11 @@ impl Bench {
     #[must_use]
     pub fn truth(&self, hand: &Hand) -> BenchTruth {
         BenchTruth {
-            t_gripper_object: hand.t_base_gripper.inverse() * self.t_base_object_free(hand),
-            fit: self.t_base_object(hand).1,
+            t_gripper_object: match self.hold {
+                Hold::Holder { t_base_object } => hand.t_base_gripper.inverse() * t_base_object,
+                Hold::Hand { t_gripper_object } | Hold::Released { t_gripper_object, .. } => t_gripper_object,
+            },
+            fit: self.deepest_fit.unwrap_or_else(|| self.t_base_object(hand).1),
             deepest_mm: self.deepest_mm,
             half_length_mm: self.peg.half_length_mm,
         }
@@ -142,10 +161,20 @@ impl Bench {
         *t_base_object = Pose::from_translation_mm(shift_mm) * *t_base_object;
     }
 
+    /// Fingers that no longer reach the peg leave it where it is.
+    fn release(&mut self, hand: &Hand) {
+        let Hold::Hand { t_gripper_object } = self.hold else { return };
+        if 0.5 * hand.width_mm > self.peg.radius_mm {
+            let (t_base_object, _) = self.t_base_object(hand);
+            self.hold = Hold::Released { t_base_object, t_gripper_object };
+            self.touch_mm = None;
+        }
+    }
+
     /// Part in the base frame, as if nothing held it back.
     fn t_base_object_free(&self, hand: &Hand) -> Pose {
         match self.hold {
-            Hold::Holder { t_base_object } => t_base_object,
+            Hold::Holder { t_base_object } | Hold::Released { t_base_object, .. } => t_base_object,
             Hold::Hand { t_gripper_object } => hand.t_base_gripper * t_gripper_object,
         }
     }
@@ -155,7 +184,7 @@ impl Bench {
         let free = self.t_base_object_free(hand);
         let fit = self.hole.fit(&self.peg, &free);
         let excess_mm = match self.hold {
-            Hold::Holder { .. } => 0.0,
+            Hold::Holder { .. } | Hold::Released { .. } => 0.0,
             Hold::Hand { .. } => (fit.depth_mm - fit.limit_mm).max(0.0),
         };
         (Pose::from_translation_mm(-self.hole.inwards * excess_mm) * free, fit)

@@ -31,8 +31,11 @@ pub struct PacedSource {
 
 impl FrameSource for PacedSource {
     fn next_pair(&mut self, timeout: Duration, pair: &mut StereoPair) -> Result<Next, SourceError> {
-        self.world.borrow_mut().tick();
-        self.source.next_pair(timeout, pair)
+        let next = self.source.next_pair(timeout, pair)?;
+        if next == Next::Pair {
+            self.world.borrow_mut().tick();
+        }
+        Ok(next)
     }
 
     fn len_hint(&self) -> Option<usize> {

@@ -106,14 +106,11 @@ impl World {
     /// # Errors
     /// [`WorldError`].
     pub fn shared(config: &Config) -> Result<Rc<RefCell<Self>>, WorldError> {
-        let (bench, rate_hz) = match config.source {
-            SourceConfig::Simulated => (Some(Bench::new(config)?), config.simulated.frame_rate_hz),
-            SourceConfig::Folder { frame_rate_hz, .. } => (None, frame_rate_hz),
-            SourceConfig::Camera(ref camera) => (None, camera.frame_rate_hz),
-            SourceConfig::Stream(ref stream) => {
-                (None, stream.frame_rate_hz.unwrap_or(config.simulated.frame_rate_hz))
-            }
+        let bench = match config.source {
+            SourceConfig::Simulated => Some(Bench::new(config)?),
+            _ => None,
         };
+        let rate_hz = config.source.frame_rate_hz(config.simulated.frame_rate_hz);
         let (_, max_width_mm) = config.mount.kinematics.width_range_mm();
         Ok(Rc::new(RefCell::new(Self {
             mount: config.mount.clone(),

@@ -11,6 +11,7 @@ OUT = Path("/out")
 # A mode for each kind of frames. Decoding under emulation takes some 0.4 us a pixel, so that only one is of usual size.
 MODES = {
     "large": Mode(width=2560, height=720, rate_hz=30.0),
+    "gel": Mode(width=1280, height=480, rate_hz=4.0),
     "stereo": Mode(width=640, height=240, rate_hz=30.0),
     "left": Mode(width=320, height=240, rate_hz=15.0),
     "right": Mode(width=320, height=240, rate_hz=15.0),

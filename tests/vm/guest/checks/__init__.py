@@ -34,5 +34,5 @@ def check(limit_s: int = 60) -> Callable[[Callable[[], Figures | None]], Callabl
 
 def load_all() -> None:
     """Imports every file of checks, in the order in which they run."""
-    for topic in ("stack", "uvc", "pairs", "vivid", "hid", "light", "python_cameras"):
+    for topic in ("stack", "uvc", "pairs", "vivid", "hid", "light", "python_cameras", "service"):
         importlib.import_module(f"guest.checks.{topic}")

@@ -16,7 +16,7 @@ use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-fn job(config: &Config) -> JobReport {
+fn task(config: &Config) -> JobReport {
     let stop = AtomicBool::new(false);
     run_with(config, Setup::new(config).unwrap(), None, &stop, &mut |_| {}).unwrap()
 }
@@ -37,11 +37,11 @@ fn quick(seed: u64) -> Config {
 
 #[test]
 fn the_embedded_default_inserts_the_peg() {
-    let report = job(&Config::default());
+    let report = task(&Config::default());
     assert!(matches!(report.outcome, Outcome::Inserted { .. }), "{}", report.outcome);
     let stages: Vec<Stage> = report.stages.iter().map(|s| s.stage).collect();
-    use Stage::{Align, Close, Insert, Localize, Open, Rest};
-    assert_eq!(stages, [Open, Rest, Close, Localize, Align, Insert]);
+    use Stage::{Align, Close, Insert, Localize, Open, Rest, Retreat};
+    assert_eq!(stages, [Open, Rest, Close, Localize, Align, Insert, Retreat]);
     assert!(figure(&report, Stage::Close, "motion_px") >= 10.0);
     assert!(figure(&report, Stage::Insert, "motion_px") >= 5.0);
     let localized = report.localized.unwrap();
@@ -82,7 +82,7 @@ fn judged(config: &Config, report: &JobReport) -> bool {
 fn ten_pegs_go_in_and_the_outcome_says_so() {
     for seed in 1..=10 {
         let config = quick(seed);
-        let report = job(&config);
+        let report = task(&config);
         assert!(judged(&config, &report), "seed {seed}: {}", report.outcome);
     }
 }
@@ -93,7 +93,7 @@ fn failures_of_ten_pegs_are_told_as_what_they_are() {
     let inserted = (11..=20).filter(|&seed| {
         let mut config = quick(seed);
         config.params.register.method = RegisterMethod::RansacIcp;
-        judged(&config, &job(&config))
+        judged(&config, &task(&config))
     });
     let inserted = inserted.count();
     assert!((1..10).contains(&inserted), "{inserted} of 10: this test shows both only with some of each");
@@ -103,7 +103,7 @@ fn failures_of_ten_pegs_are_told_as_what_they_are() {
 fn a_hole_that_is_too_small_is_felt_at_the_rim() {
     let mut config = quick(1);
     config.simulated.hole_diameter_mm = 7.9;
-    let report = job(&config);
+    let report = task(&config);
     let truth = report.truth.clone().unwrap();
     assert!(matches!(report.outcome, Outcome::Jammed { .. }), "{}", report.outcome);
     assert_eq!(truth.limit_mm, 0.0);
@@ -118,7 +118,7 @@ fn a_hole_that_is_too_small_is_felt_at_the_rim() {
 fn a_wrong_template_is_stopped_by_the_trigger() {
     let mut config = quick(1);
     config.simulated.shape = Some(Shape::Cylinder { radius_mm: 4.5, length_mm: 40.0 });
-    let report = job(&config);
+    let report = task(&config);
     assert!(
         matches!(report.outcome, Outcome::Jammed { .. } | Outcome::NotLocalized { .. }),
         "{}",
@@ -132,7 +132,7 @@ fn fingers_that_close_on_nothing_grasp_nothing() {
     let mut config = quick(1);
     config.task.part_pose.position_mm[1] += 40.0;
     config.simulated.offset_mm = 0.0;
-    let report = job(&config);
+    let report = task(&config);
     assert!(matches!(report.outcome, Outcome::NotGrasped { .. }), "{}", report.outcome);
     assert_eq!(report.stages.last().unwrap().stage, Stage::Rest, "the unfinished stage is not reported");
 }

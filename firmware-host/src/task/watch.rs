@@ -1,0 +1,78 @@
+//! How long the camera may be silent, and how late a result may be, while something moves.
+
+use super::TaskError;
+use crate::config::{Config, TaskConfig};
+use crate::report::Stage;
+use std::time::Duration;
+
+/// Whether a trigger ends a move.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Guard {
+    /// Yes: what is touched meanwhile is felt by the camera alone.
+    Triggered,
+    /// No: the way is known to be free.
+    Free,
+}
+
+impl Guard {
+    const fn max_blind_mm(self, task: &TaskConfig) -> f64 {
+        match self {
+            Self::Triggered => task.max_blind_travel_mm,
+            Self::Free => task.max_blind_free_travel_mm,
+        }
+    }
+}
+
+/// The limits of the present moment.
+pub(super) struct Watch {
+    at_rest: Duration,
+    /// While something moves.
+    moving: Option<Duration>,
+    /// From an image to its result; none for sources that wait for the task.
+    max_late: Option<Duration>,
+    is_live: bool,
+}
+
+impl Watch {
+    pub(super) fn new(config: &Config) -> Self {
+        let is_live = config.source.is_live();
+        let period_s = 1.0 / config.source.frame_rate_hz(config.simulated.frame_rate_hz);
+        let late_s = config.task.max_late_periods * period_s;
+        Self {
+            at_rest: Duration::from_secs_f64(config.task.frame_timeout_s),
+            moving: None,
+            max_late: is_live.then(|| Duration::from_secs_f64(late_s)),
+            is_live,
+        }
+    }
+
+    /// Something begins to move at this speed. Without images it may go on for `task.max_blind_travel_mm`, or
+    /// `task.max_blind_free_travel_mm` where the way is free.
+    pub(super) fn moves(&mut self, task: &TaskConfig, guard: Guard, speed_mm_s: f64) {
+        let limit = Duration::from_secs_f64(guard.max_blind_mm(task) / speed_mm_s).min(self.at_rest);
+        // Of two moves at a time the stricter limit holds.
+        self.moving = Some(self.moving.map_or(limit, |other| other.min(limit)));
+    }
+
+    /// Nothing moves any more.
+    pub(super) fn rests(&mut self) {
+        self.moving = None;
+    }
+
+    pub(super) const fn moving(&self) -> bool {
+        self.moving.is_some()
+    }
+
+    /// How long the next stereo pair may take. A source that waits for the task is never silent.
+    pub(super) fn patience(&self) -> Duration {
+        self.moving.filter(|_| self.is_live).unwrap_or(self.at_rest)
+    }
+
+    /// Whether a result came in time for what moves.
+    pub(super) fn check_result(&self, stage: Stage, took: Duration) -> Result<(), TaskError> {
+        match self.max_late {
+            Some(limit) if self.moving() && took > limit => Err(TaskError::Late { stage, took, limit }),
+            _ => Ok(()),
+        }
+    }
+}
