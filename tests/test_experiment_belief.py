@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from gelstereo.experiments.insertion.belief import Belief, InPlane, _density, believed, drawn
+from gelstereo.experiments.insertion.belief import Belief, drawn
 from gelstereo.experiments.insertion.chance import Prior
+from gelstereo.experiments.insertion.sampling import InPlane, _density, believed
 from gelstereo.experiments.insertion.sense import Found
 from gelstereo.geometry import se3_exp, se3_log
 from hypothesis import given

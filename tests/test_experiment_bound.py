@@ -16,7 +16,7 @@ from gelstereo.experiments.insertion.bound import (
 )
 from gelstereo.experiments.insertion.chance import Prior
 from gelstereo.experiments.insertion.grasp import fit_of
-from gelstereo.experiments.insertion.trial import workplace
+from gelstereo.experiments.insertion.workplace import workplace
 
 Array = npt.NDArray[np.float64]
 

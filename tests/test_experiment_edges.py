@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 from gelstereo import Template, parts
 from gelstereo.experiments.insertion import analysis, trials
-from gelstereo.experiments.insertion.belief import InPlane, believed
 from gelstereo.experiments.insertion.bound import heights_information
 from gelstereo.experiments.insertion.chance import SAMPLES, Prior, chance
 from gelstereo.experiments.insertion.face import Faces, is_ridged
 from gelstereo.experiments.insertion.grasp import GRASPED, Hold
 from gelstereo.experiments.insertion.robot import over_hole
 from gelstereo.experiments.insertion.rows import markers_alike
+from gelstereo.experiments.insertion.sampling import InPlane, believed
 from gelstereo.experiments.insertion.sense import METHODS, Found
-from gelstereo.experiments.insertion.trial import RANGES, workplace
+from gelstereo.experiments.insertion.teach import taught
+from gelstereo.experiments.insertion.workplace import RANGES, workplace
 from gelstereo.geometry import se3_exp
 from hypothesis import given
 from hypothesis import strategies as st
@@ -145,12 +146,12 @@ def sensed(seed: int, number: int) -> tuple[float, float]:
     # Frames as the experiment numbers them.
     grasp = place.grasp(t_sensor_object, hold.press_mm, 2 + trial.seed)
     _found, belief = place.find(ours, place.senses.sense(ours.preset, grasp), trial.seed)
-    taught = place.taught(ours)
-    mean = sum(b.draw(np.random.default_rng(k), SAMPLES) for k, b in enumerate(taught.beliefs)) / len(
-        taught.beliefs
+    goal = taught("d", ours)
+    mean = sum(b.draw(np.random.default_rng(k), SAMPLES) for k, b in enumerate(goal.beliefs)) / len(
+        goal.beliefs
     )
     motions = belief.draw(np.random.default_rng(9), SAMPLES) - mean
-    room_mm = place.fit.room_mm(over_hole(t_sensor_object, belief.t_sensor_object, taught.pair))
+    room_mm = place.fit.room_mm(over_hole(t_sensor_object, belief.t_sensor_object, goal.pair))
     return chance(place.hole, place.fit.end, motions), room_mm
 
 

@@ -132,6 +132,12 @@ impl Sensing {
         &self.frame
     }
 
+    /// The part's template.
+    #[must_use]
+    pub const fn template(&self) -> &Template {
+        &self.template
+    }
+
     /// How the pose of the last [`Action::Follow`] was come by; `None` if it gave none.
     #[must_use]
     pub const fn standing(&self) -> Option<Standing> {

@@ -99,6 +99,8 @@ fn report_of(text: &str) -> JobReport {
             sigma: [0.0; 6],
             axial_sigma_mm: 0.0,
             free: vec![text.to_owned()],
+            looks: 1,
+            forecast: None,
         }),
         truth: Some(TruthReport {
             lateral_error_mm: 0.0,

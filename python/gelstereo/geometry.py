@@ -1,9 +1,10 @@
-"""Rotations, rigid motions, rigid fits, nearest neighbours and shapes: the core's own, for checks and for scripts.
+"""Rotations, rigid motions, rigid fits, fusion of poses, nearest neighbours and shapes: the core's own, for checks and for scripts.
 
 Quaternions are (x, y, z, w). Twists are (ωx ωy ωz vx vy vz), radians then millimetres.
 """
 
 from gelstereo._native import (
+    fuse_poses,
     nearest,
     rigid_fit,
     se3_exp,
@@ -17,6 +18,7 @@ from gelstereo._native import (
 )
 
 __all__ = [
+    "fuse_poses",
     "nearest",
     "rigid_fit",
     "se3_exp",

@@ -71,6 +71,7 @@ stage_errors! {
     core::surface::SolidError => MeshError,
     core::register::TemplateError => TemplateError,
     core::register::TemplateBytesError => TemplateError,
+    core::register::FusionError => RegisterError,
     core::register::RigidFitError => RegisterError,
     core::math::se3::PoseError => PoseError,
     core::math::so3::RotationError => PoseError,

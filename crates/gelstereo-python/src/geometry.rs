@@ -3,7 +3,7 @@
 use crate::arrays::{self, Array1, Matrix, Numbers};
 use crate::errors::{PoseError, RegisterError, raise};
 use gelstereo_core::math::{DMat3, DQuat, DVec3, Pose, so3, sqrt};
-use gelstereo_core::register::{self, Tree};
+use gelstereo_core::register::{self, PoseEstimate, Tree};
 use pyo3::prelude::*;
 
 fn vector(object: &Bound<'_, PyAny>, name: &'static str) -> PyResult<DVec3> {
@@ -115,6 +115,53 @@ pub fn rigid_fit(
     };
     let fit = py.detach(|| register::rigid_fit(source, target, &weights)).map_err(raise)?;
     arrays::pose_matrix(py, &fit.t_target_source)
+}
+
+/// Fuses two estimates of one pose by their information.
+///
+/// Parameters
+/// ----------
+/// first, second : (4, 4) array_like
+///     Poses with the same frames, mm.
+/// first_information, second_information : (6, 6) array_like
+///     Information of a left perturbation (ωx ωy ωz vx vy vz), rad and mm, as a localization has it. It may be
+///     singular: along what one estimate leaves free, the other one alone counts.
+///
+/// Returns
+/// -------
+/// pose : (4, 4) float64
+///     The fused pose. Along what neither estimate knows it is the first one's.
+/// information : (6, 6) float64
+///     Of the fused pose.
+/// squared_distance : float
+///     How far the estimates contradict each other. Of two right ones that know all six directions it is distributed
+///     as chi-squared with six degrees of freedom.
+///
+/// Raises
+/// ------
+/// PoseError
+///     If a matrix is no rigid motion.
+/// RegisterError
+///     If an information is not symmetric and positive semidefinite, or the poses differ by more than 0.5 rad.
+#[pyfunction]
+pub fn fuse_poses(
+    py: Python<'_>,
+    first: &Bound<'_, PyAny>,
+    first_information: &Bound<'_, PyAny>,
+    second: &Bound<'_, PyAny>,
+    second_information: &Bound<'_, PyAny>,
+) -> PyResult<(Matrix, Matrix, f64)> {
+    let estimate = |pose, pose_name, information, information_name| {
+        Ok::<_, PyErr>(PoseEstimate {
+            pose: arrays::pose(pose, pose_name)?,
+            information: Numbers::new(information, information_name)?.matrix::<6, 6>()?,
+        })
+    };
+    let first = estimate(first, "first", first_information, "first_information")?;
+    let second = estimate(second, "second", second_information, "second_information")?;
+    let fused = register::fuse_poses(&first, &second).map_err(raise)?;
+    let pose = arrays::pose_matrix(py, &fused.estimate.pose)?;
+    Ok((pose, arrays::matrix(py, fused.estimate.information)?, fused.squared_distance))
 }
 
 /// Nearest of some points to every query; of several equally near ones that with the smallest index.

@@ -36,6 +36,8 @@ pub(super) const LENGTH_MM: Range = Range { low: 1e-3, high: 1e3, words: "0.001 
 pub(super) const SIGMA_MM: Range = Range { low: 1e-4, high: 100.0, words: "0.0001 to 100 mm" };
 /// Beyond half a turn a standard deviation says nothing more.
 pub(super) const SIGMA_RAD: Range = Range { low: 1e-4, high: 3.2, words: "0.0001 to 3.2 rad" };
+/// A hole that is wider takes the part whatever its pose.
+pub(super) const CLEARANCE_MM: Range = Range { low: 1e-3, high: 10.0, words: "0.001 to 10 mm" };
 pub(super) const SPACING_MM: Range = Range { low: 0.01, high: 100.0, words: "0.01 to 100 mm" };
 pub(super) const HOLE_MM: Range = Range { low: 0.1, high: 1e3, words: "0.1 to 1000 mm" };
 pub(super) const SPEED_MM_S: Range = Range { low: 0.01, high: 1e4, words: "0.01 to 10000 mm/s" };

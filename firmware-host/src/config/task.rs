@@ -2,8 +2,8 @@
 
 use super::ConfigError;
 use super::range::{
-    FAR_MM, FULL_TURN_RAD, LENGTH_MM, PERIODS, SIGMA_MM, SIGMA_RAD, SIGMAS, SPEED_MM_S, STAGE_S, TIME_S,
-    check,
+    CLEARANCE_MM, FAR_MM, FULL_TURN_RAD, LENGTH_MM, PERIODS, SIGMA_MM, SIGMA_RAD, SIGMAS, SPEED_MM_S,
+    STAGE_S, TIME_S, check,
 };
 use gelstereo_core::frames::FingerKinematics;
 use gelstereo_core::math::{DVec3, Pose, so3};
@@ -135,6 +135,30 @@ pub struct TaskConfig {
     /// While they last nothing is felt: at 30 Hz and 10 mm/s the part moves 0.33 mm with each. Valid: 0 to
     /// 1000 pairs. Default: `2`. Raise it only for slow moves.
     pub max_bad_frames: u32,
+    /// What the hole's width has over the part's. With it the job inserts only if that is likely to succeed, and
+    /// looks again if not. Valid: 0.001 to 10 mm. Default: none, and then every part that is localized is
+    /// inserted. Change it to your hole's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub clearance_mm: Option<f64>,
+    /// The part is inserted from this probability of success on. Valid: 0 to 1. Default: `0.99`. Lower it where
+    /// a part that jams does no harm.
+    pub min_chance: f64,
+    /// Looks at a part, the first one included. Between two looks the hand lets go of the part in its holder, and
+    /// takes it again. Valid: 1 to 10. Default: `3`. Change it to 1 where the part does not stand by itself.
+    pub max_looks: u32,
+    /// The hand may turn about the part's axis by this between two looks, either way. Valid: -3.2 to 3.2 rad.
+    /// Default: `1.5707963267948966` rad, a quarter turn. Change it to the angle between two faces of your part.
+    pub look_turn_rad: f64,
+    /// How far the part moves in its holder between two looks, with the robot's repeatability: one standard
+    /// deviation per axis. Along the closing direction it is pushed, and `part_sigma_mm` counts. Valid: 0.0001 to
+    /// 100 mm. Default: `0.03` mm. Raise it for a loose holder.
+    pub look_sigma_mm: f64,
+    /// The same for its rotation. Valid: 0.0001 to 3.2 rad. Default: `0.001` rad. Raise it for a loose holder.
+    pub look_sigma_rad: f64,
+    /// Insertions that are tried where the part jams: it is lifted, shifted along a spiral and lowered again. Needs
+    /// `clearance_mm`. Valid: 1 to 100. Default: `1`, which is no search. Raise it where a part that touches the
+    /// rim does no harm.
+    pub max_tries: u32,
 }
 
 impl Default for TaskConfig {
@@ -171,6 +195,13 @@ impl Default for TaskConfig {
             device_timeout_s: 0.5,
             stage_timeout_s: 120.0,
             max_bad_frames: 2,
+            clearance_mm: None,
+            min_chance: 0.99,
+            max_looks: 3,
+            look_turn_rad: core::f64::consts::FRAC_PI_2,
+            look_sigma_mm: 0.03,
+            look_sigma_rad: 0.001,
+            max_tries: 1,
         }
     }
 }
@@ -222,10 +253,27 @@ impl TaskConfig {
         check(length > 1e-6, "task.insertion_axis", length, "a direction, not zero")?;
         let bad = t.max_bad_frames;
         check(bad <= 1000, "task.max_bad_frames", f64::from(bad), "0 to 1000 pairs")?;
+        self.check_looks()?;
         self.check_times()?;
         let (min_mm, max_mm) = kinematics.width_range_mm();
         let opens = t.open_width_mm > min_mm && t.open_width_mm <= max_mm;
         check(opens, "task.open_width_mm", t.open_width_mm, "a width that mount.kinematics can have")
+    }
+
+    fn check_looks(&self) -> Result<(), ConfigError> {
+        if let Some(clearance_mm) = self.clearance_mm {
+            CLEARANCE_MM.check("task.clearance_mm", clearance_mm)?;
+        }
+        check((0.0..=1.0).contains(&self.min_chance), "task.min_chance", self.min_chance, "0 to 1")?;
+        let (looks, tries) = (f64::from(self.max_looks), f64::from(self.max_tries));
+        check((1..=10).contains(&self.max_looks), "task.max_looks", looks, "1 to 10")?;
+        check((1..=100).contains(&self.max_tries), "task.max_tries", tries, "1 to 100")?;
+        let can_search = self.max_tries == 1 || self.clearance_mm.is_some();
+        check(can_search, "task.max_tries", tries, "1 without task.clearance_mm")?;
+        let turn = self.look_turn_rad;
+        check(turn.abs() <= 3.2, "task.look_turn_rad", turn, "-3.2 to 3.2 rad")?;
+        SIGMA_MM.check("task.look_sigma_mm", self.look_sigma_mm)?;
+        SIGMA_RAD.check("task.look_sigma_rad", self.look_sigma_rad)
     }
 
     /// How long the stages take that the task alone determines, by name: lifting and aligning, and inserting.

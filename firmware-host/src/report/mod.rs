@@ -121,6 +121,15 @@ pub enum Outcome {
         /// Why.
         reason: String,
     },
+    /// The chance that the part goes into the hole is below `task.min_chance`, after all looks at it.
+    Declined {
+        /// Probability that it would go in.
+        chance: f64,
+        /// Looks at the part.
+        looks: u32,
+        /// The motion over the hole that is known least, and its standard deviation.
+        weakest: String,
+    },
     /// There were no more stereo pairs.
     SourceEnded {
         /// During this stage.
@@ -131,6 +140,14 @@ pub enum Outcome {
         /// During this stage.
         stage: Stage,
     },
+}
+
+impl Outcome {
+    /// The end of a part that is localized, but not well enough for the hole.
+    #[must_use]
+    pub fn declined(localized: &Localized, forecast: Forecast) -> Self {
+        Self::Declined { chance: forecast.chance, looks: localized.looks, weakest: forecast.weakest }
+    }
 }
 
 impl std::fmt::Display for Outcome {
@@ -157,10 +174,25 @@ impl std::fmt::Display for Outcome {
                 "not grasped: the fingers rest at {width_mm:.2} mm with a marker motion of {motion_px:.2} px"
             ),
             Self::NotLocalized { reason } => write!(f, "not localized: {reason}"),
+            Self::Declined { chance, looks, weakest } => write!(
+                f,
+                "declined: the chance of insertion is {chance:.3} after {looks} looks; least known is {weakest}"
+            ),
             Self::SourceEnded { stage } => write!(f, "no more stereo pairs during {}", stage.name()),
             Self::Interrupted { stage } => write!(f, "interrupted during {}", stage.name()),
         }
     }
+}
+
+/// What a robot expects of an insertion.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Forecast {
+    /// Probability that the part goes in, 0 to 1.
+    pub chance: f64,
+    /// The motion over the hole that is known least of those that matter, and its standard deviation.
+    pub weakest: String,
+    /// Standard deviation of the tip across the hole, along the direction that is known least.
+    pub lateral_sigma_mm: f64,
 }
 
 /// The part's pose in the hand, with its evidence.
@@ -186,6 +218,11 @@ pub struct Localized {
     pub axial_sigma_mm: f64,
     /// What the contact leaves free, in words.
     pub free: Vec<String>,
+    /// Looks at the part; the pose in the gripper is fused from all of them, the rest is of the last one.
+    pub looks: u32,
+    /// What is expected of the insertion, where `task.clearance_mm` says how wide the hole is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub forecast: Option<Forecast>,
 }
 
 /// What a simulated job really did. The errors are those of the part's pose in the hand as it was localized, or as it was

@@ -5,17 +5,21 @@ use super::cell::Cell;
 use super::error::Halt;
 use super::log::figure;
 use crate::recording::{Topic, messages};
-use crate::report::{Localized, Stage};
+use crate::report::{Forecast, Localized, Stage};
 use crate::sensing::{self, Action};
 use gelstereo_core::math::linalg::Symmetric;
 use gelstereo_core::math::{Pose, sqrt};
-use gelstereo_core::register::Registration;
+use gelstereo_core::register::{PoseEstimate, Registration};
 
 /// The part in the hand.
 #[derive(Clone, Debug)]
 pub(super) struct Held {
     /// Maps part coordinates to gripper coordinates.
     pub(super) t_gripper_object: Pose,
+    /// The same with its information, by all looks.
+    pub(super) estimate: PoseEstimate,
+    /// What the last contact alone told.
+    pub(super) contact: PoseEstimate,
     /// Its evidence.
     pub(super) localized: Localized,
 }
@@ -24,19 +28,26 @@ pub(super) struct Held {
 pub(super) enum Localization {
     /// Align and insert by this pose.
     Go(Box<Held>),
-    /// The pose is not known well enough.
+    /// There is no pose.
     Declined {
         /// Why, in words.
         reason: String,
     },
+    /// The pose is not known well enough for the hole.
+    TooUncertain {
+        /// The evidence of its pose.
+        localized: Box<Localized>,
+        /// What is expected of the insertion.
+        forecast: Forecast,
+    },
 }
 
-/// Registers the contact to the part's template, from where the part is expected.
-pub(super) fn localize(cell: &mut Cell) -> Result<Localization, Halt> {
+/// Registers the contact to the part's template, from where the part is expected in the gripper's frame.
+pub(super) fn localize(cell: &mut Cell, expected_t_gripper_object: &Pose) -> Result<Localization, Halt> {
     cell.log.begin(Stage::Localize);
     let width_mm = cell.devices.gripper.status()?.width_mm;
     let t_gripper_sensor = cell.config.mount.t_gripper_sensor(width_mm)?;
-    let guess = t_gripper_sensor.inverse() * cell.config.expected_t_gripper_object();
+    let guess = t_gripper_sensor.inverse() * *expected_t_gripper_object;
     let found = match cell.act(&Action::localize(&guess)) {
         Ok(Some(found)) if found.converged => found,
         Ok(Some(found)) => {
@@ -61,7 +72,9 @@ pub(super) fn localize(cell: &mut Cell) -> Result<Localization, Halt> {
         figure("axial_sigma_mm", localized.axial_sigma_mm),
         figure("free", found.free.len() as f64),
     ]);
-    Ok(Localization::Go(Box::new(Held { t_gripper_object, localized })))
+    let contact = PoseEstimate { pose: found.t_sensor_object, information: found.information };
+    let contact = contact.in_frame(&t_gripper_sensor);
+    Ok(Localization::Go(Box::new(Held { t_gripper_object, estimate: contact, contact, localized })))
 }
 
 /// Puts a registration's evidence together, and records the pose with its covariance.
@@ -90,6 +103,8 @@ fn evidence(cell: &mut Cell, found: &Registration, t_gripper_object: &Pose) -> L
         sigma: core::array::from_fn(|i| sqrt(covariance[i][i])),
         axial_sigma_mm: sigma_along(&covariance, axis.to_array()),
         free: found.free.iter().map(ToString::to_string).collect(),
+        looks: 1,
+        forecast: None,
     }
 }
 

@@ -2,6 +2,7 @@
 
 mod align;
 mod cell;
+mod chance;
 mod devices;
 mod driver_thread;
 mod error;
@@ -13,6 +14,8 @@ mod log;
 mod noise;
 mod prepare;
 mod retreat;
+mod search;
+mod second_look;
 mod teach;
 mod watch;
 
@@ -31,11 +34,11 @@ use cell::Cell;
 use error::Halt;
 use gelstereo_core::math::Pose;
 use grasp::grasp;
-use insert::insert;
 use localize::{Localization, localize};
 use log::Log;
 use prepare::{open, rest};
-use retreat::retreat;
+use search::insert_by_search;
+use second_look::look_until_known;
 use std::sync::atomic::AtomicBool;
 use teach::teach;
 
@@ -142,14 +145,22 @@ impl<'a> Task<'a> {
         open(cell, Some(&cell.config.task.grasp_pose.pose()))?;
         rest(cell)?;
         grasp(cell)?;
-        let held = match localize(cell)? {
+        let guess = cell.config.expected_t_gripper_object();
+        let known = match localize(cell, &guess)? {
+            Localization::Go(first) => look_until_known(cell, *first)?,
+            other => other,
+        };
+        let held = match known {
             Localization::Go(held) => held,
             Localization::Declined { reason } => return Ok(Outcome::NotLocalized { reason }),
+            Localization::TooUncertain { localized, forecast } => {
+                let outcome = Outcome::declined(&localized, forecast);
+                self.localized = Some(*localized);
+                return Ok(outcome);
+            }
         };
         self.localized = Some(held.localized.clone());
         let above = align(cell, &held)?;
-        let outcome = insert(cell, &above, &held)?;
-        retreat(cell, &above, &outcome)?;
-        Ok(outcome)
+        insert_by_search(cell, &above, &held)
     }
 }

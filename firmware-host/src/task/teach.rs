@@ -34,8 +34,12 @@ pub(super) fn teach(cell: &mut Cell, stay: bool) -> Result<Result<Lesson, Outcom
     }
     rest(cell)?;
     grasp(cell)?;
-    let held = match localize(cell)? {
+    let expected = cell.config.expected_t_gripper_object();
+    let held = match localize(cell, &expected)? {
         Localization::Go(held) => *held,
+        Localization::TooUncertain { localized, forecast } => {
+            return Ok(Err(Outcome::declined(&localized, forecast)));
+        }
         Localization::Declined { reason } => return Ok(Err(Outcome::NotLocalized { reason })),
     };
     let lesson = lesson(cell, held)?;

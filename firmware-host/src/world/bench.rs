@@ -124,8 +124,11 @@ impl Bench {
         let shear_mm = [dragged_mm.x, dragged_mm.y];
         let contact = ContactState { t_sensor_object, shear_mm, twist_rad: 0.0 };
         self.simulator.truth(Some(&contact), &mut self.truth);
-        if self.touch_mm.is_none() && self.truth.in_contact.contains(&true) {
-            self.touch_mm = Some(t_sensor_object.translation_mm);
+        match (self.touch_mm, self.truth.in_contact.contains(&true)) {
+            (None, true) => self.touch_mm = Some(t_sensor_object.translation_mm),
+            // Fingers that open leave a peg where it stands.
+            (Some(_), false) if matches!(self.hold, Hold::Holder { .. }) => self.touch_mm = None,
+            _ => {}
         }
         if matches!(self.hold, Hold::Hand { .. }) {
             self.deepest_mm = self.deepest_mm.max(fit.depth_mm.min(fit.limit_mm));

@@ -9,7 +9,8 @@ from gelstereo.experiments.experiment import Experiment
 from gelstereo.experiments.insertion.grasp import GRASPED
 from gelstereo.experiments.insertion.report import insertion_report
 from gelstereo.experiments.insertion.sense import METHODS
-from gelstereo.experiments.insertion.trial import run, sensor_scene
+from gelstereo.experiments.insertion.trial import run
+from gelstereo.experiments.insertion.workplace import sensor_scene
 
 __all__ = ["EXPERIMENT"]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from gelstereo.experiments.batch import Trial
 from gelstereo.experiments.insertion.grasp import Fit
+from gelstereo.experiments.insertion.looks import LEAST_CHANCE, Regrasp
 from gelstereo.experiments.insertion.robot import RobotErrors, over_hole
 from gelstereo.experiments.store import Record
 
@@ -29,8 +30,6 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-#: The robot inserts when success is at least so probable: as often as it is meant to succeed.
-LEAST_CHANCE = 0.99
 #: What the paper reports over all its trials (section VI-B).
 PAPER_SHARE = 0.8571
 
@@ -40,7 +39,7 @@ _LEAST_GRASPS = 5
 
 @dataclass(frozen=True)
 class Verdict:
-    """One method on one grasp."""
+    """One method on one look at a grasped part."""
 
     part: str
     method: str
@@ -56,6 +55,14 @@ class Verdict:
     matters: tuple[str, ...]
     #: What is known least of what matters.
     weakest: str
+    #: Looks after this one, of the same method; and how the hand got to this one, if it is not the first.
+    further: tuple[Verdict, ...] = ()
+    regrasp: Regrasp | None = None
+
+    @property
+    def last(self) -> Verdict:
+        """The look that the robot acts on."""
+        return self.further[-1] if self.further else self
 
     @property
     def inserted(self) -> bool:
@@ -93,7 +100,22 @@ def _verdict(part: str, method: str, record: Record, result: dict[str, Any]) -> 
     found = np.array(result["t_sensor_object"])
     room, chance, matters = result["room_mm"], result.get("chance", 0.0), tuple(result["matters"])
     weakest = result["weakest"]
-    return Verdict(part, method, record["hold"], truth, None, found, taught, room, chance, matters, weakest)
+    first = Verdict(part, method, record["hold"], truth, None, found, taught, room, chance, matters, weakest)
+    return replace(first, further=tuple(_further(first, look) for look in result.get("looks", ())))
+
+
+def _further(first: Verdict, look: dict[str, Any]) -> Verdict:
+    """Read a look after the first one."""
+    return replace(
+        first,
+        truth=np.array(look["truth"]),
+        found=np.array(look["t_sensor_object"]),
+        room_mm=look["room_mm"],
+        chance=look["chance"],
+        matters=(),
+        weakest=look["weakest"],
+        regrasp=Regrasp(**look["regrasp"]),
+    )
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:

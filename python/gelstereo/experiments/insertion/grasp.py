@@ -21,7 +21,7 @@ from gelstereo.geometry import se3_exp
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["GRASPED", "Fit", "GraspRanges", "Grasped", "Hold", "fit_of", "guesses", "lie"]
+__all__ = ["GRASPED", "Fit", "GraspRanges", "Grasped", "Hold", "fit_of", "guesses", "lie", "reaching"]
 
 Array = npt.NDArray[np.float64]
 
@@ -49,6 +49,8 @@ class Grasped:
     #: How deep it is inserted, and what the hole's width has over the part's, mm.
     depth_mm: float
     clearance_mm: float
+    #: Turns of the hand about the axis of the standing part, rad, after which fingers hold it again.
+    again_rad: tuple[float, ...]
     #: As often as in the paper (section V-A).
     trials: int = 36
 
@@ -68,18 +70,65 @@ def _turns(first_rad: float, count: int) -> tuple[float, ...]:
 _ON_LOBES = 2.4
 
 
+#: A hand that is turned so far about a part's axis holds it again: anywhere, on the next face, or by its other side.
+_ANY_WAY, _NEXT_SIDES, _SIXTHS, _EITHER_SIDE = (
+    (0.0, _QUARTER),
+    (0.0, _QUARTER),
+    _turns(0.0, 6)[:3],
+    (0.0, np.pi),
+)
+
 #: The paper's pegs; its clearances are below 0.3 mm.
 GRASPED = {
     part.letter: part
     for part in (
-        Grasped("peg_round", "a", parts.peg_round, (22.0, 28.0), (0.0,), np.pi, 10.0, 0.25),
-        Grasped("peg_square", "b", parts.peg_square, (22.0, 28.0), _turns(0.0, 4), _SEATED, 10.0, 0.25),
-        Grasped("peg_irregular", "c", parts.peg_irregular, (28.0, 32.0), (_ON_LOBES,), _SEATED, 10.0, 0.28),
+        Grasped("peg_round", "a", parts.peg_round, (22.0, 28.0), (0.0,), np.pi, 10.0, 0.25, _ANY_WAY),
         Grasped(
-            "peg_hexagonal", "d", parts.peg_hexagonal, (22.0, 28.0), _turns(_FLAT, 6), _SEATED, 10.0, 0.25
+            "peg_square",
+            "b",
+            parts.peg_square,
+            (22.0, 28.0),
+            _turns(0.0, 4),
+            _SEATED,
+            10.0,
+            0.25,
+            _NEXT_SIDES,
+        ),
+        Grasped(
+            "peg_irregular",
+            "c",
+            parts.peg_irregular,
+            (28.0, 32.0),
+            (_ON_LOBES,),
+            _SEATED,
+            10.0,
+            0.28,
+            _EITHER_SIDE,
+        ),
+        Grasped(
+            "peg_hexagonal",
+            "d",
+            parts.peg_hexagonal,
+            (22.0, 28.0),
+            _turns(_FLAT, 6),
+            _SEATED,
+            10.0,
+            0.25,
+            _SIXTHS,
         ),
         # Only one of its two wide sides fits the socket.
-        Grasped("usb_plug", "e", parts.usb_plug, (21.0, 24.5), (_QUARTER,), _SEATED, 8.0, 0.28, trials=10),
+        Grasped(
+            "usb_plug",
+            "e",
+            parts.usb_plug,
+            (21.0, 24.5),
+            (_QUARTER,),
+            _SEATED,
+            8.0,
+            0.28,
+            _EITHER_SIDE,
+            trials=10,
+        ),
     )
 }
 
@@ -153,6 +202,16 @@ class Hold:
             float(random.uniform(*ranges.press_mm)),
         )
 
+    @classmethod
+    def of_pose(cls, t_sensor_object: Array) -> Hold:
+        """Angles of a part at a pose, (4, 4); the lengths, which depend on the part and the gel, are 0."""
+        axis = t_sensor_object[:3, 2]
+        pitch_rad = float(np.arctan2(axis[1], axis[0])) - _QUARTER
+        roll_rad = -float(np.arcsin(np.clip(axis[2], -1.0, 1.0)))
+        straight = _turned(cls(pitch_rad, roll_rad, 0.0, 0.0, 0.0, 0.0))
+        spin = straight[:3, :3].T @ t_sensor_object[:3, :3]
+        return cls(pitch_rad, roll_rad, float(np.arctan2(spin[1, 0], spin[0, 0])), 0.0, 0.0, 0.0)
+
 
 def lie(hold: Hold, surface_mm: Array, middle_mm: Array, tip_z_mm: float) -> Array:
     """Pose of a part that is held so, (4, 4) t_sensor_object.
@@ -172,7 +231,7 @@ def lie(hold: Hold, surface_mm: Array, middle_mm: Array, tip_z_mm: float) -> Arr
     axis = pose[:3, 2]
     across = np.array([-axis[1], axis[0], 0.0]) / np.hypot(axis[0], axis[1])
     pose[:2, 3] = (middle_mm + hold.shift_mm * across - (tip_z_mm - hold.held_mm) * axis)[:2]
-    return _reaching(pose, surface_mm, middle_mm, middle_mm[2] - hold.press_mm)
+    return reaching(pose, surface_mm, middle_mm, middle_mm[2] - hold.press_mm)
 
 
 def guesses(nominal: Hold, surface_mm: Array, patch_mm: Array, tip_z_mm: float) -> list[Array]:
@@ -190,7 +249,7 @@ def guesses(nominal: Hold, surface_mm: Array, patch_mm: Array, tip_z_mm: float) 
     for pitch_rad in (first, *_PITCHES_RAD):
         pose = _turned(replace(nominal, pitch_rad=pitch_rad))
         pose[:2, 3] = (middle - (tip_z_mm - nominal.held_mm) * pose[:3, 2])[:2]
-        found.append(_reaching(pose, surface_mm, middle, float(patch_mm[:, 2].min())))
+        found.append(reaching(pose, surface_mm, middle, float(patch_mm[:, 2].min())))
     return found
 
 
@@ -198,7 +257,7 @@ def _turned(hold: Hold) -> Array:
     return _turn(2, _QUARTER + hold.pitch_rad) @ _turn(1, _QUARTER + hold.roll_rad) @ _turn(2, hold.spin_rad)
 
 
-def _reaching(pose: Array, surface_mm: Array, middle_mm: Array, nearest_mm: float) -> Array:
+def reaching(pose: Array, surface_mm: Array, middle_mm: Array, nearest_mm: float) -> Array:
     """Move a pose along z until what lies over the gel reaches that depth of the sensor frame."""
     placed = surface_mm @ pose[:3, :3].T + pose[:3, 3]
     over = np.all(np.abs(placed[:, :2] - middle_mm[:2]) < _GEL_HALF_MM, axis=1)

@@ -10,11 +10,13 @@ import numpy as np
 
 from gelstereo.experiments.batch import Trial
 from gelstereo.experiments.insertion import analysis, figures
-from gelstereo.experiments.insertion.analysis import LEAST_CHANCE, PAPER_SHARE, Verdict, wilson
+from gelstereo.experiments.insertion.analysis import PAPER_SHARE, Verdict
 from gelstereo.experiments.insertion.grasp import GRASPED, Fit, fit_of
+from gelstereo.experiments.insertion.looks import LEAST_CHANCE
+from gelstereo.experiments.insertion.looks_report import looks_blocks, part_name, share_text
 from gelstereo.experiments.insertion.robot import RobotErrors
 from gelstereo.experiments.insertion.sense import METHODS
-from gelstereo.experiments.insertion.trial import PRIOR, RANGES, workplace
+from gelstereo.experiments.insertion.workplace import PRIOR, RANGES, workplace
 from gelstereo.experiments.report import Report
 from gelstereo.experiments.store import Record
 from gelstereo.frontier.scenes import CONDITIONS
@@ -50,6 +52,7 @@ def insertion_report(trials: Sequence[Trial], records: Sequence[Record], inputs:
     findings: list[Block] = [
         *_success(found, fits),
         *_chances(ours, fits),
+        *looks_blocks(ours, list(fits)),
         *_bounds(trials, records, fits),
         *_ranges(found, fits),
         *_robots(ours, fits),
@@ -63,20 +66,8 @@ def insertion_report(trials: Sequence[Trial], records: Sequence[Record], inputs:
     return Report("Grasp, localize, insert", _ASKED, conditions, findings, inputs, summary)
 
 
-def _name(letter: str) -> str:
-    return f"({letter}) {GRASPED[letter].name.replace('_', ' ')}"
-
-
 def _of(found: Sequence[Verdict], letter: str | None = None, method: str | None = None) -> list[Verdict]:
     return [v for v in found if letter in (None, v.part) and method in (None, v.method)]
-
-
-def _share(chosen: Sequence[Verdict]) -> str:
-    if not chosen:
-        return "-"
-    inserted = sum(v.inserted for v in chosen)
-    low, high = wilson(inserted, len(chosen))
-    return f"{100 * inserted / len(chosen):.1f} ({100 * low:.1f} to {100 * high:.1f})"
 
 
 #: What the paper's text says of its own robot (section VI-B): FilterReg over all, and both of its methods on the plug.
@@ -91,14 +82,14 @@ def _success(found: Sequence[Verdict], fits: Mapping[str, Fit]) -> list[Block]:
     methods = [method.name for method in METHODS]
     rows = [
         [
-            _name(letter),
+            part_name(letter),
             f"{GRASPED[letter].clearance_mm:.2f}",
             str(len(_of(found, letter, methods[0]))),
-            *(_share(_of(found, letter, method)) for method in methods),
+            *(share_text(_of(found, letter, method)) for method in methods),
         ]
         for letter in fits
     ]
-    every = [_share(_of(found, method=method)) for method in methods]
+    every = [share_text(_of(found, method=method)) for method in methods]
     rows.append(["all", "", str(len(_of(found, method=methods[0]))), *every])
     rows += [[name, "< 0.3", str(count), *shares] for name, count, shares in _PAPERS]
     caption = "Insertions with a robot that moves exactly, per cent (95 % interval)"
@@ -125,7 +116,9 @@ def _chances(ours: Sequence[Verdict], fits: Mapping[str, Fit]) -> list[Block]:
         reasons = Counter(map(reason, stay)).most_common(2)
         said = "; ".join(f"{text} ({count})" for text, count in reasons) or "-"
         share = f"{100 * len(go) / len(chosen):.1f}" if chosen else "-"
-        rows.append(["all" if letter is None else _name(letter), share, _share(go), _share(stay), said])
+        rows.append(
+            ["all" if letter is None else part_name(letter), share, share_text(go), share_text(stay), said]
+        )
     curve = analysis.calibration(ours)
     head = ["part", "go %", "of these go in, %", "of the others, %", "why not (how often)"]
     bins = [
@@ -156,7 +149,7 @@ def _bounds(trials: Sequence[Trial], records: Sequence[Record], fits: Mapping[st
         by_part[trial.configuration["part"]].append(record["bound"])
     rows = [
         [
-            _name(letter),
+            part_name(letter),
             _spread([bound["aside_mm"] for bound in bounds], 3),
             f"{0.5 * GRASPED[letter].clearance_mm:.3f}",
             _spread([np.rad2deg(bound["spin_rad"]) for bound in bounds], 2),
@@ -202,7 +195,7 @@ def _sides(fits: Mapping[str, Fit]) -> list[Block]:
             ]
         )
     caption = (
-        f"{_name('c')}: the same of one grasp by the side that lies on the gel, turned from that of the grasps; "
+        f"{part_name('c')}: the same of one grasp by the side that lies on the gel, turned from that of the grasps; "
         f"nominal press, markers known to {1e3 * _MARKER_SIGMA_MM} um"
     )
     head = ["turned by deg", "markers that touch", "aside mm", "about its axis deg", "goes in, %"]
@@ -233,7 +226,7 @@ def _ranges(found: Sequence[Verdict], fits: Mapping[str, Fit]) -> list[Block]:
     methods = [method.name for method in METHODS]
     rows = [
         [
-            _name(letter),
+            part_name(letter),
             f"{GRASPED[letter].clearance_mm:.2f}",
             *(
                 _range(_of(found, letter, method), angle)
@@ -320,7 +313,7 @@ def _failures(found: Sequence[Verdict], fits: Mapping[str, Fit]) -> list[Block]:
         if not shown:
             continue
         said = "; ".join(
-            f"{_name(letter)} with {v.hold['pitch_rad']:+.2f} rad pitch and {v.hold['roll_rad']:+.3f} rad roll: "
+            f"{part_name(letter)} with {v.hold['pitch_rad']:+.2f} rad pitch and {v.hold['roll_rad']:+.3f} rad roll: "
             f"{analysis.cause(fits[letter], v.placed())}"
             for letter, v in shown.items()
         )

@@ -175,6 +175,16 @@ class Registering:
                     found.insert(0, other)
         return found
 
+    def near(self, guess: Array) -> Found:
+        """Register from a guess that earlier looks make.
+
+        Raises
+        ------
+        RegisterError
+            If there is too little of it.
+        """
+        return self._from(guess, self.method.near())
+
     def held(self, guess: Array, by_mm: float) -> Found | None:
         """Register close to a guess, `Method.held`; None if that leaves nothing to register."""
         return self._tried(guess, self.method.held(by_mm))

@@ -1,0 +1,261 @@
+//! Fusion of two estimates of one pose, each with its information (Barfoot and Furgale 2014).
+//!
+//! An estimate says that the true pose is exp(e) T with e normal, of zero mean and information Λ. The fused pose is the
+//! one with the least e₁ᵀ Λ₁ e₁ + e₂ᵀ Λ₂ e₂, by Gauss-Newton on SE(3). Either information may be singular: along what
+//! a contact leaves free, the other estimate alone counts.
+
+use crate::math::linalg::{Symmetric, eigen};
+use crate::math::{DVec3, Pose, so3, sqrt};
+
+/// A pose with the information about it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseEstimate {
+    /// Maps coordinates of frame b to frame a.
+    pub pose: Pose,
+    /// Information of a left perturbation (ω, v), rad and mm, in frame a: the true pose is exp(ω, v) `pose`.
+    pub information: Symmetric<6>,
+}
+
+/// What two estimates say together.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FusedPose {
+    /// The fused pose, with its information. Along what neither estimate knows it is the first one's.
+    pub estimate: PoseEstimate,
+    /// Least sum of eᵀ Λ e: how far the estimates contradict each other. Of two estimates that know all six directions
+    /// and are right, it is distributed as chi-squared with six degrees of freedom.
+    pub squared_distance: f64,
+}
+
+/// Why two estimates cannot be fused.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum FusionError {
+    /// A component is NaN or infinite.
+    NotFinite {
+        /// Which estimate, 0 or 1.
+        index: usize,
+    },
+    /// An information is not symmetric, or knows less than nothing along a direction.
+    Information {
+        /// Which estimate, 0 or 1.
+        index: usize,
+    },
+    /// The poses differ by more than two looks at one part can.
+    Apart {
+        /// Angle between them, rad.
+        turn_rad: f64,
+    },
+}
+
+/// Estimates that differ by a larger angle are not fused: the series of the Jacobian is cut for angles up to this.
+const MAX_TURN_RAD: f64 = 0.5;
+/// Gauss-Newton converges in a few steps; estimates that contradict each other take more.
+const MAX_STEPS: usize = 60;
+/// A direction with less of the information than this, after scaling to a unit diagonal, is free: round-off of the sum.
+const FREE: f64 = 1e-13;
+
+impl core::fmt::Display for FusionError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::NotFinite { index } => {
+                write!(f, "estimate {index} has a component that is NaN or infinite; valid is finite")
+            }
+            Self::Information { index } => write!(
+                f,
+                "the information of estimate {index} is not symmetric and positive semidefinite; give the inverse of a \
+                 covariance, or a registration's information"
+            ),
+            Self::Apart { turn_rad } => write!(
+                f,
+                "the poses differ by {turn_rad:.3} rad; valid is up to {MAX_TURN_RAD} rad: are they of one part, and of \
+                 the same one of its symmetric copies?"
+            ),
+        }
+    }
+}
+
+impl core::error::Error for FusionError {}
+
+impl PoseEstimate {
+    /// The same estimate in another outer frame c, given `t_c_a`.
+    #[must_use]
+    pub fn in_frame(&self, t_c_a: &Pose) -> Self {
+        let back = adjoint(&t_c_a.inverse());
+        Self { pose: *t_c_a * self.pose, information: sandwiched(&self.information, &back) }
+    }
+
+    /// The same estimate after the pose was disturbed about a point of frame a, by independent normal turns about and
+    /// shifts along the axes of frame a with these standard deviations.
+    #[must_use]
+    pub fn disturbed(&self, point_mm: DVec3, sigma_rad: DVec3, sigma_mm: DVec3) -> Self {
+        let there = Pose::from_translation_mm(point_mm);
+        let about = self.in_frame(&there.inverse());
+        // (Λ⁻¹ + S²)⁻¹ = Λ - Λ S (I + S Λ S)⁻¹ S Λ, which needs no inverse of Λ.
+        let sigma = |i: usize| if i < 3 { sigma_rad[i] } else { sigma_mm[i - 3] };
+        let scaled: Symmetric<6> = matrix(|i, j| sigma(i) * about.information[i][j] * sigma(j));
+        let parts = eigen(&scaled);
+        let half: [[f64; 6]; 6] = matrix(|k, j| {
+            let along: f64 = (0..6).map(|i| parts.vectors[k][i] * sigma(i) * about.information[i][j]).sum();
+            along / sqrt(1.0 + parts.values[k].max(0.0))
+        });
+        let information =
+            matrix(|i, j| about.information[i][j] - (0..6).map(|k| half[k][i] * half[k][j]).sum::<f64>());
+        Self { pose: about.pose, information }.in_frame(&there)
+    }
+}
+
+/// Fuses two estimates of one pose, with the same frames.
+///
+/// # Errors
+/// [`FusionError`].
+pub fn fuse_poses(first: &PoseEstimate, second: &PoseEstimate) -> Result<FusedPose, FusionError> {
+    let estimates = [first, second];
+    for (index, estimate) in estimates.into_iter().enumerate() {
+        check(index, estimate)?;
+    }
+    let turn_rad = (second.pose * first.pose.inverse()).log().0.length();
+    if !(turn_rad <= MAX_TURN_RAD) {
+        return Err(FusionError::Apart { turn_rad });
+    }
+    let mut pose = first.pose;
+    for _ in 0..MAX_STEPS {
+        let normal = Normal::at(&pose, &estimates);
+        let step = normal.step();
+        let (omega, v) = (DVec3::new(step[0], step[1], step[2]), DVec3::new(step[3], step[4], step[5]));
+        pose = Pose::exp(omega, v) * pose;
+        pose.rotation = pose.rotation.normalize();
+        if omega.length() < 1e-15 && v.length() < 1e-13 * (1.0 + pose.translation_mm.length()) {
+            break;
+        }
+    }
+    let normal = Normal::at(&pose, &estimates);
+    Ok(FusedPose {
+        estimate: PoseEstimate { pose, information: normal.information },
+        squared_distance: normal.squared_distance,
+    })
+}
+
+fn check(index: usize, estimate: &PoseEstimate) -> Result<(), FusionError> {
+    let information = &estimate.information;
+    let finite = estimate.pose.translation_mm.is_finite()
+        && estimate.pose.rotation.is_finite()
+        && information.as_flattened().iter().all(|x| x.is_finite());
+    if !finite {
+        return Err(FusionError::NotFinite { index });
+    }
+    let scale = |i: usize, j: usize| sqrt(information[i][i].abs()) * sqrt(information[j][j].abs());
+    // Round-off of a sum of some thousand points.
+    let symmetric = (0..6).all(|i| {
+        (0..6).all(|j| (information[i][j] - information[j][i]).abs() <= 1e-9 * scale(i, j))
+            && information[i][i] >= 0.0
+    });
+    let least = eigen(&unit_diagonal(information).matrix).values[0];
+    if symmetric && least >= -1e-9 { Ok(()) } else { Err(FusionError::Information { index }) }
+}
+
+/// The normal equations of Gauss-Newton at a pose.
+struct Normal {
+    information: Symmetric<6>,
+    gradient: [f64; 6],
+    squared_distance: f64,
+}
+
+impl Normal {
+    fn at(pose: &Pose, estimates: &[&PoseEstimate; 2]) -> Self {
+        let mut normal = Self { information: [[0.0; 6]; 6], gradient: [0.0; 6], squared_distance: 0.0 };
+        for estimate in estimates {
+            let (omega, v) = (*pose * estimate.pose.inverse()).log();
+            let error = [omega.x, omega.y, omega.z, v.x, v.y, v.z];
+            let jacobian = left_jacobian_inverse(omega, v);
+            let weighed: [f64; 6] =
+                core::array::from_fn(|i| (0..6).map(|j| estimate.information[i][j] * error[j]).sum());
+            let part = sandwiched(&estimate.information, &jacobian);
+            for i in 0..6 {
+                normal.gradient[i] += (0..6).map(|k| jacobian[k][i] * weighed[k]).sum::<f64>();
+                (0..6).for_each(|j| normal.information[i][j] += part[i][j]);
+                normal.squared_distance += error[i] * weighed[i];
+            }
+        }
+        normal
+    }
+
+    /// The least step to the minimum of the quadratic, by eigenvectors of the scaled information.
+    fn step(&self) -> [f64; 6] {
+        let Scaled { matrix, scale } = unit_diagonal(&self.information);
+        let parts = eigen(&matrix);
+        let mut step = [0.0; 6];
+        for (value, vector) in parts.values.into_iter().zip(parts.vectors) {
+            if value > FREE {
+                let along: f64 = (0..6).map(|i| vector[i] * self.gradient[i] / scale[i]).sum();
+                (0..6).for_each(|i| step[i] -= vector[i] * along / (value * scale[i]));
+            }
+        }
+        step
+    }
+}
+
+/// D⁻¹ M D⁻¹ with a unit diagonal, and D's diagonal; radians and millimetres are not comparable otherwise.
+struct Scaled {
+    matrix: Symmetric<6>,
+    scale: [f64; 6],
+}
+
+fn unit_diagonal(information: &Symmetric<6>) -> Scaled {
+    let scale = core::array::from_fn(|i| if information[i][i] > 0.0 { sqrt(information[i][i]) } else { 1.0 });
+    Scaled { matrix: matrix(|i, j| information[i][j] / (scale[i] * scale[j])), scale }
+}
+
+/// Jᵀ M J, symmetric.
+fn sandwiched(information: &Symmetric<6>, jacobian: &[[f64; 6]; 6]) -> Symmetric<6> {
+    let half: [[f64; 6]; 6] = matrix(|i, j| (0..6).map(|k| information[i][k] * jacobian[k][j]).sum());
+    let whole: [[f64; 6]; 6] = matrix(|i, j| (0..6).map(|k| jacobian[k][i] * half[k][j]).sum());
+    matrix(|i, j| 0.5 * (whole[i][j] + whole[j][i]))
+}
+
+/// Takes twists (ω, v) through a pose: T exp(ξ) T⁻¹ = exp(Ad ξ).
+fn adjoint(pose: &Pose) -> [[f64; 6]; 6] {
+    let rotation = pose.matrix();
+    let moved = so3::hat(pose.translation_mm) * rotation;
+    matrix(|i, j| match (i < 3, j < 3) {
+        (true, true) => rotation.col(j)[i],
+        (true, false) => 0.0,
+        (false, true) => moved.col(j)[i - 3],
+        (false, false) => rotation.col(j - 3)[i - 3],
+    })
+}
+
+/// Even Bernoulli numbers over factorials, B₂ₙ / (2n)! from n = 1 on. At [`MAX_TURN_RAD`] the next term is below 1e-13.
+const BERNOULLI: [f64; 6] = [
+    1.0 / 12.0,
+    -1.0 / 720.0,
+    1.0 / 30_240.0,
+    -1.0 / 1_209_600.0,
+    1.0 / 47_900_160.0,
+    -691.0 / 1_307_674_368_000.0,
+];
+
+/// Inverse of the left Jacobian of SE(3): I - ad / 2 + Σ B₂ₙ / (2n)! ad²ⁿ (Barfoot, State Estimation for Robotics, 7.3).
+fn left_jacobian_inverse(omega: DVec3, v: DVec3) -> [[f64; 6]; 6] {
+    let (turn, shift) = (so3::hat(omega), so3::hat(v));
+    let ad: [[f64; 6]; 6] = matrix(|i, j| match (i < 3, j < 3) {
+        (true, true) => turn.col(j)[i],
+        (true, false) => 0.0,
+        (false, true) => shift.col(j)[i - 3],
+        (false, false) => turn.col(j - 3)[i - 3],
+    });
+    let square: [[f64; 6]; 6] = product(&ad, &ad);
+    let mut power: [[f64; 6]; 6] = matrix(|i, j| f64::from(u8::from(i == j)));
+    let mut sum: [[f64; 6]; 6] = matrix(|i, j| power[i][j] - 0.5 * ad[i][j]);
+    for coefficient in BERNOULLI {
+        power = product(&power, &square);
+        sum = matrix(|i, j| sum[i][j] + coefficient * power[i][j]);
+    }
+    sum
+}
+
+fn product(a: &[[f64; 6]; 6], b: &[[f64; 6]; 6]) -> [[f64; 6]; 6] {
+    matrix(|i, j| (0..6).map(|k| a[i][k] * b[k][j]).sum())
+}
+
+fn matrix(entry: impl Fn(usize, usize) -> f64) -> [[f64; 6]; 6] {
+    core::array::from_fn(|i| core::array::from_fn(|j| entry(i, j)))
+}

@@ -1,0 +1,192 @@
+//! How probable it is that the part goes into its hole, from what is known of its pose.
+//!
+//! The inserted end stays within the walls if no point of its flank moves along its own normal by more than half of the
+//! clearance. A small motion (ω, v) of the part moves a point p with normal n by n·(ω x p + v).
+
+use crate::report::Forecast;
+use gelstereo_core::math::linalg::{Symmetric, eigen};
+use gelstereo_core::math::random::Stream;
+use gelstereo_core::math::{DVec3, sqrt};
+use gelstereo_core::register::{PoseEstimate, Template};
+
+/// Poses drawn for one answer: a chance of 0.99 is then known to 0.0022.
+const DRAWS: usize = 2048;
+/// A point whose normal leans towards the axis by more than this sine is no flank: the tip's face, or a chamfer.
+const MAX_LEAN: f64 = 0.5;
+/// Displacements are linear along the axis, so that the points near the tip and near the rim are the ones to check.
+const MAX_POINTS: usize = 600;
+
+/// The part's inserted end and its clearance, in the part's frame.
+pub(super) struct Flank {
+    points: Vec<FlankPoint>,
+    /// Unit direction of insertion.
+    axis: DVec3,
+    /// Two unit directions across it.
+    across: [DVec3; 2],
+    tip_mm: DVec3,
+    middle_mm: DVec3,
+    half_clearance_mm: f64,
+}
+
+#[derive(Clone, Copy)]
+struct FlankPoint {
+    position_mm: DVec3,
+    normal: DVec3,
+}
+
+/// A motion (ω, v) of the part in its own frame.
+#[derive(Clone, Copy)]
+struct Motion {
+    omega: DVec3,
+    v_mm: DVec3,
+}
+
+impl Motion {
+    const fn of(twist: [f64; 6]) -> Self {
+        let [a, b, c, x, y, z] = twist;
+        Self { omega: DVec3::new(a, b, c), v_mm: DVec3::new(x, y, z) }
+    }
+
+    fn at(&self, position_mm: DVec3) -> DVec3 {
+        self.omega.cross(position_mm) + self.v_mm
+    }
+}
+
+impl Flank {
+    /// The last `depth_mm` of a part along the unit direction `axis`; its hole is wider by `clearance_mm`.
+    pub(super) fn of(template: &Template, axis: DVec3, depth_mm: f64, clearance_mm: f64) -> Self {
+        let across_x = axis.any_orthonormal_vector();
+        let every = || template.points_mm().iter().zip(template.normals());
+        let tip = every().map(|(p, _)| p.dot(axis)).fold(f64::NEG_INFINITY, f64::max);
+        let band_mm = 4.0 * template.spacing_mm();
+        let is_end = |along: f64| along > tip - band_mm || (along - (tip - depth_mm)).abs() < band_mm;
+        let mut points: Vec<FlankPoint> = every()
+            .filter(|(p, n)| is_end(p.dot(axis)) && n.dot(axis).abs() < MAX_LEAN)
+            .map(|(&position_mm, &normal)| FlankPoint { position_mm, normal })
+            .collect();
+        let stride = points.len().div_ceil(MAX_POINTS).max(1);
+        points = points.into_iter().step_by(stride).collect();
+        let on_axis = |along: f64| axis * along;
+        Self {
+            points,
+            axis,
+            across: [across_x, axis.cross(across_x)],
+            tip_mm: on_axis(tip),
+            middle_mm: on_axis(tip - 0.5 * depth_mm),
+            half_clearance_mm: 0.5 * clearance_mm,
+        }
+    }
+
+    /// What to expect of a part that is known so; `sigma_rad` and `sigma_mm` are what is known of it without sensing.
+    pub(super) fn forecast(&self, estimate: &PoseEstimate, sigma_rad: f64, sigma_mm: f64) -> Forecast {
+        let information = estimate.in_frame(&estimate.pose.inverse()).information;
+        let covariance = joined(&information, sigma_rad, sigma_mm);
+        Forecast {
+            chance: self.chance(&covariance),
+            weakest: self.weakest(&covariance),
+            lateral_sigma_mm: self.lateral_sigma_mm(&covariance),
+        }
+    }
+
+    /// Share of motions drawn from a covariance, (ω, v) in the part's frame, that fit.
+    fn chance(&self, covariance: &Symmetric<6>) -> f64 {
+        let parts = eigen(covariance);
+        // The same draws every time: a forecast is a function of what is known.
+        let mut stream = Stream::new(0, "chance of insertion");
+        let fits = (0..DRAWS)
+            .filter(|_| {
+                let mut twist = [0.0; 6];
+                for (value, vector) in parts.values.into_iter().zip(parts.vectors) {
+                    let size = sqrt(value.max(0.0)) * stream.normal();
+                    (0..6).for_each(|i| twist[i] += size * vector[i]);
+                }
+                self.room_mm(&Motion::of(twist)) >= 0.0
+            })
+            .count();
+        fits as f64 / DRAWS as f64
+    }
+
+    /// Least distance of the flank from the walls after a motion; below 0 the part does not go in.
+    fn room_mm(&self, motion: &Motion) -> f64 {
+        let farthest = self.points.iter().map(|p| p.normal.dot(motion.at(p.position_mm))).fold(0.0, f64::max);
+        self.half_clearance_mm - farthest
+    }
+
+    /// Names the motion that costs the most room when it is made by one standard deviation, about the middle of the hole.
+    fn weakest(&self, covariance: &Symmetric<6>) -> String {
+        let turns =
+            [("lean about", self.across[0]), ("lean about", self.across[1]), ("spin about", self.axis)];
+        let slides = self.across.map(|direction| ("slide along", direction));
+        let mut worst = (f64::INFINITY, String::new());
+        for (name, direction) in turns {
+            let sigma = sqrt(quadratic(covariance, &[direction.x, direction.y, direction.z, 0.0, 0.0, 0.0]));
+            let omega = direction * sigma.min(core::f64::consts::PI);
+            let room = self.least_room_mm(&Motion { omega, v_mm: -omega.cross(self.middle_mm) });
+            if room < worst.0 {
+                let words = format!("{name} {}, known to {:.2} deg", words(direction), sigma.to_degrees());
+                worst = (room, words);
+            }
+        }
+        for (name, direction) in slides {
+            let sigma = self.sigma_at(covariance, self.middle_mm, direction);
+            let room = self.least_room_mm(&Motion { omega: DVec3::ZERO, v_mm: direction * sigma });
+            if room < worst.0 {
+                worst = (room, format!("{name} {}, known to {sigma:.3} mm", words(direction)));
+            }
+        }
+        worst.1
+    }
+
+    fn least_room_mm(&self, motion: &Motion) -> f64 {
+        let back = Motion { omega: -motion.omega, v_mm: -motion.v_mm };
+        self.room_mm(motion).min(self.room_mm(&back))
+    }
+
+    /// Standard deviation of a point's place along a direction.
+    fn sigma_at(&self, covariance: &Symmetric<6>, point_mm: DVec3, direction: DVec3) -> f64 {
+        // direction · (ω x p + v) = (p x direction) · ω + direction · v
+        let turn = point_mm.cross(direction);
+        sqrt(quadratic(covariance, &[turn.x, turn.y, turn.z, direction.x, direction.y, direction.z]))
+    }
+
+    fn lateral_sigma_mm(&self, covariance: &Symmetric<6>) -> f64 {
+        // The greatest of directions every 10 degrees: the true one is at most 0.4 % larger.
+        (0..18)
+            .map(|k| {
+                let angle = f64::from(k) * core::f64::consts::PI / 18.0;
+                let direction = self.across[0] * gelstereo_core::math::cos(angle)
+                    + self.across[1] * gelstereo_core::math::sin(angle);
+                self.sigma_at(covariance, self.tip_mm, direction)
+            })
+            .fold(0.0, f64::max)
+    }
+}
+
+/// Covariance of a motion in the part's frame: its information joined with what is known without sensing.
+fn joined(information: &Symmetric<6>, sigma_rad: f64, sigma_mm: f64) -> Symmetric<6> {
+    let sigma = |i: usize| if i < 3 { sigma_rad } else { sigma_mm };
+    // In units of the prior no eigenvalue is below 1.
+    let scaled: Symmetric<6> = core::array::from_fn(|i| {
+        core::array::from_fn(|j| sigma(i) * information[i][j] * sigma(j) + f64::from(u8::from(i == j)))
+    });
+    let parts = eigen(&scaled);
+    core::array::from_fn(|i| {
+        core::array::from_fn(|j| {
+            let inverse: f64 =
+                (0..6).map(|k| parts.vectors[k][i] * parts.vectors[k][j] / parts.values[k].max(1.0)).sum();
+            sigma(i) * inverse * sigma(j)
+        })
+    })
+}
+
+fn quadratic(matrix: &Symmetric<6>, vector: &[f64; 6]) -> f64 {
+    let sum: f64 = (0..6)
+        .flat_map(|i| (0..6).map(move |j| (i, j)))
+        .map(|(i, j)| vector[i] * matrix[i][j] * vector[j])
+        .sum();
+    sum.max(0.0)
+}
+
+fn words(direction: DVec3) -> String {
+    format!("({:.2} {:.2} {:.2})", direction.x, direction.y, direction.z)
+}

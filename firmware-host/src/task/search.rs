@@ -1,0 +1,93 @@
+//! Search for the hole: a part that is stopped at the rim is lifted, shifted a little, and lowered again.
+
+use super::cell::Cell;
+use super::error::Halt;
+use super::insert::insert;
+use super::localize::Held;
+use super::log::figure;
+use super::retreat::retreat;
+use crate::report::{Outcome, Stage};
+use gelstereo_core::math::{Pose, cos, sin, sqrt};
+
+/// Standard deviations of the tip's place that the search covers.
+const REACH_SIGMAS: f64 = 3.0;
+
+/// Inserts from `above` and leaves the hole. Where the part jams, tries along a spiral, `task.max_tries` times in all.
+pub(super) fn insert_by_search(cell: &mut Cell, above: &Pose, held: &Held) -> Result<Outcome, Halt> {
+    let mut outcome = try_at(cell, above, held)?;
+    let task = &cell.config.task;
+    let (Some(clearance_mm), Some(forecast)) = (task.clearance_mm, &held.localized.forecast) else {
+        return Ok(outcome);
+    };
+    let axis = (*above * held.t_gripper_object).transform_vector(cell.config.insertion_axis());
+    let across = axis.any_orthonormal_vector();
+    let reach_mm = (REACH_SIGMAS * forecast.lateral_sigma_mm).max(clearance_mm);
+    for step in spiral(clearance_mm, reach_mm).take(task.max_tries.saturating_sub(1) as usize) {
+        if !matches!(outcome, Outcome::Jammed { .. }) {
+            break;
+        }
+        cell.log.begin(Stage::Align);
+        let shift_mm = across * step.x_mm + axis.cross(across) * step.y_mm;
+        let next = Pose::from_translation_mm(shift_mm) * *above;
+        cell.go(&next, task.move_speed_mm_s)?;
+        cell.log.end(vec![figure("shift_mm", shift_mm.length())]);
+        outcome = try_at(cell, &next, held)?;
+    }
+    Ok(outcome)
+}
+
+/// Inserts once, and leaves the hole: a part that jams goes back to where it came from.
+fn try_at(cell: &mut Cell, above: &Pose, held: &Held) -> Result<Outcome, Halt> {
+    let outcome = insert(cell, above, held)?;
+    retreat(cell, above, &outcome)?;
+    Ok(outcome)
+}
+
+/// Shift of the part across the hole.
+struct Step {
+    x_mm: f64,
+    y_mm: f64,
+}
+
+/// Places on rings around the middle, the near ones first. A hole takes a part that is off by half the clearance: rings
+/// and places on them are apart by √3 / 2 of the clearance, as the centres of circles that cover the plane are.
+fn spiral(clearance_mm: f64, reach_mm: f64) -> impl Iterator<Item = Step> {
+    let apart_mm = 0.5 * sqrt(3.0) * clearance_mm;
+    (1_u32..).take_while(move |&ring| f64::from(ring - 1) * apart_mm < reach_mm).flat_map(move |ring| {
+        (0..6 * ring).map(move |k| {
+            let angle = core::f64::consts::TAU * f64::from(k) / f64::from(6 * ring);
+            let radius_mm = f64::from(ring) * apart_mm;
+            Step { x_mm: radius_mm * cos(angle), y_mm: radius_mm * sin(angle) }
+        })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gelstereo_core::math::random::Stream;
+
+    #[test]
+    fn every_place_within_reach_is_covered_by_half_the_clearance() {
+        let (clearance_mm, reach_mm) = (0.2, 0.9);
+        let mut steps: Vec<Step> = spiral(clearance_mm, reach_mm).collect();
+        steps.push(Step { x_mm: 0.0, y_mm: 0.0 });
+        let mut stream = Stream::new(3, "places");
+        for _ in 0..2000 {
+            let (radius, angle) =
+                (reach_mm * sqrt(stream.uniform()), core::f64::consts::TAU * stream.uniform());
+            let (x, y) = (radius * cos(angle), radius * sin(angle));
+            let off = |s: &Step| sqrt((s.x_mm - x) * (s.x_mm - x) + (s.y_mm - y) * (s.y_mm - y));
+            let nearest = steps.iter().map(off).fold(f64::INFINITY, f64::min);
+            // Rings of places are no exact lattice: at most a tenth is missing between two of them.
+            assert!(nearest <= 0.55 * clearance_mm, "{nearest} mm from ({x}, {y})");
+        }
+    }
+
+    #[test]
+    fn places_come_by_their_distance_and_end_at_the_reach() {
+        let radii: Vec<f64> = spiral(0.2, 0.5).map(|s| sqrt(s.x_mm * s.x_mm + s.y_mm * s.y_mm)).collect();
+        assert!(radii.windows(2).all(|pair| pair[1] > pair[0] - 1e-12));
+        assert!(radii.len() == 6 + 12 + 18 && radii[35] < 0.5 + 0.2);
+    }
+}
