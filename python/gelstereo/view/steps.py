@@ -31,8 +31,8 @@ __all__ = ["Step", "Steps", "outcome_in_words"]
 Floats = npt.NDArray[np.float64]
 Triangles = npt.NDArray[np.int64]
 
-#: Stages before the part is in the hand: what was located earlier holds no longer.
-_WITHOUT_PART = ("open", "rest", "close")
+#: Stages without the part in the hand: what was located earlier holds no longer.
+_WITHOUT_PART = ("open", "rest", "close", "retreat")
 #: Outcome, motion, a trigger, the pose, and what is free.
 _NOTE_LINES = 5
 #: The stage of sensing without a task. There a pose is of its own frame alone.

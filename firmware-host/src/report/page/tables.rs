@@ -8,10 +8,23 @@ use crate::report::trace::TracedStage;
 use crate::report::{JobReport, Localized, StageReport};
 use gelstereo_core::math::{Pose, so3};
 use maud::{Markup, html};
-use serde_json::Value;
+use serde::Serialize;
+use serde_json::{Map, Value};
 
 /// Parts of the report that have a section of their own, or stand in the header.
-const SHOWN: [&str; 7] = ["outcome", "stages", "localized", "truth", "digest", "recording", "page"];
+const SHOWN: [&str; 8] = ["outcome", "why", "stages", "localized", "truth", "digest", "recording", "page"];
+/// Parts of the pose's evidence that stand in its sentences and its table.
+const SHOWN_OF_POSE: [&str; 9] = [
+    "t_sensor_object",
+    "t_gripper_object",
+    "converged",
+    "iterations",
+    "inliers",
+    "points",
+    "rmse_mm",
+    "sigma",
+    "free",
+];
 const AXES: [&str; 6] = ["x", "y", "z", "rotation about x", "rotation about y", "rotation about z"];
 
 /// Every stage that was begun, in order.
@@ -68,13 +81,14 @@ fn figures(report: Option<&StageReport>) -> Markup {
 
 /// Sections of what the report holds besides outcome and stages.
 pub(super) fn results(report: &JobReport) -> Markup {
-    let rest = serde_json::to_value(report).unwrap_or_default();
-    let rest = rest.as_object().cloned().unwrap_or_default();
-    let is_further = |key: &str, value: &Value| !SHOWN.contains(&key) && !value.is_null();
-    let further = rest.iter().filter(|(key, value)| is_further(key, value));
+    let others = further(report, &SHOWN);
     html! {
         @if let Some(localized) = &report.localized {
-            section { h2 { "Part in the hand" } (pose(localized)) }
+            section {
+                h2 { "Part in the hand" }
+                (pose(localized))
+                (values(&Value::Object(further(localized, &SHOWN_OF_POSE))))
+            }
         }
         @if let Some(truth) = &report.truth {
             section {
@@ -87,7 +101,7 @@ pub(super) fn results(report: &JobReport) -> Markup {
                 (values(&serde_json::to_value(truth).unwrap_or_default()))
             }
         }
-        @for (key, value) in further {
+        @for (key, value) in &others {
             section { h2 { (capitalized(&key.replace('_', " "))) } (values(value)) }
         }
         @if let Some(recording) = &report.recording {
@@ -98,6 +112,15 @@ pub(super) fn results(report: &JobReport) -> Markup {
             }
         }
     }
+}
+
+/// What of a part of the report has no place of its own.
+fn further(part: &impl Serialize, shown: &[&str]) -> Map<String, Value> {
+    let fields = match serde_json::to_value(part) {
+        Ok(Value::Object(fields)) => fields,
+        _ => Map::new(),
+    };
+    fields.into_iter().filter(|(key, value)| !shown.contains(&key.as_str()) && !value.is_null()).collect()
 }
 
 fn pose(localized: &Localized) -> Markup {
@@ -187,7 +210,7 @@ pub(super) fn setup(config: &Config) -> Markup {
 }
 
 /// The `kind` of a setting as the configuration has it.
-fn kind(setting: &impl serde::Serialize) -> String {
+fn kind(setting: &impl Serialize) -> String {
     let value = serde_json::to_value(setting).unwrap_or_default();
     value.get("kind").and_then(Value::as_str).unwrap_or("unknown").to_owned()
 }
