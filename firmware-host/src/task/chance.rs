@@ -190,3 +190,60 @@ fn quadratic(matrix: &Symmetric<6>, vector: &[f64; 6]) -> f64 {
 fn words(direction: DVec3) -> String {
     format!("({:.2} {:.2} {:.2})", direction.x, direction.y, direction.z)
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use gelstereo_core::math::{Pose, exp};
+    use gelstereo_sim::Shape;
+
+    /// A peg 8 mm in diameter and 40 mm long, its origin in the middle; 10 mm of it go into a hole of 8.2 mm.
+    fn peg() -> Flank {
+        let shape = Shape::Cylinder { radius_mm: 4.0, length_mm: 40.0 };
+        let template = Template::from_mesh(&shape.mesh(0.003).unwrap(), 0.4, 1).unwrap();
+        Flank::of(&template, DVec3::NEG_Z, 10.0, 0.2)
+    }
+
+    /// Standard deviations of turns and shifts in the part's frame.
+    fn diagonal(sigma: [f64; 6]) -> Symmetric<6> {
+        core::array::from_fn(|i| core::array::from_fn(|j| if i == j { sigma[i] * sigma[i] } else { 0.0 }))
+    }
+
+    #[test]
+    fn a_round_peg_that_shifts_evenly_has_the_chance_of_a_disc() {
+        for sigma_mm in [0.02, 0.05, 0.1] {
+            let chance = peg().chance(&diagonal([0.0, 0.0, 0.0, sigma_mm, sigma_mm, 0.6]));
+            let expected = 1.0 - exp(-0.5 * (0.1 / sigma_mm) * (0.1 / sigma_mm));
+            // Four standard deviations of a share of the draws, and 1 % of the radius between points of the template.
+            let slack = 4.0 * sqrt(expected * (1.0 - expected) / DRAWS as f64) + 0.01;
+            assert!((chance - expected).abs() < slack, "{chance} against {expected}");
+        }
+    }
+
+    #[test]
+    fn spin_and_slide_along_the_axis_cost_a_round_peg_nothing() {
+        assert!(peg().chance(&diagonal([0.0, 0.0, 0.02, 0.0, 0.0, 5.0])) > 0.999);
+        assert_eq!(peg().chance(&diagonal([0.0; 6])), 1.0);
+    }
+
+    #[test]
+    fn the_motion_that_costs_most_is_named_with_its_size() {
+        let peg = peg();
+        let along = |k: usize| words(peg.across[k]);
+        let across = peg.across[1];
+        let mut slides = diagonal([1e-6; 6]);
+        for i in 0..3 {
+            for j in 0..3 {
+                slides[3 + i][3 + j] += 0.09 * across[i] * across[j];
+            }
+        }
+        assert_eq!(peg.weakest(&slides), format!("slide along {}, known to 0.300 mm", along(1)));
+        // A lean is about the middle of the hole: there it shifts nothing, and the tip by 5 mm times its angle.
+        let pose = Pose::from_translation_mm(-peg.middle_mm);
+        let information = diagonal([1e3, 1.0 / 0.03, 1e3, 1e3, 1e3, 1e3]);
+        let forecast = peg.forecast(&PoseEstimate { pose, information }, 10.0, 100.0);
+        assert!(forecast.weakest.starts_with("lean about"), "{}", forecast.weakest);
+        assert!((forecast.lateral_sigma_mm - 0.15).abs() < 0.01, "{}", forecast.lateral_sigma_mm);
+    }
+}

@@ -120,6 +120,18 @@ fn wait(cell: &mut Cell) -> Result<(), Halt> {
     Ok(())
 }
 
+/// Joins an estimate with what is known of the part without sensing. Two contacts that leave the slide along an axis free,
+/// and see this axis 1e-4 rad apart, would otherwise settle their difference across it by a slide of centimetres.
+fn expected_anyway(cell: &Cell, estimate: &PoseEstimate) -> PoseEstimate {
+    let task = &cell.config.task;
+    let mut joined = estimate.in_frame(&estimate.pose.inverse());
+    for (i, row) in joined.information.iter_mut().enumerate() {
+        let sigma = if i < 3 { task.part_sigma_rad } else { task.part_sigma_mm };
+        row[i] += 1.0 / (sigma * sigma);
+    }
+    joined.in_frame(&estimate.pose)
+}
+
 /// Localizes the part in the hand, and fuses that with what was known of it in the base frame.
 fn fused_look(cell: &mut Cell, known: &PoseEstimate) -> Result<Localization, Halt> {
     let t_base_gripper = cell.devices.robot.status()?.t_base_gripper;
@@ -129,6 +141,7 @@ fn fused_look(cell: &mut Cell, known: &PoseEstimate) -> Result<Localization, Hal
         other => return Ok(other),
     };
     let before = disturbed(cell, known, &t_base_gripper).in_frame(&t_base_gripper.inverse());
+    let before = expected_anyway(cell, &before);
     match fuse_poses(&before, &held.estimate) {
         Ok(FusedPose { squared_distance, .. }) if squared_distance > MAX_SQUARED_DISTANCE => {
             let reason = format!(
