@@ -38,7 +38,7 @@ test-python: prerequisites $(BIN)/python
 	# It would bring a second OpenCV with it; only its recordings are read.
 	$(BIN)/pip install --quiet --no-deps pytac3d==3.3.0.9
 	@.ci/second-opinion.sh
-	cargo build --release --quiet -p gelstereo-host
+	cargo build --release --quiet -p gelstereo-host --bins --example world_server
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy --strict python/gelstereo
@@ -55,13 +55,14 @@ test-long: export GELSTEREO_ROS_PEER := $(ROS_PEER)/debug/ros-peer
 test-long: prerequisites $(BIN)/python
 	@.ci/long-prerequisites.sh
 	$(BIN)/pip install --quiet '.[test,long]'
-	cargo build --release --quiet -p gelstereo-host
+	cargo build --release --quiet -p gelstereo-host --bins --example world_server
 	cargo build --release --quiet -p gelstereo-host --features zenoh,foxglove --target-dir $(LIVE)
 	cargo build --quiet --manifest-path tests/ros_peer/Cargo.toml --target-dir $(ROS_PEER)
 	GELSTEREO_KILLS=50 cargo test --quiet -p gelstereo-host --test faults
-	GELSTEREO_LONG_FRAMES=30000 cargo test --quiet -p gelstereo-host --test long_run
+	GELSTEREO_LONG_FRAMES=12000 cargo test --quiet -p gelstereo-host --test long_run
 	cargo test --quiet -p gelstereo-host --test reference -- --ignored
 	$(BIN)/pytest -m long
+	fuzz/run.sh 10
 	@echo "all long tests passed"
 
 # Cases that no run has tried yet, of every property test in Rust.
@@ -69,7 +70,7 @@ explore: prerequisites
 	cargo test --workspace --quiet
 
 # So many seconds for each target; a find ends it.
-FUZZ_SECONDS ?= 10
+FUZZ_SECONDS ?= 4
 fuzz: prerequisites
 	cargo fmt --manifest-path fuzz/Cargo.toml --check
 	fuzz/run.sh $(FUZZ_SECONDS)

@@ -57,6 +57,7 @@ def section(page: str, name: str) -> list[list[str]]:
     ]
 
 
+@pytest.mark.long
 def test_quick_run_lists_every_rung_beside_a_baseline(docs: Path) -> None:
     page = (docs / "accuracy-vs-time.md").read_text()
     assert all(section(page, name) for name in SECTIONS if name not in ("conditions", "stages", "growth"))
@@ -106,6 +107,7 @@ def test_a_count_of_rounds_below_one_is_refused(capsys: pytest.CaptureFixture[st
         assert "valid is a whole number" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_quick_run_measures_the_papers_boards_within_its_bound(docs: Path) -> None:
     rows = section((docs / "accuracy-vs-time.md").read_text(), "boards")
     assert [float(row[0]) for row in rows] == list(BOARDS_MM)

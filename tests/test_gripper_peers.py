@@ -70,12 +70,12 @@ def on_a_wire(
 
 
 @contextmanager
-def on_tcp(kind: str, *arguments: str) -> Iterator[tuple[str, Server]]:
-    """A Modbus server of this kind on a loopback port."""
+def on_tcp(script: str, *arguments: str, kind: str | None = None) -> Iterator[tuple[str, Server]]:
+    """A server, of this kind where there are several, on a loopback port."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    server = Server("modbus_server.py", kind, str(port), *arguments)
+    server = Server(script, *([] if kind is None else [kind]), str(port), *arguments)
     try:
         wait_for(port)
         yield f"tcp://127.0.0.1:{port}", server
@@ -99,6 +99,7 @@ def wait_for(port: int) -> None:
 
 TABLES = {
     "robotiq": 'model = "2f85"',
+    "robotiq_urcap": 'model = "2f85"',
     "dh": "widths = { points = [[0, 0.0], [1000, 50.0]], max_error_mm = 0.5 }\nspeed_mm_s = [5, 100]",
     "on_robot": 'model = "rg2"',
     "dynamixel": "widths = { points = [[1000, 0.0], [3000, 60.0]], max_error_mm = 1 }\nmax_current = 900",
@@ -136,7 +137,7 @@ def test_a_robotiq_gripper_is_activated_moved_and_never_activated_again(tmp_path
 
 
 def test_a_robotiq_gripper_is_reached_by_rtu_over_tcp(tmp_path: Path) -> None:
-    with on_tcp("robotiq") as (port, _):
+    with on_tcp("modbus_server.py", kind="robotiq") as (port, _):
         moved = state(gripper(tmp_path, port, "move", "40", "--speed-mm-s", "150"))
         assert abs(float(moved["width_mm"]) - 40) < 0.2
 
@@ -151,7 +152,7 @@ def test_a_dh_gripper_is_initialised_once_and_holds(tmp_path: Path) -> None:
 
 
 def test_an_onrobot_gripper_moves_and_holds(tmp_path: Path) -> None:
-    with on_tcp("onrobot", "300") as (port, server):
+    with on_tcp("modbus_server.py", "300", kind="onrobot") as (port, server):
         moved = state(gripper(tmp_path, port, "move", "80", "--force", "0.5", kind="on_robot"))
         assert (moved["width_mm"], moved["object_detected"]) == ("80.00", "false")
         assert server.commands() == ["00c8 0320 0001"], "20 N of 40, 80 mm, grip"
@@ -218,6 +219,23 @@ def test_another_driver_agrees_with_the_server(tmp_path: Path) -> None:
         ours = state(gripper(tmp_path, wire.host_port, "status"))
         assert abs(float(ours["width_mm"]) - 85 * 130 / 227) < 0.4
         assert server.commands()[-1].split()[1] == "0064"
+
+
+def test_a_urcap_moves_and_holds(tmp_path: Path) -> None:
+    """pyrobotiqur, a published client of the URCap, moves the same server as we do."""
+    client = pytest.importorskip("pyrobotiqur")
+    with on_tcp("urcap_server.py", "180") as (port, server):
+        ours = state(gripper(tmp_path, port, "activate", kind="robotiq_urcap"))
+        assert ours["object_detected"] == "false"
+        with client.RobotiqGripper("127.0.0.1", int(port.rsplit(":", 1)[1])) as other:
+            other.activate()
+            assert other.move(100, speed=255) == (100, 3)
+        server.commands()
+        moved = state(gripper(tmp_path, port, "move", "40", "--speed-mm-s", "150", kind="robotiq_urcap"))
+        assert abs(float(moved["width_mm"]) - 40) < 0.2 and moved["object_detected"] == "false"
+        assert server.commands() == ["0900 007b ff33"], "one line sets it all, and nothing is activated again"
+        held = state(gripper(tmp_path, port, "move", "0", "--speed-mm-s", "150", kind="robotiq_urcap"))
+        assert abs(float(held["width_mm"]) - 85 * 50 / 227) < 0.2 and held["object_detected"] == "true"
 
 
 def test_python_drives_the_same_gripper_by_pyserial() -> None:

@@ -31,7 +31,7 @@ from gelstereo.live.sensing import ExpectedPart, LiveResult
 from gelstereo.live.shown import Shown
 from gelstereo.live.source import _there_and_back
 from gelstereo.live.web import WebViewer
-from gelstereo.live.window import window_problem
+from gelstereo.view.window import window_problem
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -360,7 +360,7 @@ def test_there_is_no_window_without_a_display(
 ) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    assert window_problem() is not None
+    assert window_problem("use --show web") is not None
     assert main(["live", "--scene", str(SCENE), "--show", "window", "--record", "never.mcap"]) == 2
     assert "--show web" in capsys.readouterr().err
     assert not Path("never.mcap").exists()

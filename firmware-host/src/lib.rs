@@ -45,4 +45,6 @@ pub mod source;
 #[cfg(feature = "host")]
 pub mod task;
 #[cfg(feature = "host")]
+pub mod taught;
+#[cfg(feature = "host")]
 pub mod world;

@@ -1,22 +1,24 @@
 //! From a configuration to a job: devices, template, recording, and in simulation the truth.
 
-use crate::config::{Config, ConfigError, RobotConfig, SourceConfig};
+use crate::config::{Config, ConfigError, RobotConfig, SourceConfig, TaskConfig};
 use crate::gripper::{Gripper, GripperConfig, GripperError};
 use crate::hid::HidError;
 use crate::light::{LightOn, set_up_camera};
 use crate::part::{Part, PartError};
 use crate::recording::{Content, LogClock, Recording, RecordingError};
-use crate::report::{JobReport, Outcome, Stage, StageReport, TruthReport};
+use crate::report::{JobReport, Outcome, PageReport, Stage, StageReport, Trace, TruthReport};
 use crate::robot::{Robot, RobotError};
 use crate::sensing::{Sensing, SensingError};
 use crate::source::{CameraSource, FolderSource, FrameSource, SourceError, StreamSource};
-use crate::task::{Devices, DriverThread, Task, TaskError};
+use crate::task::{Devices, DriverThread, Sinks, Task, TaskError, Teaching};
+use crate::taught::{Taught, TaughtError};
 use crate::world::{
-    BenchTruth, PacedSource, SimulatedCamera, SimulatedGripper, SimulatedRobot, TimedSource, World,
+    BenchTruth, PacedSource, Place, SimulatedCamera, SimulatedGripper, SimulatedRobot, TimedSource, World,
     WorldError,
 };
 use gelstereo_core::math::Pose;
 use std::cell::RefCell;
+use std::fmt::Display;
 use std::rc::Rc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
@@ -44,6 +46,8 @@ pub enum HostError {
     Thread(std::io::Error),
     /// The recording.
     Recording(RecordingError),
+    /// The taught goal.
+    Taught(TaughtError),
     /// The task broke off.
     Task(TaskError),
 }
@@ -61,6 +65,7 @@ impl std::fmt::Display for HostError {
             Self::Robot(error) => error.fmt(f),
             Self::Thread(error) => write!(f, "no thread for a driver: {error}"),
             Self::Recording(error) => error.fmt(f),
+            Self::Taught(error) => error.fmt(f),
             Self::Task(error) => error.fmt(f),
         }
     }
@@ -79,7 +84,7 @@ macro_rules! host_from {
 }
 host_from!(ConfigError => Config, PartError => Part, WorldError => World, HidError => Hid, SourceError => Source,
            SensingError => Sensing, GripperError => Gripper, RobotError => Robot, RecordingError => Recording,
-           TaskError => Task);
+           TaskError => Task, TaughtError => Taught);
 
 /// A job's world and what it senses with.
 pub struct Setup {
@@ -91,6 +96,8 @@ pub struct Setup {
     pub sensing: Sensing,
     /// The part.
     pub part: Part,
+    /// The part in its goal (`t_base_object`), taught or given.
+    pub goal: Pose,
 }
 
 impl Setup {
@@ -109,10 +116,24 @@ impl Setup {
     /// # Errors
     /// [`HostError`].
     pub fn new(config: &Config) -> Result<Self, HostError> {
+        Self::with_part_at(config, Place::Holder)
+    }
+
+    /// As [`Self::new`], with a simulated part in its goal. A goal that was taught before is not used.
+    ///
+    /// # Errors
+    /// [`HostError`].
+    pub fn for_teaching(config: &Config) -> Result<Self, HostError> {
+        let task = TaskConfig { taught: None, ..config.task.clone() };
+        Self::with_part_at(&Config { task, ..config.clone() }, Place::Goal)
+    }
+
+    fn with_part_at(config: &Config, place: Place) -> Result<Self, HostError> {
         config.validate()?;
         let part = Part::load(&config.part.shape)?;
         let sensing = Sensing::new(&config.rig()?, &config.params, part.template(&config.part)?)?;
-        let world = World::shared(config)?;
+        let goal = goal(config, &sensing)?;
+        let world = World::shared(config, place)?;
         let source: Box<dyn FrameSource> = match open_source(&config.source)? {
             None => Box::new(SimulatedCamera(Rc::clone(&world))),
             Some(source) if config.source.is_live() => Box::new(TimedSource::new(source, Rc::clone(&world))),
@@ -134,8 +155,17 @@ impl Setup {
             None => Box::new(SimulatedRobot(Rc::clone(&world))),
         };
         let devices = Devices { source, gripper, robot };
-        Ok(Self { world, devices, sensing, part })
+        Ok(Self { world, devices, sensing, part, goal })
     }
+}
+
+/// The part in its goal. A taught goal is of use to the rig and settings that it was taught with: others have other errors.
+fn goal(config: &Config, sensing: &Sensing) -> Result<Pose, HostError> {
+    let Some(path) = &config.task.taught else { return Ok(config.task.goal_pose.pose()) };
+    let taught = Taught::load(path)?;
+    let fits = sensing.clone().resume(&taught.rest);
+    fits.map_err(|error| TaughtError::Settings { path: path.clone(), error })?;
+    Ok(taught.goal())
 }
 
 /// Opens where real stereo pairs come from; `None` for the simulated sensor, which needs its world.
@@ -182,15 +212,73 @@ pub fn run(
     set_up_camera(&config.camera_hid)?;
     let light = LightOn::new(&config.light)?;
     let setup = Setup::new(config)?;
+    let recording = begin_recording(config, &setup.part)?;
+    let mut trace = Trace::default();
+    let mut result = run_traced(config, setup, Some(recording), &mut trace, stop, progress);
+    finish(config, &trace, light, result.as_mut());
+    result
+}
+
+/// Switches the light off and writes the page, also of a job that broke off: its page shows how far it came.
+///
+/// The job is done: neither a light that stays on nor a page that cannot be written hides what came of it.
+fn finish(config: &Config, trace: &Trace, light: LightOn, result: Result<&mut JobReport, &mut HostError>) {
+    let light_fault = light.off().err().map(|error| error.to_string());
+    match result {
+        Ok(report) => {
+            report.light_fault = light_fault;
+            report.page = config.recording.report.then(|| PageReport::write(config, trace, Ok(report)));
+        }
+        Err(error) if config.recording.report => {
+            // The error is what matters then.
+            let _ = PageReport::write(config, trace, Err(error as &dyn Display));
+        }
+        Err(_) => {}
+    }
+}
+
+fn begin_recording(config: &Config, part: &Part) -> Result<Recording, HostError> {
     let content = Content {
         config_toml: recorded_config(config)?,
-        attachments: setup.part.file.clone().into_iter().collect(),
+        attachments: part.file.clone().into_iter().collect(),
     };
-    let recording = Recording::create(&config.recording, content, log_clock(&config.source))?;
-    let mut report = run_with(config, setup, Some(recording), stop, progress)?;
-    // The job is done: a light that stays on must not hide what came of it.
-    report.light_fault = light.off().err().map(|error| error.to_string());
-    Ok(report)
+    Ok(Recording::create(&config.recording, content, log_clock(&config.source))?)
+}
+
+/// Teaches the goal and records it as the configuration says; see [`Task::teach`].
+///
+/// # Errors
+/// [`HostError`].
+pub fn teach(
+    config: &Config,
+    stay: bool,
+    stop: &AtomicBool,
+    progress: &mut dyn FnMut(&StageReport),
+) -> Result<Teaching, HostError> {
+    set_up_camera(&config.camera_hid)?;
+    let light = LightOn::new(&config.light)?;
+    let setup = Setup::for_teaching(config)?;
+    let recording = begin_recording(config, &setup.part)?;
+    let mut trace = Trace::default();
+    let sinks = Sinks { recording: Some(recording), trace: &mut trace, progress };
+    let mut result = teach_with(config, setup, sinks, stay, stop);
+    finish(config, &trace, light, result.as_mut().map(|teaching| &mut teaching.report));
+    result
+}
+
+/// Teaches the goal with what was set up.
+///
+/// # Errors
+/// [`HostError::Task`].
+pub fn teach_with<'a>(
+    config: &'a Config,
+    setup: Setup,
+    sinks: Sinks<'a>,
+    stay: bool,
+    stop: &'a AtomicBool,
+) -> Result<Teaching, HostError> {
+    let Setup { devices, sensing, goal, .. } = setup;
+    Ok(Task::new(config, devices, sensing, goal, sinks, stop).teach(stay)?)
 }
 
 /// Does the job with what was set up.
@@ -204,8 +292,20 @@ pub fn run_with(
     stop: &AtomicBool,
     progress: &mut dyn FnMut(&StageReport),
 ) -> Result<JobReport, HostError> {
-    let Setup { world, devices, sensing, .. } = setup;
-    let mut report = Task::new(config, devices, sensing, recording, stop, progress).run()?;
+    run_traced(config, setup, recording, &mut Trace::default(), stop, progress)
+}
+
+fn run_traced(
+    config: &Config,
+    setup: Setup,
+    recording: Option<Recording>,
+    trace: &mut Trace,
+    stop: &AtomicBool,
+    progress: &mut dyn FnMut(&StageReport),
+) -> Result<JobReport, HostError> {
+    let Setup { world, devices, sensing, goal, .. } = setup;
+    let sinks = Sinks { recording, trace, progress };
+    let mut report = Task::new(config, devices, sensing, goal, sinks, stop).run()?;
     let truth = world.borrow().truth().map_err(TaskError::Width)?;
     report.truth = truth.map(|truth| judge(config, &report, &truth));
     Ok(report)

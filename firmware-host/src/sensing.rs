@@ -8,6 +8,7 @@ use gelstereo_core::params::Params;
 use gelstereo_core::pipeline::{Frame, Pipeline, PipelineError, RestRecord, Touch};
 use gelstereo_core::register::{Localizer, RegisterError, Registrar, Registration, Standing, Template};
 use gelstereo_core::rig::Rig;
+use gelstereo_core::track::MarkerState;
 use serde::{Deserialize, Serialize};
 
 /// Why sensing gave no result.
@@ -21,6 +22,13 @@ pub enum SensingError {
     Register(RegisterError),
     /// A part was to be followed, but nothing said where it is expected.
     NoExpectation,
+    /// A frame shows so few markers that its mean motion says nothing of the gel.
+    Lost {
+        /// Markers seen.
+        seen: usize,
+        /// Markers of the lattice.
+        markers: usize,
+    },
 }
 
 impl std::fmt::Display for SensingError {
@@ -32,6 +40,10 @@ impl std::fmt::Display for SensingError {
             Self::NoExpectation => {
                 write!(f, "a part cannot be followed before `expect` says where to look for it")
             }
+            Self::Lost { seen, markers } => write!(
+                f,
+                "{seen} of {markers} markers are seen, half are needed; did the part slip or the light go out?"
+            ),
         }
     }
 }
@@ -155,6 +167,18 @@ impl Sensing {
         let right = pair.right.view().map_err(SensingError::Image)?;
         self.pipeline.process(left, right, &mut self.frame).map_err(SensingError::Pipeline)?;
         Ok(&self.frame)
+    }
+
+    /// Whether the last good frame shows enough markers to be acted on.
+    ///
+    /// # Errors
+    /// [`SensingError::Lost`] below half of them. Frames of simulated tasks showed 92 % or more (154 frames, 13 x 13
+    /// markers). Where a part dragged the gel by half a pitch from frame to frame they showed 0 to 24 %, and their mean
+    /// motion was 0 px at first.
+    pub fn check_seen(&self) -> Result<(), SensingError> {
+        let markers = self.frame.state.len();
+        let seen = self.frame.state.iter().filter(|&&state| state == MarkerState::Seen).count();
+        if 2 * seen >= markers { Ok(()) } else { Err(SensingError::Lost { seen, markers }) }
     }
 
     /// Does what was asked; only a localization has a result.

@@ -8,7 +8,7 @@ use gelstereo_host::gripper::Gripper;
 use gelstereo_host::source::{
     FrameMode, FrameSource, Next, SourceError, SourceEvent, StereoLayout, StereoPair,
 };
-use gelstereo_host::world::{SimulatedGripper, TimedSource, World};
+use gelstereo_host::world::{Place, SimulatedGripper, TimedSource, World};
 use gelstereo_sim::Scene;
 use std::rc::Rc;
 use std::time::Duration;
@@ -141,7 +141,7 @@ impl FrameSource for Times {
 #[test]
 fn the_simulated_gripper_moves_by_the_cameras_clock() {
     let config = with_rig("[source]\nkind = \"camera\"\ndevice = \"/dev/video0\"\nframe_rate_hz = 100\n");
-    let world = World::shared(&config).unwrap();
+    let world = World::shared(&config, Place::Holder).unwrap();
     let mut gripper = SimulatedGripper(Rc::clone(&world));
     gripper.activate().unwrap();
     let start_mm = gripper.status().unwrap().width_mm;

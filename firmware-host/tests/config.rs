@@ -7,6 +7,7 @@ use gelstereo_host::config::{Config, SourceConfig};
 use gelstereo_host::finding::{Level, all_right};
 use gelstereo_host::part::Part;
 use gelstereo_sim::Shape;
+use std::path::Path;
 
 fn error(text: &str) -> String {
     match Config::parse(text, "cell.toml") {
@@ -21,6 +22,23 @@ fn the_printed_default_is_the_default() {
         assert_eq!(Config::parse(&text, "default").unwrap(), Config::default());
     }
     assert_eq!(Config::parse("", "empty").unwrap(), Config::default());
+}
+
+/// The example of a cell loads and explains itself.
+#[test]
+fn every_setting_of_the_example_has_a_comment() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/cell/cell.toml");
+    Config::load(&path).unwrap();
+    let text = std::fs::read_to_string(&path).unwrap();
+    let lines: Vec<&str> = text.lines().collect();
+    let mut settings = 0;
+    for pair in lines.windows(2) {
+        if pair[1].contains(" = ") && !pair[1].starts_with('#') {
+            settings += 1;
+            assert!(pair[0].starts_with("# ") && pair[0].ends_with('.'), "no comment above: {}", pair[1]);
+        }
+    }
+    assert!(settings > 10, "{settings}");
 }
 
 #[test]

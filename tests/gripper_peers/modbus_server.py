@@ -42,6 +42,10 @@ class Finger:
         self.held, self.closing = held, closing
         self.time_s = time.monotonic()
 
+    def go(self, target: float, speed: float) -> None:
+        """Sets off from the position of the last update; the position itself as a target stops."""
+        self.target, self.speed = target, speed
+
     def update(self) -> None:
         now = time.monotonic()
         step, self.time_s = self.speed * (now - self.time_s), now
@@ -77,8 +81,8 @@ class TwoFinger85:
         self.finger.update()
         go = self.command[0] >> 11 & 1
         requested = min(max(self.command[1] & 0xFF, self.open), self.closed)
-        self.finger.target = requested if go else self.finger.position
-        self.finger.speed = (20 + 130 * (self.command[2] >> 8) / 255) / 85 * (self.closed - self.open)
+        speed = (20 + 130 * (self.command[2] >> 8) / 255) / 85 * (self.closed - self.open)
+        self.finger.go(requested if go else self.finger.position, speed)
 
     def status(self) -> list[int]:
         self.finger.update()
@@ -113,8 +117,7 @@ class DhPge:
         if self.command[0] and self.activated_s is None:
             self.activated_s = time.monotonic()
             self.command[3] = 1000
-        self.finger.target = self.command[3]
-        self.finger.speed = 20 * self.command[4]
+        self.finger.go(self.command[3], 20 * self.command[4])
 
     def status(self) -> list[int]:
         self.finger.update()
@@ -138,9 +141,9 @@ class OnRobotRg2:
         self.finger.update()
         control = self.command[2]
         if control == 8:
-            self.finger.target = self.finger.position
+            self.finger.go(self.finger.position, self.finger.speed)
         elif control and (self.finger.arrived or self.finger.is_held):
-            self.finger.target = self.command[1]
+            self.finger.go(self.command[1], self.finger.speed)
         self.command[2] = 0
 
     def status(self) -> list[int]:

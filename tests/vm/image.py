@@ -19,11 +19,12 @@ from tempfile import TemporaryDirectory
 HERE = Path(__file__).resolve().parent
 ENVIRONMENT = {**os.environ, "PATH": os.environ.get("PATH", "") + ":/usr/sbin:/sbin", "LC_ALL": "C"}
 # The VM's own, then: cameras, USB devices made in user space, HID devices made in user space, lights, serial adapters.
+# A network card reaches devices that are made outside the VM.
 MODULES = (
     ["virtio_pci", "9p", "9pnet_virtio", "overlay"]
     + ["uvcvideo", "vivid", "vhci-hcd"]
     + ["usbhid", "hid-generic", "uhid", "hid-led"]
-    + ["xhci-pci", "ftdi_sio", "cdc-acm"]
+    + ["xhci-pci", "ftdi_sio", "cdc-acm", "virtio_net"]
 )
 
 
@@ -54,7 +55,9 @@ def require_tools() -> None:
     wanted = ["qemu-system-x86_64", "busybox", "depmod", "modprobe", "cpio", "apt-get", "dpkg-deb"]
     missing = [tool for tool in wanted if shutil.which(tool, path=ENVIRONMENT["PATH"]) is None]
     if missing:
-        raise Unavailable(f"not installed: {', '.join(missing)} (.ci/long-prerequisites.sh installs them on Debian)")
+        raise Unavailable(
+            f"not installed: {', '.join(missing)} (.ci/long-prerequisites.sh installs them on Debian)"
+        )
     if os.uname().machine != "x86_64":
         raise Unavailable(f"the VM runs the host's x86-64 programs; this is {os.uname().machine}")
 

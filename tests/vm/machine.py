@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,8 +29,12 @@ class Outcome:
     console: str
 
 
-def run(image: Image, script: str, out: Path, limit_s: float = LIMIT_S) -> Outcome:
-    """Runs a shell script that sees the host's root file system read-only and `out` as ``/out``."""
+def run(
+    image: Image, script: str, out: Path, limit_s: float = LIMIT_S, devices: Sequence[str] = ()
+) -> Outcome:
+    """Runs a shell script that sees the host's root file system read-only and `out` as ``/out``; `devices` are more of
+    QEMU's arguments.
+    """
     (out / "run.sh").write_text(script, encoding="utf-8")
     command: list[str] = [shutil.which("qemu-system-x86_64") or "qemu-system-x86_64"]
     # One processor: with two, a host of two busy cores showed stalls of the guest's kernel.
@@ -37,6 +42,7 @@ def run(image: Image, script: str, out: Path, limit_s: float = LIMIT_S) -> Outco
     command += ["-nodefaults", "-no-reboot", "-display", "none", "-serial", "stdio"]
     command += ["-kernel", str(image.kernel), "-initrd", str(image.initrd), "-append", KERNEL_OPTIONS]
     command += shared("host", Path("/"), read_only=True) + shared("out", out, read_only=False)
+    command += devices
     start = time.monotonic()
     try:
         done = subprocess.run(

@@ -57,6 +57,42 @@ impl FingerKinematics {
         }
     }
 
+    /// Robotiq 2F-140: cranks of 100 mm as in published models of it, between the ends of the maker's stroke.
+    #[must_use]
+    pub const fn robotiq_2f140() -> Self {
+        Self::Parallelogram {
+            a_mm: 70.369,
+            b_mm: 71.051,
+            offset_mm: -0.369,
+            reach_mm: 100.66,
+            max_theta_rad: 0.7768,
+        }
+    }
+
+    /// OnRobot RG2 without fingertips: cranks of 55 mm as in the maker's own model, between the ends of its stroke.
+    #[must_use]
+    pub const fn on_robot_rg2() -> Self {
+        Self::Parallelogram {
+            a_mm: 52.5,
+            b_mm: 16.394,
+            offset_mm: 2.5,
+            reach_mm: 159.84,
+            max_theta_rad: 1.3135,
+        }
+    }
+
+    /// OnRobot RG6 without fingertips: cranks of 80 mm as in the maker's own model, between the ends of its stroke.
+    #[must_use]
+    pub const fn on_robot_rg6() -> Self {
+        Self::Parallelogram {
+            a_mm: 75.8,
+            b_mm: 25.58,
+            offset_mm: 4.2,
+            reach_mm: 183.2,
+            max_theta_rad: 1.2977,
+        }
+    }
+
     /// Checks that the numbers describe fingers.
     ///
     /// # Errors

@@ -9,6 +9,7 @@ mod replay;
 mod run;
 mod sense;
 mod simulate;
+mod teach;
 
 use clap::{Parser, Subcommand};
 use gelstereo_host::config::{Config, ConfigError};
@@ -31,6 +32,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
     after_help = "Examples:\n  \
         gelstereo-host run                               the whole job with simulated sensor, gripper and robot\n  \
         gelstereo-host run --config cell.toml --json     your own cell; the summary as JSON\n  \
+        gelstereo-host teach --output goal.json          record the goal by touch instead of typing its pose\n  \
         gelstereo-host sense --jsonl                     contact and pose of a simulated grasp, a line a frame\n  \
         gelstereo-host replay out/run.mcap               compute a recording again and compare every bit\n  \
         gelstereo-host recover out/run.mcap              copy a recording that was cut off, with an index\n  \
@@ -46,8 +48,10 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Do the job: open, rest frame, close, localize, align, insert.
+    /// Do the job: open, rest frame, close, localize, align, insert, retreat.
     Run(run::Arguments),
+    /// Teach the goal: grasp the part where you placed it, localize it there, write a file for `task.taught`.
+    Teach(teach::Arguments),
     /// Sense without a robot, for ever: points, contact and pose to a recording, standard output or the network.
     Sense(sense::Arguments),
     /// Say whether a running `sense --health-file` is well.
@@ -103,6 +107,7 @@ impl<E: Into<HostError>> From<E> for CliError {
 pub fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Run(arguments) => run::command(arguments),
+        Command::Teach(arguments) => teach::command(arguments),
         Command::Sense(arguments) => sense::command(&arguments),
         Command::Health(arguments) => health::command(&arguments),
         Command::Replay(arguments) => replay::command(&arguments),

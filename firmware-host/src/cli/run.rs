@@ -2,8 +2,9 @@
 
 use super::{CliError, load, say, stop_flag};
 use clap::Args;
-use gelstereo_host::report::{JobReport, Outcome, StageReport};
-use gelstereo_host::run;
+use gelstereo_host::config::RecordingConfig;
+use gelstereo_host::report::{JobReport, Outcome, StageReport, page_path};
+use gelstereo_host::run::{self, HostError};
 use indicatif::ProgressBar;
 use std::io::Write;
 use std::path::PathBuf;
@@ -44,6 +45,9 @@ pub fn command(Arguments { config, record, seed, json }: Arguments) -> Result<bo
     };
     let report = run::run(&config, &stop, &mut progress);
     bar.finish_and_clear();
+    if matches!(report, Err(HostError::Task(_))) {
+        name_page(&config.recording);
+    }
     let report = report?;
     said.map_err(CliError::Output)?;
     if json {
@@ -51,17 +55,37 @@ pub fn command(Arguments { config, record, seed, json }: Arguments) -> Result<bo
     } else {
         print_summary(&report)?;
     }
-    if let Some(reason) = &report.light_fault {
-        // When stderr is gone too, the report as JSON still has it.
-        let _ = writeln!(std::io::stderr(), "gelstereo-host: the light was not switched off: {reason}");
-    }
+    tell_light_fault(&report);
+    tell_page_fault(&report);
     if let Some(reason) = report.recording.and_then(|recording| recording.fault) {
         return Err(CliError::Recording(reason));
     }
     Ok(matches!(report.outcome, Outcome::Inserted { .. }))
 }
 
-fn stage_line(report: &StageReport) -> String {
+pub(super) fn tell_page_fault(report: &JobReport) {
+    if let Some(reason) = report.page.as_ref().and_then(|page| page.fault.as_ref()) {
+        let _ = writeln!(std::io::stderr(), "gelstereo-host: the run has no page: {reason}");
+    }
+}
+
+pub(super) fn tell_light_fault(report: &JobReport) {
+    if let Some(reason) = &report.light_fault {
+        // When stderr is gone too, the report as JSON still has it.
+        let _ = writeln!(std::io::stderr(), "gelstereo-host: the light was not switched off: {reason}");
+    }
+}
+
+/// Says where the page of a run that broke off stands. A page that could not be written leaves no file.
+fn name_page(recording: &RecordingConfig) {
+    let path = page_path(&recording.path);
+    if recording.report && path.is_file() {
+        // When stderr is gone too, the error that follows is lost as well.
+        let _ = writeln!(std::io::stderr(), "gelstereo-host: report: {}", path.display());
+    }
+}
+
+pub(super) fn stage_line(report: &StageReport) -> String {
     let mut line = format!(
         "{:<9} {:>6.0} ms, {:>3} frames over {:.2} s ",
         report.stage.name(),
@@ -80,6 +104,11 @@ fn stage_line(report: &StageReport) -> String {
 
 fn print_summary(report: &JobReport) -> Result<(), CliError> {
     say(format_args!("{:<9} {}", "done", report.outcome))?;
+    let latency = &report.latency;
+    say(format_args!(
+        "  from image to result {}; from image to the stop's last byte {} (p50 / p99)",
+        latency.received_to_sensed, latency.image_to_wire
+    ))?;
     if let Some(localized) = &report.localized {
         let free = if localized.free.is_empty() { "nothing".to_owned() } else { localized.free.join("; ") };
         say(format_args!("  free: {free}"))?;
@@ -105,6 +134,9 @@ fn print_summary(report: &JobReport) -> Result<(), CliError> {
                 recording.lost_messages
             ))?;
         }
+    }
+    if let Some(page) = report.page.as_ref().filter(|page| page.fault.is_none()) {
+        say(format_args!("  report: {}", page.path.display()))?;
     }
     Ok(())
 }

@@ -131,6 +131,9 @@ impl Config {
             }
             _ => {}
         }
+        if let Some(taught) = &mut config.task.taught {
+            *taught = folder.join(&*taught);
+        }
         if let Shape::Mesh { path, .. } = &mut config.part.shape {
             *path = folder.join(&*path).to_string_lossy().into_owned();
         }

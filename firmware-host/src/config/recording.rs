@@ -32,6 +32,9 @@ pub struct RecordingConfig {
     /// With the mode `ring`: the time after a trigger that is kept. Valid: 0.001 to 3600 s. Default: `5` s.
     /// Raise it where what follows a trigger matters.
     pub ring_after_s: f64,
+    /// Whether `run` writes a page about the run beside the recording: `run.html` beside `run.mcap`. Valid:
+    /// `true` or `false`. Default: `true`. Change it to `false` where nobody reads pages, to save about 2 MB.
+    pub report: bool,
 }
 
 /// How plain images are stored. Every format is lossless.
@@ -67,6 +70,7 @@ impl Default for RecordingConfig {
             ring_s: 60.0,
             ring_mb: 512,
             ring_after_s: 5.0,
+            report: true,
         }
     }
 }

@@ -1,8 +1,8 @@
 //! The simulated world behind simulated sensors, grippers and robots.
 
-use super::ConfigError;
 use super::part::check_shape;
 use super::range::{HOLE_MM, RATE_HZ, check, check_seed};
+use super::{ConfigError, PoseConfig};
 use gelstereo_core::params::{Params, Polarity};
 use gelstereo_core::rig::Rig;
 use gelstereo_sim::effects::{Defocus, SensorNoise};
@@ -32,6 +32,9 @@ pub struct SimulatedConfig {
     /// wrong part.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub shape: Option<Shape>,
+    /// Where the simulated sensor really stands in the sensor frame of `mount`, which the task does not know.
+    /// Default: no error. Change it to see what an error of the mount does.
+    pub mount_error: PoseConfig,
     /// The gel and its lattice.
     pub gel: Gel,
     /// What a real gel and camera do. Default: shoulder, spread and drag of the gel, blur and noise of the
@@ -48,6 +51,7 @@ impl Default for SimulatedConfig {
             tilt_rad: 0.05,
             hole_diameter_mm: 8.2,
             shape: None,
+            mount_error: PoseConfig::default(),
             gel: Gel::default(),
             effects: Effects {
                 defocus: Some(Defocus::default()),
@@ -83,6 +87,7 @@ impl SimulatedConfig {
         let (offset_mm, tilt_rad) = (self.offset_mm, self.tilt_rad);
         check((0.0..=10.0).contains(&offset_mm), "simulated.offset_mm", offset_mm, "0 to 10 mm")?;
         check((0.0..=0.5).contains(&tilt_rad), "simulated.tilt_rad", tilt_rad, "0 to 0.5 rad")?;
+        self.mount_error.validate("simulated.mount_error")?;
         match &self.shape {
             Some(shape) => check_shape("simulated.shape", shape),
             None => Ok(()),

@@ -2,12 +2,13 @@
 
 use super::ConfigError;
 use super::range::{
-    CLEARANCE_MM, FAR_MM, FULL_TURN_RAD, LENGTH_MM, PERIODS, SIGMA_MM, SIGMA_RAD, SPEED_MM_S, STAGE_S,
-    TIME_S, check,
+    CLEARANCE_MM, FAR_MM, FULL_TURN_RAD, LENGTH_MM, PERIODS, SIGMA_MM, SIGMA_RAD, SIGMAS, SPEED_MM_S,
+    STAGE_S, TIME_S, check,
 };
 use gelstereo_core::frames::FingerKinematics;
 use gelstereo_core::math::{DVec3, Pose, so3};
 use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
 
 /// A pose in a file: position and rotation vector.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -63,6 +64,20 @@ pub struct TaskConfig {
     /// Where the part is when it is inserted (`t_base_object`): the template pose of the hole. Change it to
     /// your cell's.
     pub goal_pose: PoseConfig,
+    /// File with the taught goal, in place of `goal_pose`; `gelstereo-host teach` writes it. A relative path
+    /// starts at the configuration's folder. Default: none. Set it where the pose of the hole, or the sensor's
+    /// mount, is not known to a tenth of a millimetre.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub taught: Option<PathBuf>,
+    /// Grasp trigger in standard deviations of the mean marker motion at rest above its median, in place of
+    /// `params.contact.grasp_trigger_px`. The rest stage then takes 34 frames more. Valid: 7.3 to 1000000.
+    /// Default: none. Set it where sensors of different noise are to feel alike.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub grasp_trigger_sigmas: Option<f64>,
+    /// The same for the insertion trigger. Valid: 7.3 to 1000000. Default: none. Set it where sensors of
+    /// different noise are to feel alike.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub insertion_trigger_sigmas: Option<f64>,
     /// Direction of insertion in the part's frame, of any length. Valid: -1000000 to 1000000. Default: `[0,
     /// 0, -1]`. Change it to the part's.
     pub insertion_axis: [f64; 3],
@@ -159,6 +174,9 @@ impl Default for TaskConfig {
                 rotation_rad: [core::f64::consts::PI, 0.0, 0.0],
             },
             goal_pose: at([400.0, 60.0, 10.0]),
+            taught: None,
+            grasp_trigger_sigmas: None,
+            insertion_trigger_sigmas: None,
             insertion_axis: [0.0, 0.0, -1.0],
             insertion_depth_mm: 10.0,
             approach_mm: 3.0,
@@ -219,6 +237,13 @@ impl TaskConfig {
         ];
         for (name, found, range) in within {
             range.check(name, found)?;
+        }
+        let sigmas = [
+            ("task.grasp_trigger_sigmas", t.grasp_trigger_sigmas),
+            ("task.insertion_trigger_sigmas", t.insertion_trigger_sigmas),
+        ];
+        for (name, found) in sigmas {
+            found.map_or(Ok(()), |found| SIGMAS.check(name, found))?;
         }
         check((0.0..=1.0).contains(&t.closing_force), "task.closing_force", t.closing_force, "0 to 1")?;
         for found in t.insertion_axis {

@@ -61,9 +61,8 @@ impl DynamixelGripper {
                     Some(Err(error @ crate::codec::dynamixel::DynamixelError::Refused { .. })) => {
                         return Err(GripperError::Device { message: error.to_string() });
                     }
-                    Some(_) => {}
-                    None if count > 0 => {}
-                    None => break,
+                    _ if count > 0 && Instant::now() < deadline => {}
+                    _ => break,
                 }
             }
         }

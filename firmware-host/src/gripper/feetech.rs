@@ -52,9 +52,8 @@ impl FeetechGripper {
                 let count = self.line.receive(&mut buffer, deadline)?;
                 match reader.push(&buffer[..count]) {
                     Some(Ok(status)) if status.id == self.id => return faultless(status),
-                    Some(_) => {}
-                    None if count > 0 => {}
-                    None => break,
+                    _ if count > 0 && Instant::now() < deadline => {}
+                    _ => break,
                 }
             }
         }

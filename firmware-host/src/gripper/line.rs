@@ -11,6 +11,10 @@ const CONNECT_TIMEOUT: Duration = Duration::from_secs(2);
 /// A write of some twenty bytes that takes longer means that nobody takes them.
 const WRITE_TIMEOUT: Duration = Duration::from_millis(500);
 
+/// Replies have some twenty bytes: 16 kB that wait, or come faster than they are read, are no reply.
+const MAX_DISCARDS: usize = 64;
+const BABBLES: &str = "something sends without end; are baud rate and wiring right?";
+
 /// A line of bytes. All errors are [`GripperError::Port`].
 pub trait Line: Send {
     /// Sends all bytes.
@@ -40,8 +44,12 @@ pub trait Line: Send {
     /// [`GripperError::Port`].
     fn discard_input(&mut self) -> Result<(), GripperError> {
         let mut buffer = [0; 256];
-        while self.receive(&mut buffer, Instant::now())? > 0 {}
-        Ok(())
+        for _ in 0..MAX_DISCARDS {
+            if self.receive(&mut buffer, Instant::now())? == 0 {
+                return Ok(());
+            }
+        }
+        Err(GripperError::Port { port: self.name().to_owned(), message: BABBLES.to_owned() })
     }
 }
 

@@ -109,7 +109,8 @@ impl Master {
             if reply.is_some() {
                 return Ok(reply);
             }
-            if count == 0 {
+            // A line that babbles must not hold the request up beyond its time.
+            if count == 0 || Instant::now() >= deadline {
                 return Ok(None);
             }
         }
@@ -118,8 +119,10 @@ impl Master {
     /// After a failure a reply may still be under way; on a serial line nothing but time tells it from the next one.
     fn wait_for_quiet(&mut self) -> Result<(), GripperError> {
         if self.framing == Framing::Rtu {
-            let mut buffer = [0; rtu::MAX_FRAME];
-            while self.line.receive(&mut buffer, Instant::now() + self.timeout)? > 0 {}
+            let (mut buffer, begun) = ([0; rtu::MAX_FRAME], Instant::now());
+            while begun.elapsed() < self.timeout
+                && self.line.receive(&mut buffer, Instant::now() + self.timeout)? > 0
+            {}
         }
         Ok(())
     }

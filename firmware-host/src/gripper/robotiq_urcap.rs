@@ -41,7 +41,7 @@ impl RobotiqUrcap {
             let count = self.line.receive(&mut buffer, deadline)?;
             match reader.push(&buffer[..count]) {
                 Some(line) => return line.map_err(|error| device(&error)),
-                None if count > 0 => {}
+                None if count > 0 && Instant::now() < deadline => {}
                 None => {
                     let (port, waited_ms) = (self.line.name().to_owned(), self.timeout.as_millis() as u64);
                     return Err(GripperError::Silent { port, waited_ms });

@@ -15,9 +15,8 @@ pub(super) fn align(cell: &mut Cell, held: &Held) -> Result<Pose, Halt> {
     let lift = Pose::from_translation_mm(DVec3::Z * task.lift_mm);
     let from = cell.devices.robot.status()?.t_base_gripper;
     cell.go(&(lift * from), task.move_speed_mm_s)?;
-    let goal = task.goal_pose.pose();
     let back_mm = task.insertion_depth_mm + task.approach_mm;
-    let above = goal * Pose::from_translation_mm(-cell.config.insertion_axis() * back_mm);
+    let above = cell.goal * Pose::from_translation_mm(-cell.config.insertion_axis() * back_mm);
     let t_base_gripper = adjusted_gripper(&above, &held.t_gripper_object);
     cell.go(&t_base_gripper, task.move_speed_mm_s)?;
     // The paper's adjustment: between what is in the hand and what was expected there.

@@ -5,6 +5,7 @@ use super::devices::{Devices, Stops};
 use super::error::Halt;
 use super::latency::{FrameTimes, LatencyMeter, LatencyReport};
 use super::log::Log;
+use super::noise::Triggers;
 use super::watch::{Guard, Watch};
 use crate::config::Config;
 use crate::report::Outcome;
@@ -21,6 +22,9 @@ pub(super) struct Cell<'a> {
     pub(super) devices: Devices,
     pub(super) sensing: Sensing,
     pub(super) log: Log<'a>,
+    /// The part in its goal (`t_base_object`).
+    pub(super) goal: Pose,
+    pub(super) triggers: Triggers,
     stop: &'a AtomicBool,
     watch: Watch,
     latency: LatencyMeter,
@@ -28,6 +32,9 @@ pub(super) struct Cell<'a> {
     times: FrameTimes,
 }
 
+/// Without images gripper and robot are asked for their status this often: their silence, and their watchdogs, do not wait
+/// for the camera.
+const DEVICE_CHECK: Duration = Duration::from_millis(100);
 /// A request to stop is noticed within this time, which is shorter than a frame of any sensor of this kind.
 const SLICE: Duration = Duration::from_millis(10);
 
@@ -53,6 +60,7 @@ impl<'a> Cell<'a> {
         config: &'a Config,
         devices: Devices,
         sensing: Sensing,
+        goal: Pose,
         log: Log<'a>,
         stop: &'a AtomicBool,
     ) -> Self {
@@ -61,6 +69,8 @@ impl<'a> Cell<'a> {
             devices,
             sensing,
             log,
+            goal,
+            triggers: Triggers::in_pixels(config),
             stop,
             watch: Watch::new(config),
             latency: LatencyMeter::default(),
@@ -89,15 +99,24 @@ impl<'a> Cell<'a> {
 
     /// Whether fingers or robot move.
     pub(super) fn moves(&mut self) -> Result<bool, Halt> {
-        let moving = self.devices.gripper.status()?.moving || self.devices.robot.status()?.moving;
+        // Both are asked each time: the watchdog of a moving robot wants to hear something.
+        let (gripper, robot) = (self.devices.gripper.status()?, self.devices.robot.status()?);
+        let moving = gripper.moving || robot.moving;
         if !moving {
             self.watch.rests();
         }
         Ok(moving)
     }
 
+    /// Lets the next stereo pair go without sensing it.
+    pub(super) fn skip_pair(&mut self) -> Result<(), Halt> {
+        self.take_pair()?;
+        self.log.let_go(&self.pair);
+        Ok(())
+    }
+
     /// Goes on to the next stereo pair without sensing it.
-    pub(super) fn take_pair(&mut self) -> Result<(), Halt> {
+    fn take_pair(&mut self) -> Result<(), Halt> {
         let stage = self.log.stage();
         self.wait_for_pair()?;
         self.times = FrameTimes::received(&self.pair.capture);
@@ -112,6 +131,7 @@ impl<'a> Cell<'a> {
     /// Waits in short slices, so that a request to stop and a silent device are noticed at once.
     fn wait_for_pair(&mut self) -> Result<(), Halt> {
         let (stage, patience, asked) = (self.log.stage(), self.watch.patience(), Instant::now());
+        let mut next_check = DEVICE_CHECK;
         loop {
             if self.stop.load(Ordering::Relaxed) {
                 return Err(Halt::Outcome(Outcome::Interrupted { stage }));
@@ -131,7 +151,10 @@ impl<'a> Cell<'a> {
                     false => SourceError::Timeout { waited: silent }.into(),
                 });
             }
-            self.moves()?;
+            if silent >= next_check {
+                self.moves()?;
+                next_check += DEVICE_CHECK;
+            }
         }
     }
 
@@ -168,6 +191,9 @@ impl<'a> Cell<'a> {
             if !(gripper.moving || robot.moving) {
                 self.watch.rests();
             }
+            // What was recorded of the frame stays as it is, so that a replay gives the same.
+            let result =
+                if reached.is_some() { result } else { result.and_then(|()| self.sensing.check_seen()) };
             let Err(error) = result else {
                 return Ok(Felt { motion_px, triggered: reached.is_some() });
             };

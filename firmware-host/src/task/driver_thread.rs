@@ -114,9 +114,11 @@ struct Mailbox<D: Driver> {
 }
 
 impl<D: Driver> Mailbox<D> {
+    /// A status that is under way is enough.
     fn want_status(&mut self) {
-        self.wants_status = true;
-        self.unanswered.get_or_insert_with(Instant::now);
+        if self.unanswered.is_none() {
+            (self.wants_status, self.unanswered) = (true, Some(Instant::now()));
+        }
     }
 }
 

@@ -1,5 +1,6 @@
 //! Why a task ends before its last stage.
 
+use super::noise::MIN_SIGMAS;
 use crate::gripper::GripperError;
 use crate::report::{Outcome, Stage};
 use crate::robot::RobotError;
@@ -44,6 +45,21 @@ pub enum TaskError {
         /// `task.max_late_periods`, as a time.
         limit: Duration,
     },
+    /// A trigger in sigmas lies so low that noise alone would reach it.
+    TriggerInNoise {
+        /// `grasp` or `insertion`.
+        name: &'static str,
+        /// The trigger.
+        found_px: f64,
+        /// Lowest trigger without false alarms.
+        bound_px: f64,
+        /// Median of the mean marker motion at rest.
+        level_px: f64,
+        /// Its robust standard deviation.
+        sigma_px: f64,
+        /// Frames that it was measured over.
+        frames: usize,
+    },
     /// A stage did not end.
     StageTimeout {
         /// Which.
@@ -78,6 +94,13 @@ impl std::fmt::Display for TaskError {
                 stage.name(),
                 took.as_secs_f64() * 1e3,
                 limit.as_secs_f64() * 1e3
+            ),
+            Self::TriggerInNoise { name, found_px, bound_px, level_px, sigma_px, frames } => write!(
+                f,
+                "the {name} trigger of {found_px:.4} px lies in this sensor's noise, which over {frames} frames at rest \
+                 was {level_px:.4} px with a standard deviation of {sigma_px:.4} px; valid is {bound_px:.4} px, \
+                 {MIN_SIGMAS} sigmas, or more, and a noise above zero; raise task.{name}_trigger_sigmas or \
+                 params.contact.{name}_trigger_px"
             ),
             Self::StageTimeout { stage, limit_s } => write!(
                 f,

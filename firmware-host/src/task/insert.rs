@@ -15,7 +15,7 @@ pub(super) fn insert(cell: &mut Cell, above: &Pose, held: &Held) -> Result<Outco
     cell.log.begin(Stage::Insert);
     cell.act(&Action::MarkReference)?;
     let task = &cell.config.task;
-    let motion_px = cell.config.params.contact.insertion_trigger_px;
+    let motion_px = cell.triggers.insertion_px;
     let trigger = Trigger { motion_px, stops: Stops::Robot, cause: "insertion" };
     let inwards = (*above * held.t_gripper_object).transform_vector(cell.config.insertion_axis());
     let way_mm = task.approach_mm + task.insertion_depth_mm + task.overtravel_mm;

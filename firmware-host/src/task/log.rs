@@ -1,9 +1,10 @@
 //! What a task writes down: its recording, the digest of its results, and the reports of its stages.
 
+use super::Sinks;
 use crate::gripper::GripperStatus;
 use crate::notes::{action_note, frame_note};
 use crate::recording::{MessageSink, Recording, RecordingReport, Topic, messages};
-use crate::report::{Figure, Stage, StageReport};
+use crate::report::{Figure, Stage, StageReport, Trace};
 use crate::robot::RobotStatus;
 use crate::sensing::{Action, Sensing, SensingError};
 use crate::source::{SourceEvent, StereoPair};
@@ -15,6 +16,7 @@ use std::time::Instant;
 /// The log of one task. Times are those of the last stereo pair.
 pub(super) struct Log<'a> {
     recording: Option<Recording>,
+    trace: &'a mut Trace,
     progress: &'a mut dyn FnMut(&StageReport),
     digest: Digest,
     stage: Stage,
@@ -28,9 +30,11 @@ pub(super) struct Log<'a> {
 }
 
 impl<'a> Log<'a> {
-    pub(super) fn new(recording: Option<Recording>, progress: &'a mut dyn FnMut(&StageReport)) -> Self {
+    pub(super) fn new(sinks: Sinks<'a>) -> Self {
+        let Sinks { recording, trace, progress } = sinks;
         Self {
             recording,
+            trace,
             progress,
             digest: Digest::new(),
             stage: Stage::Open,
@@ -49,6 +53,7 @@ impl<'a> Log<'a> {
 
     pub(super) fn begin(&mut self, stage: Stage) {
         (self.stage, self.frames, self.bad_frames) = (stage, 0, 0);
+        self.trace.begin(stage);
         self.begun = Instant::now();
         // Before the first pair the source's clock is unknown: it may count from its start or from the epoch.
         self.begun_ns = self.begun_ns.map(|_| self.time_ns);
@@ -65,6 +70,7 @@ impl<'a> Log<'a> {
             figures,
         };
         (self.progress)(&report);
+        self.trace.end(&report);
         self.stages.push(report);
     }
 
@@ -77,6 +83,11 @@ impl<'a> Log<'a> {
     pub(super) fn pair_came(&mut self, time_ns: u64) {
         self.time_ns = time_ns;
         self.begun_ns.get_or_insert(time_ns);
+    }
+
+    /// A stereo pair is let go, without being sensed or recorded.
+    pub(super) fn let_go(&mut self, pair: &StereoPair) {
+        self.trace.passed(pair);
     }
 
     /// Records a stereo pair, the state of gripper and robot, and what came of sensing the pair.
@@ -97,6 +108,7 @@ impl<'a> Log<'a> {
         let note = frame_note(result, sensing).to_string();
         self.digest = self.digest.bytes(note.as_bytes());
         self.record(Topic::Frame, || messages::string(&note));
+        self.trace.sensed(pair, result, sensing.frame());
         self.frames += 1;
         match result {
             Ok(()) => self.record(Topic::Points, || messages::points(time_ns, sensing.frame())),
@@ -111,6 +123,7 @@ impl<'a> Log<'a> {
         result: &Result<Option<Registration>, SensingError>,
         sensing: &Sensing,
     ) {
+        self.trace.asked(action, sensing.frame());
         let note = action_note(self.stage, action, result, sensing.standing());
         self.digest = self.digest.bytes(note.to_string().as_bytes());
         self.note(&note);
@@ -133,6 +146,7 @@ impl<'a> Log<'a> {
     }
 
     pub(super) fn trigger(&mut self, cause: &str) {
+        self.trace.trigger(cause);
         if let Some(recording) = &mut self.recording {
             recording.trigger(self.time_ns, cause);
         }
@@ -145,8 +159,9 @@ impl<'a> Log<'a> {
         }
     }
 
-    /// Closes the recording.
+    /// Closes the recording and the last stage.
     pub(super) fn close(&mut self) -> Option<RecordingReport> {
+        self.trace.finish();
         self.recording.take().map(Recording::finish)
     }
 

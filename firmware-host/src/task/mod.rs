@@ -11,10 +11,12 @@ mod insert;
 mod latency;
 mod localize;
 mod log;
+mod noise;
 mod prepare;
 mod retreat;
 mod search;
 mod second_look;
+mod teach;
 mod watch;
 
 pub use devices::Devices;
@@ -24,11 +26,13 @@ pub use latency::{LatencyReport, StopReport};
 
 use crate::config::Config;
 use crate::recording::Recording;
-use crate::report::{Forecast, JobReport, Localized, Outcome, Stage, StageReport};
+use crate::report::{JobReport, Localized, Outcome, Stage, StageReport, Trace};
 use crate::sensing::Sensing;
+use crate::taught::Taught;
 use align::align;
 use cell::Cell;
 use error::Halt;
+use gelstereo_core::math::Pose;
 use grasp::grasp;
 use localize::{Localization, localize};
 use log::Log;
@@ -36,6 +40,7 @@ use prepare::{open, rest};
 use search::insert_by_search;
 use second_look::look_until_known;
 use std::sync::atomic::AtomicBool;
+use teach::teach;
 
 /// One task.
 pub struct Task<'a> {
@@ -43,18 +48,37 @@ pub struct Task<'a> {
     localized: Option<Localized>,
 }
 
+/// Where a task writes what happens.
+pub struct Sinks<'a> {
+    /// The recording, if there is one.
+    pub recording: Option<Recording>,
+    /// What the page of the run shows.
+    pub trace: &'a mut Trace,
+    /// Gets the report of every stage that is over.
+    pub progress: &'a mut dyn FnMut(&StageReport),
+}
+
+/// What came of teaching.
+pub struct Teaching {
+    /// How it went.
+    pub report: JobReport,
+    /// The goal, if the part was localized in it.
+    pub taught: Option<Taught>,
+}
+
 impl<'a> Task<'a> {
-    /// Ready to run. `stop` is read once per frame; `progress` gets the report of every stage that is over.
+    /// Ready to run. `goal` is the part's pose when it is inserted (`t_base_object`); `stop` is read at least once per
+    /// frame.
     pub fn new(
         config: &'a Config,
         devices: Devices,
         sensing: Sensing,
-        recording: Option<Recording>,
+        goal: Pose,
+        sinks: Sinks<'a>,
         stop: &'a AtomicBool,
-        progress: &'a mut dyn FnMut(&StageReport),
     ) -> Self {
-        let log = Log::new(recording, progress);
-        Self { cell: Cell::new(config, devices, sensing, log, stop), localized: None }
+        let log = Log::new(sinks);
+        Self { cell: Cell::new(config, devices, sensing, goal, log, stop), localized: None }
     }
 
     /// Runs all stages. Whatever happens, stops the devices and closes the recording.
@@ -62,7 +86,31 @@ impl<'a> Task<'a> {
     /// # Errors
     /// [`TaskError`]; a task that ends without success is no error but an [`Outcome`].
     pub fn run(mut self) -> Result<JobReport, TaskError> {
-        let result = match self.stages() {
+        let result = self.stages();
+        self.finish(result)
+    }
+
+    /// Grasps the part in its goal and localizes it there. With `stay` the robot does not come to the part: somebody has
+    /// brought the open fingers around it.
+    ///
+    /// # Errors
+    /// As [`Self::run`].
+    pub fn teach(mut self, stay: bool) -> Result<Teaching, TaskError> {
+        let mut taught = None;
+        let result = teach(&mut self.cell, stay).map(|lesson| match lesson {
+            Ok(lesson) => {
+                let position_mm = lesson.taught.goal().translation_mm.to_array();
+                self.localized = Some(lesson.held.localized);
+                taught = Some(lesson.taught);
+                Outcome::Taught { position_mm }
+            }
+            Err(outcome) => outcome,
+        });
+        self.finish(result).map(|report| Teaching { report, taught })
+    }
+
+    fn finish(mut self, result: Result<Outcome, Halt>) -> Result<JobReport, TaskError> {
+        let result = match result {
             Ok(outcome) | Err(Halt::Outcome(outcome)) => Ok(outcome),
             Err(Halt::Error(error)) => Err(error),
         };
@@ -88,12 +136,13 @@ impl<'a> Task<'a> {
             digest: summary.digest,
             recording,
             light_fault: None,
+            page: None,
         })
     }
 
     fn stages(&mut self) -> Result<Outcome, Halt> {
         let cell = &mut self.cell;
-        open(cell)?;
+        open(cell, Some(&cell.config.task.grasp_pose.pose()))?;
         rest(cell)?;
         grasp(cell)?;
         let guess = cell.config.expected_t_gripper_object();
@@ -105,10 +154,9 @@ impl<'a> Task<'a> {
             Localization::Go(held) => held,
             Localization::Declined { reason } => return Ok(Outcome::NotLocalized { reason }),
             Localization::TooUncertain { localized, forecast } => {
-                let looks = localized.looks;
+                let outcome = Outcome::declined(&localized, forecast);
                 self.localized = Some(*localized);
-                let Forecast { chance, weakest, .. } = forecast;
-                return Ok(Outcome::Declined { chance, looks, weakest });
+                return Ok(outcome);
             }
         };
         self.localized = Some(held.localized.clone());

@@ -3,21 +3,25 @@
 use super::cell::Cell;
 use super::error::Halt;
 use super::log::figure;
+use super::noise;
 use super::watch::Guard;
 use crate::report::Stage;
 use crate::sensing::Action;
+use gelstereo_core::math::Pose;
 use gelstereo_core::track::MarkerState;
 
-/// Makes the gripper ready, opens it and brings it to the part.
-pub(super) fn open(cell: &mut Cell) -> Result<(), Halt> {
+/// Makes the gripper ready, opens it and brings it to a pose, or leaves it where it is.
+pub(super) fn open(cell: &mut Cell, t_base_gripper: Option<&Pose>) -> Result<(), Halt> {
     cell.log.begin(Stage::Open);
     let task = &cell.config.task;
     cell.devices.gripper.activate()?;
     cell.move_gripper(task.open_width_mm, task.opening_speed_mm_s, Guard::Free)?;
-    cell.move_robot(&task.grasp_pose.pose(), task.move_speed_mm_s, Guard::Free)?;
+    if let Some(t_base_gripper) = t_base_gripper {
+        cell.move_robot(t_base_gripper, task.move_speed_mm_s, Guard::Free)?;
+    }
     // Frames on the way show neither rest nor contact: they are let go.
     while cell.moves()? {
-        cell.take_pair()?;
+        cell.skip_pair()?;
     }
     let width_mm = cell.devices.gripper.status()?.width_mm;
     cell.log.end(vec![figure("width_mm", width_mm)]);
@@ -32,9 +36,18 @@ pub(super) fn rest(cell: &mut Cell) -> Result<(), Halt> {
     if let Some(record) = cell.sensing.rest_record() {
         cell.log.rest(&record);
     }
+    let noise = noise::measure(cell)?;
     let frame = cell.sensing.frame();
     let seen = frame.state.iter().filter(|&&state| state == MarkerState::Seen).count();
-    let figures = vec![figure("markers", frame.state.len() as f64), figure("seen", seen as f64)];
+    let mut figures = vec![figure("markers", frame.state.len() as f64), figure("seen", seen as f64)];
+    if let Some(noise) = noise {
+        figures.extend([
+            figure("noise_level_px", noise.level_px),
+            figure("noise_sigma_px", noise.sigma_px),
+            figure("grasp_trigger_px", cell.triggers.grasp_px),
+            figure("insertion_trigger_px", cell.triggers.insertion_px),
+        ]);
+    }
     cell.log.end(figures);
     Ok(())
 }

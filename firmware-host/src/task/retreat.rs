@@ -9,24 +9,36 @@ use gelstereo_core::math::Pose;
 
 /// Backs off along the axis of insertion, and returns when the robot stands.
 ///
-/// An inserted part is let go first, and the open fingers then move past it by `task.lift_mm`. A part that is not
-/// inserted stays in the hand and goes back to `above` at the speed of the insertion, since it may be wedged.
+/// An inserted part is let go first. A part that is not inserted stays in the hand and goes back to `above` at the speed of
+/// the insertion, since it may be wedged.
 pub(super) fn retreat(cell: &mut Cell, above: &Pose, outcome: &Outcome) -> Result<(), Halt> {
+    if matches!(outcome, Outcome::Inserted { .. }) {
+        return let_go(cell);
+    }
+    cell.log.begin(Stage::Retreat);
+    let from = cell.devices.robot.status()?.t_base_gripper;
+    cell.go(above, cell.config.task.insertion_speed_mm_s)?;
+    end(cell, &from)
+}
+
+/// Opens the fingers around the part, and moves past it by `task.lift_mm`.
+pub(super) fn let_go(cell: &mut Cell) -> Result<(), Halt> {
     cell.log.begin(Stage::Retreat);
     let task = &cell.config.task;
     let from = cell.devices.robot.status()?.t_base_gripper;
-    if matches!(outcome, Outcome::Inserted { .. }) {
-        cell.move_gripper(task.open_width_mm, task.opening_speed_mm_s, Guard::Free)?;
-        while cell.devices.gripper.status()?.moving {
-            cell.frame()?;
-        }
-        let outwards = task.goal_pose.pose().transform_vector(-cell.config.insertion_axis());
-        let clear = Pose::from_translation_mm(outwards * task.lift_mm) * from;
-        cell.go(&clear, task.move_speed_mm_s)?;
-    } else {
-        cell.go(above, task.insertion_speed_mm_s)?;
+    cell.move_gripper(task.open_width_mm, task.opening_speed_mm_s, Guard::Free)?;
+    while cell.devices.gripper.status()?.moving {
+        cell.frame()?;
     }
-    let way_mm = (cell.devices.robot.status()?.t_base_gripper.translation_mm - from.translation_mm).length();
+    let outwards = cell.goal.transform_vector(-cell.config.insertion_axis());
+    let clear = Pose::from_translation_mm(outwards * task.lift_mm) * from;
+    cell.go(&clear, task.move_speed_mm_s)?;
+    end(cell, &from)
+}
+
+fn end(cell: &mut Cell, from: &Pose) -> Result<(), Halt> {
+    let now = cell.devices.robot.status()?.t_base_gripper;
+    let way_mm = (now.translation_mm - from.translation_mm).length();
     let width_mm = cell.devices.gripper.status()?.width_mm;
     cell.log.end(vec![figure("way_mm", way_mm), figure("width_mm", width_mm)]);
     Ok(())

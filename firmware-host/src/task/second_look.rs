@@ -115,7 +115,7 @@ fn regrasp(cell: &mut Cell, t_base_object: &Pose, turn_rad: f64) -> Result<(), H
 /// Lets frames go until nothing moves.
 fn wait(cell: &mut Cell) -> Result<(), Halt> {
     while cell.moves()? {
-        cell.take_pair()?;
+        cell.skip_pair()?;
     }
     Ok(())
 }

@@ -76,3 +76,49 @@ impl Watch {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::config::SourceConfig;
+    use crate::source::stream::StreamConfig;
+
+    fn live() -> Config {
+        Config { source: SourceConfig::Stream(StreamConfig::default()), ..Config::default() }
+    }
+
+    #[test]
+    fn patience_follows_from_speed_and_travel() {
+        let config = live();
+        let mut watch = Watch::new(&config);
+        assert_eq!(watch.patience(), Duration::from_secs(2));
+        watch.moves(&config.task, Guard::Free, 400.0);
+        assert_eq!(watch.patience(), Duration::from_millis(300));
+        watch.moves(&config.task, Guard::Triggered, 20.0);
+        assert_eq!(watch.patience(), Duration::from_millis(150));
+        watch.moves(&config.task, Guard::Free, 400.0);
+        assert_eq!(watch.patience(), Duration::from_millis(150), "the stricter of two moves");
+        watch.rests();
+        assert_eq!(watch.patience(), Duration::from_secs(2));
+        watch.moves(&config.task, Guard::Triggered, 0.01);
+        assert_eq!(watch.patience(), Duration::from_secs(2), "never longer than at rest");
+    }
+
+    #[test]
+    fn results_are_late_only_while_something_moves_and_the_source_is_live() {
+        let late = Duration::from_millis(101);
+        let config = live();
+        let mut watch = Watch::new(&config);
+        assert!(watch.check_result(Stage::Close, late).is_ok());
+        watch.moves(&config.task, Guard::Triggered, 20.0);
+        assert!(watch.check_result(Stage::Close, Duration::from_millis(99)).is_ok());
+        let error = watch.check_result(Stage::Close, late).unwrap_err().to_string();
+        assert!(error.starts_with("close: a result came 101 ms after its image"), "{error}");
+        let config = Config::default();
+        let mut watch = Watch::new(&config);
+        watch.moves(&config.task, Guard::Triggered, 20.0);
+        assert!(watch.check_result(Stage::Close, late).is_ok(), "the simulated sensor waits");
+        assert_eq!(watch.patience(), Duration::from_secs(2));
+    }
+}

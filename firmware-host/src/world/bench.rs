@@ -21,11 +21,24 @@ enum Hold {
     Hand {
         t_gripper_object: Pose,
     },
+    /// Somebody placed it in the hole, which holds it.
+    Hole {
+        t_base_object: Pose,
+    },
     /// Let go: it stays where it is, and was held so before.
     Released {
         t_base_object: Pose,
         t_gripper_object: Pose,
     },
+}
+
+/// Where the part is at the beginning.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// Loosely in its holder, somewhere near where the task expects it.
+    Holder,
+    /// In the hole, anywhere within its clearance.
+    Goal,
 }
 
 /// The gripper stalls when the gel is pressed to this share of its thickness.
@@ -62,11 +75,11 @@ pub struct BenchTruth {
 }
 
 impl Bench {
-    /// With the peg somewhere near where the job expects it.
+    /// With the peg at its place.
     ///
     /// # Errors
     /// [`WorldError`].
-    pub fn new(config: &Config) -> Result<Self, WorldError> {
+    pub fn new(config: &Config, place: Place) -> Result<Self, WorldError> {
         let (simulated, task) = (&config.simulated, &config.task);
         let shape = simulated.shape.as_ref().unwrap_or(&config.part.shape).clone();
         let peg = peg(&shape, config.insertion_axis()).ok_or(WorldError::NotRound)?;
@@ -76,18 +89,23 @@ impl Bench {
         let goal = task.goal_pose.pose();
         let inwards = goal.transform_vector(peg.axis);
         let bottom_mm = goal.transform_point(peg.axis * peg.half_length_mm);
+        let hole = Hole {
+            rim_mm: bottom_mm - inwards * task.insertion_depth_mm,
+            inwards,
+            diameter_mm: simulated.hole_diameter_mm,
+            depth_mm: task.insertion_depth_mm,
+        };
+        let hold = match place {
+            Place::Holder => Hold::Holder { t_base_object: misplaced(config) },
+            Place::Goal => Hold::Hole { t_base_object: placed(config, &hole, &peg) },
+        };
         Ok(Self {
             simulator: Simulator::new(&scene, None).map_err(WorldError::Scene)?,
             size_px,
             peg,
-            hole: Hole {
-                rim_mm: bottom_mm - inwards * task.insertion_depth_mm,
-                inwards,
-                diameter_mm: simulated.hole_diameter_mm,
-                depth_mm: task.insertion_depth_mm,
-            },
+            hole,
             stall_mm: STALL_SHARE * simulated.gel.thickness_mm,
-            hold: Hold::Holder { t_base_object: misplaced(config) },
+            hold,
             touch_mm: None,
             deepest_mm: f64::NEG_INFINITY,
             deepest_fit: None,
@@ -142,7 +160,9 @@ impl Bench {
     pub fn truth(&self, hand: &Hand) -> BenchTruth {
         BenchTruth {
             t_gripper_object: match self.hold {
-                Hold::Holder { t_base_object } => hand.t_base_gripper.inverse() * t_base_object,
+                Hold::Holder { t_base_object } | Hold::Hole { t_base_object } => {
+                    hand.t_base_gripper.inverse() * t_base_object
+                }
                 Hold::Hand { t_gripper_object } | Hold::Released { t_gripper_object, .. } => t_gripper_object,
             },
             fit: self.deepest_fit.unwrap_or_else(|| self.t_base_object(hand).1),
@@ -174,7 +194,9 @@ impl Bench {
     /// Part in the base frame, as if nothing held it back.
     fn t_base_object_free(&self, hand: &Hand) -> Pose {
         match self.hold {
-            Hold::Holder { t_base_object } | Hold::Released { t_base_object, .. } => t_base_object,
+            Hold::Holder { t_base_object }
+            | Hold::Hole { t_base_object }
+            | Hold::Released { t_base_object, .. } => t_base_object,
             Hold::Hand { t_gripper_object } => hand.t_base_gripper * t_gripper_object,
         }
     }
@@ -184,7 +206,7 @@ impl Bench {
         let free = self.t_base_object_free(hand);
         let fit = self.hole.fit(&self.peg, &free);
         let excess_mm = match self.hold {
-            Hold::Holder { .. } | Hold::Released { .. } => 0.0,
+            Hold::Holder { .. } | Hold::Hole { .. } | Hold::Released { .. } => 0.0,
             Hold::Hand { .. } => (fit.depth_mm - fit.limit_mm).max(0.0),
         };
         (Pose::from_translation_mm(-self.hole.inwards * excess_mm) * free, fit)
@@ -212,4 +234,26 @@ fn misplaced(config: &Config) -> Pose {
     let spin = config.insertion_axis() * within(core::f64::consts::PI);
     let off = Pose { rotation: so3::exp(tilt) * so3::exp(spin), translation_mm: offset_mm };
     config.task.part_pose.pose() * off
+}
+
+/// Poses that are tried within the clearance; one of ten fits.
+const MAX_TRIES: usize = 1000;
+
+/// Where somebody placed the part in the hole: at the bottom, with any offset and tilt that the clearance allows.
+fn placed(config: &Config, hole: &Hole, peg: &Peg) -> Pose {
+    let goal = config.task.goal_pose.pose();
+    let room_mm = (0.5 * hole.diameter_mm - peg.radius_mm).max(0.0);
+    let mut stream = Stream::new(config.simulated.seed, "part in its goal");
+    let mut within = |most: f64| (2.0 * stream.uniform() - 1.0) * most;
+    let candidates = (0..MAX_TRIES).map(|_| {
+        let tilt = DVec3::new(within(1.0), within(1.0), 0.0) * (room_mm / hole.depth_mm);
+        let offset_mm = DVec3::new(within(room_mm), within(room_mm), 0.0);
+        let spin = peg.axis * within(core::f64::consts::PI);
+        let turn = so3::exp(tilt) * so3::exp(spin);
+        // The tip stays at the bottom and is offset; the rest of the part leans.
+        let tip_mm = peg.axis * peg.half_length_mm;
+        goal * Pose { rotation: turn, translation_mm: tip_mm + offset_mm - turn * tip_mm }
+    });
+    let fits = |pose: &Pose| hole.fit(peg, pose).limit_mm >= hole.depth_mm;
+    candidates.into_iter().find(fits).unwrap_or(goal)
 }

@@ -8,7 +8,7 @@ mod devices;
 mod hole;
 mod rehearsal;
 
-pub use bench::{Bench, BenchTruth};
+pub use bench::{Bench, BenchTruth, Place};
 pub use devices::{PacedSource, SimulatedCamera, SimulatedGripper, SimulatedRobot, TimedSource};
 pub use hole::{Fit, Hole, Peg};
 pub use rehearsal::Rehearsal;
@@ -105,15 +105,18 @@ impl World {
     ///
     /// # Errors
     /// [`WorldError`].
-    pub fn shared(config: &Config) -> Result<Rc<RefCell<Self>>, WorldError> {
+    pub fn shared(config: &Config, place: Place) -> Result<Rc<RefCell<Self>>, WorldError> {
         let bench = match config.source {
-            SourceConfig::Simulated => Some(Bench::new(config)?),
+            SourceConfig::Simulated => Some(Bench::new(config, place)?),
             _ => None,
         };
         let rate_hz = config.source.frame_rate_hz(config.simulated.frame_rate_hz);
         let (_, max_width_mm) = config.mount.kinematics.width_range_mm();
         Ok(Rc::new(RefCell::new(Self {
-            mount: config.mount.clone(),
+            mount: SensorMount {
+                t_pad_sensor: config.mount.t_pad_sensor * config.simulated.mount_error.pose(),
+                ..config.mount.clone()
+            },
             period_ns: (1e9 / rate_hz) as u64,
             frame: 0,
             activated: false,
@@ -126,8 +129,11 @@ impl World {
 
     /// Lets one period pass.
     fn tick(&mut self) {
-        self.frame += 1;
-        let dt = self.period_ns as f64 * 1e-9;
+        self.advance(self.period_ns as f64 * 1e-9);
+    }
+
+    /// Lets `dt` seconds pass: gripper and robot move on.
+    pub fn advance(&mut self, dt: f64) {
         let width = &mut self.width_mm;
         let way = width.target - width.now;
         width.now = if way.abs() > width.speed * dt {
@@ -150,7 +156,11 @@ impl World {
         };
     }
 
-    fn hand(&self) -> Result<Hand, WidthError> {
+    /// Where the hand is at this moment.
+    ///
+    /// # Errors
+    /// [`WidthError`] when the gripper stands where it cannot.
+    pub fn hand(&self) -> Result<Hand, WidthError> {
         Ok(Hand {
             t_base_gripper: self.t_base_gripper.now,
             t_gripper_sensor: self.mount.t_gripper_sensor(self.width_mm.now)?,
@@ -161,6 +171,16 @@ impl World {
     /// Lets one period pass and takes a picture; `false` where there is no bench to take one of.
     fn expose(&mut self, pair: &mut StereoPair) -> Result<bool, WidthError> {
         self.tick();
+        self.picture(pair)
+    }
+
+    /// Takes a picture of this moment; `false` where there is no bench to take one of. Its time is that of frames which
+    /// are a period apart.
+    ///
+    /// # Errors
+    /// [`WidthError`] when the gripper stands where it cannot.
+    pub fn picture(&mut self, pair: &mut StereoPair) -> Result<bool, WidthError> {
+        self.frame += 1;
         let hand = self.hand()?;
         let Some(bench) = &mut self.bench else { return Ok(false) };
         pair.time_ns = self.frame * self.period_ns;

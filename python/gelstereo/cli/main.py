@@ -26,7 +26,10 @@ COMMANDS = {
         "gelstereo.live.command",
         "a camera, a scene or a folder, sensed and shown while it is recorded",
     ),
-    "view": ("gelstereo.cli.view", "a recording or a folder of stereo images to a picture"),
+    "view": (
+        "gelstereo.cli.view",
+        "a recording or a folder of stereo images to a picture, or a recording step by step",
+    ),
     "export": ("gelstereo.export.command", "recordings to a dataset of another program"),
     "experiment": ("gelstereo.experiments.command", "the paper's experiments, simulated, with a report each"),
     "frontier": ("gelstereo.frontier.command", "measure every method and write docs/accuracy-vs-time.md"),

@@ -4,13 +4,23 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from gelstereo import Error
+from gelstereo.cli.extras import module_of
 from gelstereo.cli.files import write_image
-from gelstereo.cli.options import add_params, params_of
+from gelstereo.cli.options import add_params, count, params_of
 from gelstereo.cli.sense import sense_folder
+
+if TYPE_CHECKING:
+    from gelstereo.view.steps import Steps
 
 EXAMPLES = """examples:
   gelstereo view run.mcap --output located.png        the moment at which the part was located
+  gelstereo view run.mcap --steps out/steps           a picture of each stage, and a page of all of them
+  gelstereo view run.mcap --steps out/steps --every 5 of each fifth frame instead
+  gelstereo view run.mcap --window                    step by arrow keys, where OpenCV has windows
+  gelstereo view run.mcap --rerun run.rrd             a file for Rerun; without a name its viewer opens
   gelstereo view out/press --output press.png         the last of a folder of stereo images
   gelstereo view out/press --rig rig.toml --frame 12 --output press.png
 """
@@ -21,8 +31,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "source", type=Path, help="recording (.mcap), or folder with left/NAME.png and right/NAME.png"
     )
+    how = parser.add_mutually_exclusive_group(required=True)
+    how.add_argument("--output", type=Path, metavar="PICTURE", help="one picture to write (.png, ...)")
+    how.add_argument(
+        "--steps", type=Path, metavar="FOLDER", help="pictures of a recording's steps, and index.html"
+    )
+    how.add_argument(
+        "--window", action="store_true", help="step through a recording: arrow keys, Home, End, q"
+    )
+    how.add_argument(
+        "--rerun",
+        type=Path,
+        nargs="?",
+        const=Path(),
+        metavar="RRD",
+        help="steps of a recording to a file for Rerun, or to Rerun's viewer if no file is named",
+    )
     parser.add_argument(
-        "--output", type=Path, required=True, metavar="PICTURE", help="picture to write (.png, ...)"
+        "--every", type=count, metavar="N", help="a step of each Nth frame instead of each stage"
     )
     parser.add_argument("--rig", type=Path, help="rig file of a folder; FOLDER/rig.toml if left out")
     parser.add_argument("--frame", type=int, default=-1, help="frame of a folder, counted from 0 (the last)")
@@ -30,7 +56,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Draw the picture; the exit code."""
+    """Draw what was asked for; the exit code."""
+    if arguments.output is not None:
+        _draw_picture(arguments)
+    elif arguments.source.is_dir():
+        raise Error(f"{arguments.source} is a folder of images; steps are those of a recording (.mcap)")
+    else:
+        _show_steps(arguments)
+    return 0
+
+
+def _draw_picture(arguments: argparse.Namespace) -> None:
     from gelstereo.view import Moment, draw
     from gelstereo.view.recording import moment_of_recording
 
@@ -49,4 +85,31 @@ def run(arguments: argparse.Namespace) -> int:
         moment = moment_of_recording(arguments.source)
     write_image(arguments.output, draw(moment))
     print(f"wrote {arguments.output}")
-    return 0
+
+
+def _show_steps(arguments: argparse.Namespace) -> None:
+    from gelstereo.view.steps import Steps
+
+    steps = Steps(arguments.source, arguments.every)
+    if arguments.steps is not None:
+        from gelstereo.view.step_folder import write_steps
+
+        print(f"wrote {write_steps(steps, arguments.steps, write_image)}")
+    elif arguments.window:
+        _open_window(steps)
+    else:
+        rerun = module_of("gelstereo view --rerun", "gelstereo.view.step_rerun")
+        # An empty path stands for no file's name.
+        file = arguments.rerun if arguments.rerun.name else None
+        logged = rerun.log_steps(steps, file)
+        print(f"wrote {file}: {logged} steps" if file else f"{logged} steps are in Rerun's viewer")
+
+
+def _open_window(steps: Steps) -> None:
+    from gelstereo.view.step_window import step_through
+    from gelstereo.view.window import window_problem
+
+    problem = window_problem("use --steps FOLDER")
+    if problem is not None:
+        raise Error(problem)
+    step_through(steps)

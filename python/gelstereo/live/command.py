@@ -22,9 +22,10 @@ from gelstereo.live.sensing import ExpectedPart, LiveSensor
 from gelstereo.live.shown import Shown
 from gelstereo.live.source import DEFAULT_RATE_HZ, CameraSource, FolderSource, LiveSource, SceneSource
 from gelstereo.live.web import DEFAULT_PORT, WebViewer
-from gelstereo.live.window import show_window, window_problem
+from gelstereo.live.window import show_window
 from gelstereo.templates import MM_PER_UNIT
 from gelstereo.view.canvas import Image
+from gelstereo.view.window import window_problem
 
 EXAMPLES = """examples:
   gelstereo live --scene scenes/grasp_cylinder.toml --frames 60         a simulated sensor
@@ -235,7 +236,7 @@ def _viewer(
     arguments: argparse.Namespace, setup: _Setup, live: LiveRun, draw: Callable[[Shown], Image]
 ) -> Iterator[Callable[[], None]]:
     """The viewer that was asked for, made ready: what is yielded shows the run until it ends."""
-    kind, problem = arguments.show, window_problem()
+    kind, problem = arguments.show, window_problem("use --show web")
     if kind == "auto":
         kind = "web" if problem else "window"
     if kind == "window":

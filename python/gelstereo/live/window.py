@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from collections.abc import Callable
 
 from gelstereo.live.latest import Latest
@@ -14,24 +12,6 @@ _NAME = "gelstereo live"
 _ESCAPE = 27
 #: Milliseconds that the window has for its events with each picture; also the pace at which it looks for a new one.
 _EVENTS_MS = 15
-
-
-def window_problem() -> str | None:
-    """Why no window can be opened here, or None.
-
-    The wheel that gelstereo depends on is the headless one. It has no windows even on a desktop, since the other one
-    brings Qt along and does not install beside it.
-    """
-    import cv2
-
-    if not cv2.currentUIFramework():
-        return (
-            "this OpenCV has no windows; use --show web, or replace opencv-contrib-python-headless by "
-            "opencv-contrib-python"
-        )
-    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        return "there is no display (neither DISPLAY nor WAYLAND_DISPLAY is set); use --show web"
-    return None
 
 
 def show_window(newest: Latest[Shown], draw: Callable[[Shown], Image]) -> None:

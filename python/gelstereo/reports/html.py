@@ -7,8 +7,9 @@ import html
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
+from urllib.parse import quote
 
-__all__ = ["Block", "Details", "Figure", "Grid", "Heading", "Paragraph", "document"]
+__all__ = ["Beside", "Block", "Details", "Figure", "Grid", "Heading", "Paragraph", "document"]
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #242c38; background: #fff; max-width: 76rem; margin: 2rem auto;
@@ -81,6 +82,14 @@ class Figure:
 
 
 @dataclass(frozen=True)
+class Beside:
+    """A picture in a file beside the page, and what is seen on it."""
+
+    caption: str
+    file: str
+
+
+@dataclass(frozen=True)
 class Details:
     """A text to look up, folded away."""
 
@@ -88,7 +97,7 @@ class Details:
     text: str
 
 
-Block: TypeAlias = Heading | Paragraph | Grid | Figure | Details
+Block: TypeAlias = Heading | Paragraph | Grid | Figure | Beside | Details
 
 
 def document(title: str, blocks: Sequence[Block]) -> str:
@@ -104,7 +113,7 @@ def document(title: str, blocks: Sequence[Block]) -> str:
     Returns
     -------
     str
-        HTML that refers to nothing outside itself.
+        HTML that refers to nothing outside itself but `Beside`.
     """
     name = html.escape(title)
     body = "\n".join(_block(block) for block in blocks)
@@ -124,6 +133,8 @@ def _block(block: Block) -> str:
         return _grid(block)
     if isinstance(block, Figure):
         return _figure(block)
+    if isinstance(block, Beside):
+        return _picture(html.escape(quote(block.file)), "", html.escape(block.caption))
     return f"<details><summary>{html.escape(block.title)}</summary><pre>{html.escape(block.text)}</pre></details>"
 
 
@@ -143,8 +154,8 @@ def _figure(figure: Figure) -> str:
     # As an image, not as elements: the names in one drawing cannot meet those in another.
     data = base64.b64encode(figure.content).decode("ascii")
     width = f' width="{figure.width_px}"' if figure.width_px else ""
-    caption = html.escape(figure.caption)
-    return (
-        f'<figure><img src="data:{_MEDIA[figure.kind]};base64,{data}"{width} alt="{caption}">\n'
-        f"<figcaption>{caption}</figcaption></figure>"
-    )
+    return _picture(f"data:{_MEDIA[figure.kind]};base64,{data}", width, html.escape(figure.caption))
+
+
+def _picture(source: str, width: str, caption: str) -> str:
+    return f'<figure><img src="{source}"{width} alt="{caption}">\n<figcaption>{caption}</figcaption></figure>'

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -61,6 +61,8 @@ class Moment:
     title : str
     notes : sequence of str
         Lines under the title, for example the pose.
+    part_edges_px : (E, 2, 2) float64, optional
+        Edges of the part in the left image.
     """
 
     left: npt.NDArray[np.uint8]
@@ -75,6 +77,7 @@ class Moment:
     part: Part | None = None
     title: str = ""
     notes: Sequence[str] = field(default_factory=tuple)
+    part_edges_px: Floats | None = None
 
     @classmethod
     def of(
@@ -103,6 +106,10 @@ class Moment:
             title=title,
             notes=notes,
         )
+
+    def titled(self, title: str) -> Moment:
+        """The same moment under another title."""
+        return replace(self, title=title)
 
 
 def pose_in_words(t_sensor_object: npt.ArrayLike) -> str:

@@ -16,9 +16,10 @@ STATE_COLOURS: dict[MarkerState, Colour] = {
     MarkerState.HELD: HELD,
     MarkerState.LOST: LOST,
 }
-_MARGIN, _GAP, _HEADER = 28, 24, 92
+_MARGIN, _GAP, _HEADER, _LINE = 28, 24, 92, 18
 _LEFT_WIDTH, _RIGHT_WIDTH, _MAP_HEIGHT = 860, 460, 300
 _ARROW: Colour = (255, 255, 255)
+_PART: Colour = (90, 220, 90)
 
 
 def draw(moment: Moment) -> Image:
@@ -34,19 +35,20 @@ def draw(moment: Moment) -> Image:
         Blue, green, red, as ``cv2.imwrite`` takes it.
     """
     height_px, width_px = moment.left.shape
+    top = _HEADER + _LINE * max(0, len(moment.notes) - 2)
     image_height = round(_LEFT_WIDTH * height_px / width_px)
     body = max(image_height + 34, 2 * _MAP_HEIGHT)
-    canvas = Canvas(2 * _MARGIN + _LEFT_WIDTH + _GAP + _RIGHT_WIDTH, _HEADER + body + _MARGIN)
+    canvas = Canvas(2 * _MARGIN + _LEFT_WIDTH + _GAP + _RIGHT_WIDTH, top + body + _MARGIN)
     _draw_header(canvas, moment)
-    _draw_image(canvas, moment, _MARGIN, _HEADER, image_height)
-    _draw_legend(canvas, moment, _MARGIN, _HEADER + image_height + 22)
+    _draw_image(canvas, moment, _MARGIN, top, image_height)
+    _draw_legend(canvas, moment, _MARGIN, top + image_height + 22)
     right = _MARGIN + _LEFT_WIDTH + _GAP
     colours, top_mm = indentation_colours(moment.indentation_mm)
     solid_height = body - _MAP_HEIGHT - _GAP
-    _draw_map(canvas, moment, colours, top_mm, right, _HEADER)
-    canvas.text("contact in the sensor frame", right, _HEADER + _MAP_HEIGHT + 12, 13.0, FAINT)
+    _draw_map(canvas, moment, colours, top_mm, right, top)
+    canvas.text("contact in the sensor frame", right, top + _MAP_HEIGHT + 12, 13.0, FAINT)
     solid = draw_solid(moment, colours, _RIGHT_WIDTH, solid_height).finished()
-    canvas.image(solid, right, _HEADER + _MAP_HEIGHT + _GAP, _RIGHT_WIDTH, solid_height)
+    canvas.image(solid, right, top + _MAP_HEIGHT + _GAP, _RIGHT_WIDTH, solid_height)
     return canvas.finished()
 
 
@@ -63,7 +65,7 @@ def indentation_colours(indentation_mm: npt.NDArray[np.float64]) -> tuple[npt.ND
 def _draw_header(canvas: Canvas, moment: Moment) -> None:
     canvas.text(moment.title or "gelstereo", _MARGIN, 40, 22.0, INK, bold=True)
     for line, note in enumerate(moment.notes):
-        canvas.text(note, _MARGIN, 62 + 18 * line, 13.5, FAINT)
+        canvas.text(note, _MARGIN, 62 + _LINE * line, 13.5, FAINT)
 
 
 def _draw_image(canvas: Canvas, moment: Moment, x: int, y: int, height: int) -> None:
@@ -78,6 +80,16 @@ def _draw_image(canvas: Canvas, moment: Moment, x: int, y: int, height: int) -> 
         canvas.circle(centre, radius, colour, 1.6 if salient else 1.0)
     for start, end in zip(rest, now, strict=True):
         canvas.arrow(start, end, _ARROW)
+    if moment.part_edges_px is not None:
+        edges = (moment.part_edges_px + 0.5) * scale - 0.5
+        for start, end in edges[_within(edges, _LEFT_WIDTH, height)]:
+            canvas.line(start + [x, y], end + [x, y], _PART, 2.0)
+
+
+def _within(edges: npt.NDArray[np.float64], width: int, height: int) -> npt.NDArray[np.bool_]:
+    """Which edges, (E, 2, 2), lie inside the picture."""
+    inside = (edges >= 0.0) & (edges < [width, height])
+    return np.asarray(inside.all(axis=(1, 2)))
 
 
 def _pitch_px(moment: Moment) -> float:
@@ -93,7 +105,8 @@ def _draw_legend(canvas: Canvas, moment: Moment, x: int, y: int) -> None:
         canvas.circle((x + 6, y - 5), 5.0, colour, 1.6)
         canvas.text(text, x + 17, y, 13.0)
         x += 34 + 8 * len(text)
-    canvas.text("white arrows: motion since rest", x + 8, y, 13.0, FAINT)
+    part = "" if moment.part_edges_px is None else "; green: the part"
+    canvas.text(f"white arrows: motion{part}", x + 8, y, 13.0, FAINT)
 
 
 def _draw_map(

@@ -110,6 +110,24 @@ def the_configured_light_is_on_until_the_end() -> None:
 
 
 @check(limit_s=120)
+def sense_lights_the_gel_until_its_end() -> Figures:
+    config = Path("/tmp/lit.toml")
+    config.write_text(
+        '[light]\nkind = "blink1"\nserial = "SN1"\ncolor = [200, 100, 50]\nbrightness = 0.5\n'
+        '[sense]\nlocalize = "never"\n[part]\nspacing_mm = 1.0\n',
+        encoding="ascii",
+    )
+    with blink1() as device:
+        with running("gelstereo-host", "sense", "--config", str(config), "--jsonl") as run:
+            run.wait_for(lambda run: bool(run.lines), "frame of the simulated sensor", limit_s=90.0)
+            lit = device.color
+        frames = len(run.lines)
+        assert lit == (100, 50, 25), lit
+        assert device.color == (0, 0, 0), device.color
+    return {"frames": frames}
+
+
+@check(limit_s=120)
 def python_sets_a_blink1_by_hidapi() -> None:
     with blink1() as device:
         found = python_answers(

@@ -157,6 +157,19 @@ def an_unplugged_camera_is_found_again() -> Figures:
 
 
 @check(limit_s=120)
+def a_usb_reset_is_survived() -> Figures:
+    device = camera("GS0001")
+    with plugged(device), watched(device) as run:
+        wait_for_frames(run, 5)
+        reset_s = time.monotonic()
+        device.reset()
+        wait_for_frames(run, 5)
+        back_s = time.monotonic() - reset_s
+        assert not any(line["stale"] for line in run.of("frame"))
+    return {"back_after_s": back_s, "events": [line["event"] for line in run.of("event")]}
+
+
+@check(limit_s=120)
 def another_camera_does_not_take_its_place() -> None:
     device, other = camera("GS0001"), camera("GS0002")
     with plugged(device):

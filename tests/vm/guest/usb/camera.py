@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import fcntl
+import socket
 import threading
 import time
 from collections.abc import Iterator, Sequence
@@ -15,6 +17,8 @@ from guest.usb.usbip import CONTROLLER, Port, Setup
 from guest.usb.uvc import Frame, Video
 
 TARA_VENDOR, TARA_PRODUCT = 0x2560, 0xC114
+# _IO('U', 20) of linux/usbdevice_fs.h.
+USBDEVFS_RESET = 0x5514
 GET_STATUS, CLEAR_FEATURE, GET_DESCRIPTOR, SET_CONFIGURATION, SET_INTERFACE = 0, 1, 6, 9, 11
 
 
@@ -32,12 +36,25 @@ class Camera:
     def plug(self) -> None:
         """Plugs the camera in and waits until the kernel's drivers have made its device nodes."""
         modprobe("vhci-hcd", "uvcvideo", "usbhid", "hid-generic")
-        self._port = Port(self, self._number)
-        for send_for_ever in (self.video.send_for_ever, self.tara.send_for_ever):
-            threading.Thread(target=send_for_ever, args=(self._port,), daemon=True).start()
+        self._start(Port(self, self._number))
         wait_for(
             lambda: len(self.nodes("video4linux")) >= 2 and len(self.nodes("hidraw")) == 2, "its device nodes"
         )
+
+    def serve(self, link: socket.socket) -> None:
+        """Answers another computer, which plugs the other end of this connection in."""
+        self._start(Port(self, self._number, link))
+
+    def unplug_link(self) -> None:
+        """Unplugs a camera that another computer has plugged in."""
+        if self._port is not None:
+            self._port.detach()
+            self._port = None
+
+    def _start(self, port: Port) -> None:
+        self._port = port
+        for send_for_ever in (self.video.send_for_ever, self.tara.send_for_ever):
+            threading.Thread(target=send_for_ever, args=(port,), daemon=True).start()
 
     def unplug(self) -> None:
         """Unplugs the camera."""
@@ -45,6 +62,14 @@ class Camera:
             self._port.detach()
             self._port = None
             wait_for(lambda: not self.nodes("video4linux"), "its device nodes to vanish")
+
+    def reset(self) -> None:
+        """Resets the device on its port, as a hub or ``usbreset`` does: the kernel binds its drivers anew."""
+        interface = Path("/sys/class/video4linux", self.video_node.name, "device").resolve()
+        number = {name: int((interface.parent / name).read_text()) for name in ("busnum", "devnum")}
+        node = Path("/dev/bus/usb", f"{number['busnum']:03}", f"{number['devnum']:03}")
+        with node.open("wb") as file:
+            fcntl.ioctl(file, USBDEVFS_RESET)
 
     def nodes(self, class_: str) -> list[Path]:
         """Device nodes of a class (``video4linux``, ``hidraw``) that belong to this camera, by its serial number."""

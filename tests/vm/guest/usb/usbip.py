@@ -60,25 +60,38 @@ class Device(Protocol):
         """Takes what the host sent to an endpoint."""
 
 
+def attach(number: int, kernel_end: socket.socket) -> None:
+    """Plugs the other end of a socket into a port of this computer's controller, which keeps the socket."""
+    order = f"{number} {kernel_end.fileno()} {DEVICE_ID} {HIGH_SPEED}"
+    (CONTROLLER / "attach").write_text(order, encoding="ascii")
+
+
 class Detached(Exception):
     """The device was unplugged."""
 
 
 class Port:
-    """One port of the controller with a device in it, until `detach`."""
+    """One port of the controller with a device in it, until `detach`.
 
-    def __init__(self, device: Device, number: int) -> None:
+    With a `link` the controller is on another computer, which holds the link's other end and attaches it.
+    """
+
+    def __init__(self, device: Device, number: int, link: socket.socket | None = None) -> None:
         self.number = number
+        self._is_local = link is None
         self._device = device
         self._lock = threading.Lock()
         self._waiting: set[int] = set()
         self._queues: dict[int, queue.Queue[Request | None]] = {}
         self._detached = threading.Event()
-        self._socket, kernel_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
+        kernel_end = None
+        if link is None:
+            link, kernel_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._socket = link
         threading.Thread(target=self._serve, name=f"port {number}", daemon=True).start()
-        attach = f"{number} {kernel_end.fileno()} {DEVICE_ID} {HIGH_SPEED}"
-        (CONTROLLER / "attach").write_text(attach, encoding="ascii")
-        kernel_end.close()
+        if kernel_end is not None:
+            attach(number, kernel_end)
+            kernel_end.close()
 
     @property
     def attached(self) -> bool:
@@ -87,7 +100,10 @@ class Port:
 
     def detach(self) -> None:
         """Unplugs the device."""
-        if self.attached:
+        if self.attached and not self._is_local:
+            self._socket.shutdown(socket.SHUT_RDWR)
+            self._detached.wait(10)
+        elif self.attached:
             (CONTROLLER / "detach").write_text(str(self.number), encoding="ascii")
             self._detached.wait(10)
 

@@ -1,8 +1,17 @@
-//! What came of a job.
+//! What came of a job, and the page that shows it.
+
+mod file;
+mod page;
+mod trace;
+
+pub use file::page_path;
+pub use page::page;
+pub use trace::Trace;
 
 use crate::recording::RecordingReport;
 use crate::task::LatencyReport;
 use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
 
 /// A stage of the job (Fig. 11 of the paper).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -90,6 +99,11 @@ pub enum Outcome {
         /// Three standard deviations of that depth.
         within_mm: f64,
     },
+    /// The goal was taught.
+    Taught {
+        /// Origin of the part in its goal, base frame, as it was localized.
+        position_mm: [f64; 3],
+    },
     /// Nothing stopped the part as far as the robot went.
     NothingFelt {
         /// Depth below the rim where the robot gave up.
@@ -128,6 +142,14 @@ pub enum Outcome {
     },
 }
 
+impl Outcome {
+    /// The end of a part that is localized, but not well enough for the hole.
+    #[must_use]
+    pub fn declined(localized: &Localized, forecast: Forecast) -> Self {
+        Self::Declined { chance: forecast.chance, looks: localized.looks, weakest: forecast.weakest }
+    }
+}
+
 impl std::fmt::Display for Outcome {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
@@ -141,6 +163,9 @@ impl std::fmt::Display for Outcome {
                 f,
                 "jammed: stopped by the insertion trigger at a depth of {depth_mm:.2} mm, within {within_mm:.2} mm"
             ),
+            Self::Taught { position_mm: [x, y, z] } => {
+                write!(f, "taught: the part was localized in its goal at ({x:.2}, {y:.2}, {z:.2}) mm")
+            }
             Self::NothingFelt { depth_mm } => {
                 write!(f, "nothing felt down to a depth of {depth_mm:.2} mm: no part, or no hole's bottom")
             }
@@ -224,6 +249,15 @@ pub struct TruthReport {
     pub outcome_is_true: bool,
 }
 
+/// What became of the page of a run.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct PageReport {
+    /// Where it stands.
+    pub path: PathBuf,
+    /// Why it could not be written, if it could not.
+    pub fault: Option<String>,
+}
+
 /// What came of a job.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct JobReport {
@@ -246,4 +280,7 @@ pub struct JobReport {
     /// Why the light could not be switched off at the end, if it could not.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub light_fault: Option<String>,
+    /// The page of the run, where one was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub page: Option<PageReport>,
 }

@@ -1,0 +1,143 @@
+//! Triggers in multiples of this sensor's own noise.
+
+use super::TaskError;
+use super::cell::Cell;
+use super::error::Halt;
+use crate::config::Config;
+use serde::Serialize;
+
+/// The scale's own standard error is to be a fifth. The median absolute deviation has 37 % of the efficiency of the
+/// standard deviation on normal noise, so that 1 / (2 * 0.37 * 0.2²) = 34 frames are enough.
+const FRAMES: usize = 34;
+/// Scale of a normal distribution over its median absolute deviation.
+const NORMAL_MAD: f64 = 1.4826;
+/// One false alarm in 1e7 frames of normal noise, four days of guarded moves at 30 Hz, is at 5.2 sigmas. The scale may be
+/// two standard errors too small: 5.2 * (1 + 2 * 0.2) = 7.3.
+pub const MIN_SIGMAS: f64 = 7.3;
+
+/// Mean marker motion with nothing touching the gel, against the rest frame.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub(super) struct RestNoise {
+    /// Median. Lengths of motions are positive, so that it is not zero.
+    pub(super) level_px: f64,
+    /// Robust standard deviation.
+    pub(super) sigma_px: f64,
+    pub(super) frames: usize,
+}
+
+impl RestNoise {
+    fn of(mut motions_px: Vec<f64>) -> Self {
+        let frames = motions_px.len();
+        let level_px = median(&mut motions_px);
+        let mut deviations: Vec<f64> = motions_px.iter().map(|motion| (motion - level_px).abs()).collect();
+        Self { level_px, sigma_px: NORMAL_MAD * median(&mut deviations), frames }
+    }
+
+    /// So many sigmas above the level.
+    fn at(&self, sigmas: f64) -> f64 {
+        self.level_px + sigmas * self.sigma_px
+    }
+}
+
+fn median(values: &mut [f64]) -> f64 {
+    values.sort_unstable_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or_default()
+}
+
+/// The triggers of a task, in pixels of mean marker motion.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub(super) struct Triggers {
+    pub(super) grasp_px: f64,
+    pub(super) insertion_px: f64,
+}
+
+impl Triggers {
+    pub(super) const fn in_pixels(config: &Config) -> Self {
+        let contact = &config.params.contact;
+        Self { grasp_px: contact.grasp_trigger_px, insertion_px: contact.insertion_trigger_px }
+    }
+
+    fn in_sigmas(config: &Config, noise: &RestNoise) -> Self {
+        let (task, pixels) = (&config.task, Self::in_pixels(config));
+        let of = |sigmas: Option<f64>, px: f64| sigmas.map_or(px, |sigmas| noise.at(sigmas));
+        Self {
+            grasp_px: of(task.grasp_trigger_sigmas, pixels.grasp_px),
+            insertion_px: of(task.insertion_trigger_sigmas, pixels.insertion_px),
+        }
+    }
+
+    /// A trigger that the noise reaches by itself would stop moves that touch nothing.
+    fn check(&self, noise: &RestNoise) -> Result<(), TaskError> {
+        let bound_px = noise.at(MIN_SIGMAS);
+        for (name, found_px) in [("grasp", self.grasp_px), ("insertion", self.insertion_px)] {
+            // Images that repeat have no noise to measure.
+            if !(found_px >= bound_px && noise.sigma_px > 0.0) {
+                let RestNoise { level_px, sigma_px, frames } = *noise;
+                return Err(TaskError::TriggerInNoise {
+                    name,
+                    found_px,
+                    bound_px,
+                    level_px,
+                    sigma_px,
+                    frames,
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Measures the noise where triggers are said in sigmas; returns it with the triggers.
+pub(super) fn measure(cell: &mut Cell) -> Result<Option<RestNoise>, Halt> {
+    let task = &cell.config.task;
+    if task.grasp_trigger_sigmas.is_none() && task.insertion_trigger_sigmas.is_none() {
+        return Ok(None);
+    }
+    let mut motions_px = Vec::with_capacity(FRAMES);
+    while motions_px.len() < FRAMES {
+        motions_px.push(cell.frame()?);
+    }
+    let noise = RestNoise::of(motions_px);
+    cell.triggers = Triggers::in_sigmas(cell.config, &noise);
+    let stage = cell.log.stage();
+    cell.log.note(&serde_json::json!({ "stage": stage, "noise": noise, "triggers": cell.triggers }));
+    cell.triggers.check(&noise)?;
+    Ok(Some(noise))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// One frame of ten may be any outlier: the scale of the others is found to a factor of three.
+        #[test]
+        fn the_scale_is_robust(
+            noise in prop::collection::vec(-1.0..1.0_f64, 31),
+            outliers in prop::collection::vec(-100.0..100.0_f64, 3),
+        ) {
+            let clean = RestNoise::of(noise.iter().map(|n| 5.0 + n).collect());
+            let mixed = RestNoise::of(noise.iter().chain(&outliers).map(|n| 5.0 + n).collect());
+            prop_assume!(clean.sigma_px > 0.2);
+            let ratio = mixed.sigma_px / clean.sigma_px;
+            prop_assert!((1.0 / 3.0..3.0).contains(&ratio), "{clean:?} {mixed:?}");
+            prop_assert!((mixed.level_px - clean.level_px).abs() <= 1.0);
+        }
+
+        #[test]
+        fn triggers_below_the_bound_are_refused(sigmas in 0.0..20.0_f64, sigma_px in 0.001..1.0_f64) {
+            let noise = RestNoise { level_px: 0.3, sigma_px, frames: FRAMES };
+            let triggers = Triggers { grasp_px: 1e9, insertion_px: noise.at(sigmas) };
+            let bound = (sigmas - MIN_SIGMAS).abs() > 1e-9;
+            prop_assume!(bound);
+            prop_assert_eq!(triggers.check(&noise).is_ok(), sigmas > MIN_SIGMAS);
+        }
+    }
+
+    #[test]
+    fn images_without_noise_give_no_trigger() {
+        let noise = RestNoise::of(vec![0.0; FRAMES]);
+        assert!(Triggers { grasp_px: 10.0, insertion_px: 5.0 }.check(&noise).is_err());
+    }
+}

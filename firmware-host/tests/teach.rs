@@ -1,0 +1,118 @@
+//! A taught goal against one that is given, with an error of the mount that the task does not know (simulated).
+#![allow(clippy::unwrap_used)]
+
+use gelstereo_core::params::Params;
+use gelstereo_host::config::{Config, PoseConfig};
+use gelstereo_host::report::{JobReport, Outcome, Stage, Trace};
+use gelstereo_host::run::{Setup, run_with, teach_with};
+use gelstereo_host::task::Sinks;
+use gelstereo_host::taught::{Taught, TaughtError};
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+
+/// The sensor stands 0.3 mm and 5 mrad from where the mount says.
+fn with_mount_error(preset: &str, seed: u64) -> Config {
+    let mut config = Config { preset: preset.to_owned(), ..Config::default() };
+    config.params = Params::preset(preset).unwrap();
+    config.simulated.seed = seed;
+    config.task.insertion_speed_mm_s = 20.0;
+    config.part.spacing_mm = 0.4;
+    let (side_mm, turn_rad) = (0.3 / 3.0_f64.sqrt(), 0.005 / 3.0_f64.sqrt());
+    config.simulated.mount_error =
+        PoseConfig { position_mm: [side_mm; 3], rotation_rad: [turn_rad, -turn_rad, turn_rad] };
+    config
+}
+
+fn run(config: &Config) -> JobReport {
+    run_with(config, Setup::new(config).unwrap(), None, &AtomicBool::new(false), &mut |_| {}).unwrap()
+}
+
+/// Teaches the goal with a part that is placed by this seed.
+fn teach(config: &Config, seed: u64, path: &Path) -> JobReport {
+    let mut config = config.clone();
+    config.simulated.seed = seed;
+    let stop = AtomicBool::new(false);
+    let setup = Setup::for_teaching(&config).unwrap();
+    let sinks = Sinks { recording: None, trace: &mut Trace::default(), progress: &mut |_| {} };
+    let teaching = teach_with(&config, setup, sinks, false, &stop).unwrap();
+    teaching.taught.unwrap().save(path).unwrap();
+    teaching.report
+}
+
+fn inserted(report: &JobReport) -> bool {
+    matches!(report.outcome, Outcome::Inserted { .. })
+}
+
+#[test]
+fn a_taught_goal_cancels_an_error_of_the_mount() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("goal.json");
+    let given = with_mount_error("balanced", 2);
+    let report = teach(&given, 5, &path);
+    assert!(matches!(report.outcome, Outcome::Taught { .. }), "{}", report.why);
+    use Stage::{Close, Localize, Open, Rest, Retreat};
+    assert_eq!(
+        report.stages.iter().map(|stage| stage.stage).collect::<Vec<_>>(),
+        [Open, Rest, Close, Localize, Retreat]
+    );
+    let mut taught = given.clone();
+    taught.task.taught = Some(path);
+    let (given, taught) = (run(&given), run(&taught));
+    let offset_mm = |report: &JobReport| report.truth.as_ref().unwrap().hole_offset_mm;
+    assert!(!inserted(&given) && offset_mm(&given) > 0.15, "{}: {}", given.why, offset_mm(&given));
+    assert!(inserted(&taught) && offset_mm(&taught) < 0.1, "{}: {}", taught.why, offset_mm(&taught));
+}
+
+#[test]
+fn a_taught_goal_belongs_to_its_settings_and_its_version() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("goal.json");
+    let mut config = with_mount_error("balanced", 1);
+    teach(&config, 5, &path);
+    let taught = Taught::load(&path).unwrap();
+    taught.save(&path).unwrap();
+    assert_eq!(Taught::load(&path).unwrap(), taught, "every bit is kept");
+
+    config.task.taught = Some(path.clone());
+    config.params = Params::preset("paper").unwrap();
+    let error = Setup::new(&config).err().unwrap().to_string();
+    assert!(error.contains("does not fit this configuration") && error.contains("other settings"), "{error}");
+
+    let text = std::fs::read_to_string(&path).unwrap();
+    std::fs::write(&path, text.replacen("\"version\": 1", "\"version\": 2", 1)).unwrap();
+    assert!(matches!(Taught::load(&path), Err(TaughtError::Version { found: 2, .. })));
+    std::fs::write(&path, "{").unwrap();
+    assert!(matches!(Taught::load(&path), Err(TaughtError::Parse { .. })));
+    let missing = Taught::load(&folder.path().join("none.json")).unwrap_err().to_string();
+    assert!(missing.starts_with("cannot read the taught goal"), "{missing}");
+}
+
+/// `GELSTEREO_SEEDS=24 cargo test -p gelstereo-host --test teach -- --ignored --nocapture` prints docs/task.md's table.
+#[test]
+#[ignore = "takes minutes"]
+fn taught_and_given_goals_over_many_seeds() {
+    let seeds: u64 = std::env::var("GELSTEREO_SEEDS").map_or(24, |text| text.parse().unwrap());
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("goal.json");
+    for preset in ["paper", "balanced"] {
+        let mut rows = [(0, Vec::new()), (0, Vec::new()), (0, Vec::new())];
+        for seed in 1..=seeds {
+            let wrong = with_mount_error(preset, seed);
+            let mut exact = wrong.clone();
+            exact.simulated.mount_error = PoseConfig::default();
+            let mut taught = wrong.clone();
+            teach(&wrong, 1000 + seed, &path);
+            taught.task.taught = Some(path.clone());
+            for (config, (count, offsets_mm)) in [exact, wrong, taught].iter().zip(&mut rows) {
+                let report = run(config);
+                *count += usize::from(inserted(&report));
+                offsets_mm.push(report.truth.unwrap().hole_offset_mm);
+            }
+        }
+        for (name, (count, offsets_mm)) in ["given, mount exact", "given", "taught"].iter().zip(&mut rows) {
+            offsets_mm.sort_by(f64::total_cmp);
+            let at = |q: f64| offsets_mm[((q * seeds as f64) as usize).min(offsets_mm.len() - 1)];
+            println!("| {preset} | {name} | {count} of {seeds} | {:.3} | {:.3} |", at(0.5), at(0.9));
+        }
+    }
+}

@@ -1,0 +1,99 @@
+"""Reading a recording (MCAP) as far as it goes: one that was cut off or damaged is read up to there.
+
+Reading needs the extra ``recording``: ``pip install gelstereo[recording]``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from gelstereo._native import Error, parse_toml
+from gelstereo.view.messages import RecordingError
+
+_MAGIC = b"\x89MCAP0\r\n"
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A message as it stands in the file."""
+
+    topic: str
+    log_ns: int
+    data: bytes
+
+
+@dataclass
+class Header:
+    """What stands before the messages."""
+
+    config: dict[str, Any] = field(default_factory=dict)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+
+
+def read_messages(path: Path) -> Iterator[Recorded]:
+    """All messages in the order of the file.
+
+    Raises
+    ------
+    RecordingError
+        If it is no recording, or a package is missing.
+    FileNotFoundError
+        If there is no such file.
+    Exception
+        Of the reader, where the file was cut off or damaged: see `end_at_damage`.
+    """
+    try:
+        import lz4  # noqa: F401 (mcap imports it when it meets the first chunk)
+        from mcap.reader import NonSeekingReader
+    except ImportError as error:
+        missing = (error.name or "mcap").partition(".")[0]
+        raise RecordingError(
+            f"reading recordings needs {missing}, which is not installed: pip install 'gelstereo[recording]'"
+        ) from error
+    with path.open("rb") as stream:
+        if stream.read(len(_MAGIC)) != _MAGIC:
+            raise RecordingError(
+                f"{path} is no MCAP file; valid is a recording by gelstereo-host, or a folder"
+            )
+        stream.seek(0)
+        for _, channel, message in NonSeekingReader(stream).iter_messages(log_time_order=False):
+            yield Recorded(channel.topic, message.log_time, message.data)
+
+
+def end_at_damage(path: Path, error: Exception, any_frame: bool) -> None:
+    """What comes of a file whose messages cannot be read, or not decoded, beyond some place.
+
+    What came before that place is good, and is all that there is. The errors of the reader and of what unpacks its
+    chunks share no base.
+
+    Raises
+    ------
+    Error, OSError
+        `error` itself if it is one of ours or of the system; `RecordingError` if no frame came before it.
+    """
+    if isinstance(error, (Error, OSError)):
+        raise error
+    if not any_frame:
+        reason = str(error) or "it ends before the first frame"
+        raise RecordingError(f"{path} cannot be read as MCAP: {reason}") from error
+
+
+def read_header(path: Path) -> Header:
+    """Configuration and attachments, as far as they can be read."""
+    from mcap.records import Attachment, Metadata
+    from mcap.stream_reader import StreamReader
+
+    header = Header()
+    with path.open("rb") as stream:
+        try:
+            for record in StreamReader(stream).records:
+                if isinstance(record, Metadata) and "config_toml" in record.metadata:
+                    header.config = parse_toml(record.metadata["config_toml"])
+                elif isinstance(record, Attachment):
+                    header.attachments[record.name] = record.data
+        except Exception:  # of whatever kind, as in `end_at_damage`
+            return header  # cut off or damaged; the header comes first
+    return header

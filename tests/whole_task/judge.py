@@ -1,0 +1,96 @@
+"""Holds what the host said and recorded against what happened in the world."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from whole_task.cell import Cell, Outcome, wait_until
+
+# Outcomes that say nothing of the insertion; all others but "inserted" name the reason against it.
+NO_ANSWERS = {"interrupted", "source_ended"}
+# After a part vanished the world may move on for so long: the longest watchdog of the defaults, task.frame_timeout_s,
+# and what a busy computer adds.
+MAX_MOTION_S = 3.0
+
+Frame = dict[str, Any]
+
+
+def assert_true(outcome: Outcome) -> None:
+    """The host's outcome is what happened in the world."""
+    inserted = outcome.truth["inserted_mm"] >= outcome.truth["hole_depth_mm"]
+    assert outcome.report is not None and outcome.kind not in NO_ANSWERS, (outcome.kind, outcome.errors)
+    assert (outcome.kind == "inserted") == inserted, (outcome.report, outcome.truth)
+    assert outcome.code == (0 if inserted else 1), outcome.errors
+
+
+def frames(recording: Path, sent: Mapping[int, int] | None = None) -> list[Frame]:
+    """Frames of a recording in their order: ``stage``, ``motion_px`` and ``world_frame``, the world's number of it.
+
+    Without `sent` the camera's numbers are the world's. Else `sent` has the number by the CRC-32 of the JPEG file.
+    """
+    from mcap.reader import make_reader
+
+    stage, numbers, found = "", {}, []
+    with recording.open("rb") as file:
+        for _, channel, message in make_reader(file).iter_messages(log_time_order=False):
+            time_ns, data = message.publish_time, message.data
+            if channel.topic == "/gelstereo/stereo/image/compressed" and sent is not None:
+                numbers[time_ns] = sent[zlib.crc32(data[data.index(b"\xff\xd8\xff") :])]
+            elif channel.topic in ("/gelstereo/stage", "/gelstereo/frame", "/gelstereo/capture"):
+                # A string in CDR: four bytes of encapsulation, its length, its bytes and a zero.
+                note = json.loads(data[8:].rstrip(b"\0"))
+                if channel.topic == "/gelstereo/stage":
+                    stage = note.get("stage", stage)
+                elif channel.topic == "/gelstereo/capture" and sent is None and "sequence" in note:
+                    numbers[time_ns] = note["sequence"]
+                elif "motion_px" in note:
+                    found.append({"stage": stage, "time_ns": time_ns, **note})
+    return [{**frame, "world_frame": numbers[frame["time_ns"]]} for frame in found]
+
+
+def assert_trigger(outcome: Outcome, recorded: list[Frame], stage: str, px: float, mover: str) -> int:
+    """Frames that were exposed before a ``gripper`` or ``robot`` was stopped; at most one.
+
+    A gripper without a command to stop is sent to where it is.
+    """
+    first = next(frame for frame in recorded if frame["stage"] == stage and frame["motion_px"] >= px)
+    moves = {"gripper": "fingers_move", "robot": "robot_moves"}[mover]
+    later = [event for event in outcome.events if event["frame"] >= first["world_frame"]]
+    acted = next(
+        event for event in later if event["event"] in (f"{mover}_stop", f"{mover}_move") or not event[moves]
+    )
+    exposed: int = acted["frame"] - first["world_frame"]
+    assert exposed <= 1, f"{mover} stopped {exposed} frames after the one with {first['motion_px']:.1f} px"
+    return exposed
+
+
+def assert_triggers(outcome: Outcome, recorded: list[Frame]) -> dict[str, int]:
+    """Both triggers acted within one frame of the one that shows them; frames exposed before they did."""
+    exposed = {"grasp": assert_trigger(outcome, recorded, "close", 10.0, "gripper")}
+    if outcome.kind in {"inserted", "jammed"}:
+        exposed["insertion"] = assert_trigger(outcome, recorded, "insert", 5.0, "robot")
+    return exposed
+
+
+def assert_at_rest(opened: Cell, since_ns: int, within_s: float = MAX_MOTION_S) -> None:
+    """Nothing moves in the world any more after so long, unless fingers finish their last move as grippers do."""
+    rest_ns = since_ns + int(within_s * 1e9)
+
+    def late() -> list[Frame]:
+        return [event for event in opened.events() if event["time_ns"] > rest_ns]
+
+    # The world's clock is this computer's; some frames must follow, since a world that has stopped moves nothing.
+    wait_until(lambda: len(late()) >= 4, "the world to go on", within_s + 10.0)
+    events = late()
+    places = {tuple(event["position_mm"]) for event in events}
+    assert len(places) == 1, f"the robot moves: {places}"
+    commands = [event for event in events if event["event"] != "exposed"]
+    assert not commands, commands
+    # Fingers that finish a move go one way.
+    ways_mm = [after["width_mm"] - before["width_mm"] for before, after in itertools.pairwise(events)]
+    assert min(ways_mm) >= 0.0 or max(ways_mm) <= 0.0, ways_mm
