@@ -1,5 +1,5 @@
-//! Looks at a part that one grasp does not tell well enough, and the search for the hole (simulated: noise 2 grey levels,
-//! blur 0.8 px, gel with shoulder, spread, drag).
+//! Looks at a part that one grasp does not tell well enough, and the search for the hole (simulated: noise 2
+//! grey levels, blur 0.8 px, gel with shoulder, spread, drag).
 #![allow(clippy::unwrap_used)]
 
 use gelstereo_core::params::RegisterMethod;
@@ -26,7 +26,8 @@ fn count(report: &JobReport, stage: Stage) -> usize {
     report.stages.iter().filter(|s| s.stage == stage).count()
 }
 
-/// A hole of 0.02 mm more than the peg: one contact tells the peg's place across the closing direction to 5 um.
+/// A hole of 0.02 mm more than the peg: one contact tells the peg's place across the closing direction to 5
+/// um.
 fn tight(seed: u64, max_looks: u32) -> JobReport {
     let mut config = quick(seed);
     config.simulated.hole_diameter_mm = 8.02;
@@ -46,7 +47,6 @@ fn a_tight_hole_is_declined_after_one_look_and_met_after_another() {
         assert!(localized.forecast.unwrap().weakest.starts_with("slide along"), "seed {seed}");
         assert_eq!(once.stages.last().unwrap().stage, Stage::Localize, "nothing moves after that");
         let again = tight(seed, 3);
-        println!("seed {seed}: {} {:?} {:?}", again.outcome, again.localized, again.truth);
         assert!(matches!(again.outcome, Outcome::Inserted { .. }), "seed {seed}: {}", again.outcome);
         assert_eq!(count(&again, Stage::Localize), again.localized.unwrap().looks as usize);
         assert!(again.truth.unwrap().outcome_is_true);
@@ -71,7 +71,8 @@ fn a_peg_that_jams_is_inserted_by_a_search_around_the_hole() {
     }
 }
 
-/// Without a clearance nothing is predicted, and a clearance that is wide changes nothing of what the job does.
+/// Without a clearance nothing is predicted, and a clearance that is wide changes nothing of what the job
+/// does.
 #[test]
 fn a_wide_hole_is_met_after_one_look_with_the_same_frames() {
     let plain = job(&quick(1));
