@@ -48,7 +48,9 @@ def press() -> list[npt.NDArray[np.uint8]]:
             ],
         }
     )
-    return [np.hstack((frame.left, frame.right)) for frame in map(simulator.__getitem__, range(len(simulator)))]
+    return [
+        np.hstack((frame.left, frame.right)) for frame in map(simulator.__getitem__, range(len(simulator)))
+    ]
 
 
 class Camera:
@@ -122,7 +124,9 @@ class Bridge:
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             self.port = probe.getsockname()[1]
-        self.process = subprocess.Popen([sys.executable, str(BRIDGE), str(self.port)], stdout=subprocess.DEVNULL)
+        self.process = subprocess.Popen(
+            [sys.executable, str(BRIDGE), str(self.port)], stdout=subprocess.DEVNULL
+        )
         wait_for(self.port)
 
     def status(self) -> dict:
@@ -293,4 +297,6 @@ def test_triggers_of_many_runs(tmp_path: Path, press) -> None:
         shutil.rmtree(folder)
     assert len(image_to_wire) >= 20
     for name, values in (("image to wire", image_to_wire), ("sensed to wire", sensed_to_wire)):
-        print(f"{name}: p50 {np.quantile(values, 0.5):.1f} ms, p99 {np.quantile(values, 0.99):.1f} ms of {len(values)}")
+        print(
+            f"{name}: p50 {np.quantile(values, 0.5):.1f} ms, p99 {np.quantile(values, 0.99):.1f} ms of {len(values)}"
+        )

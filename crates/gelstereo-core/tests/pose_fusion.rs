@@ -86,11 +86,13 @@ proptest! {
         }
     }
 
-    /// What three measurements leave free, three others may tell: all of the pose is then known, at no distance.
+    /// What three measurements leave free, three others may tell: all of the pose is then known, at no
+    /// distance.
     #[test]
     fn two_partial_looks_make_a_whole([a, b] in estimates([3, 3])) {
         let found = fused(&a, &b);
-        // Where two of the directions are nearly alike, the pose at no distance is too far away for Gauss-Newton.
+        // Where two of the directions are nearly alike, the pose at no distance is too far away for
+        // Gauss-Newton.
         let sum: Symmetric<6> = core::array::from_fn(|i| {
             core::array::from_fn(|j| a.information[i][j] + b.information[i][j])
         });
@@ -101,9 +103,32 @@ proptest! {
         prop_assert!(found.squared_distance < 1e-6, "{}", found.squared_distance);
     }
 
+    /// A peg that slides freely along its axis stays where the first look has it, wherever the robot's base
+    /// is.
+    #[test]
+    fn what_is_free_stays_free_through_a_far_frame(t_base_part in pose(3.0, 600.0), turn in 0.1..3.0f64) {
+        let rows = |angle: f64| -> [[f64; 6]; 4] {
+            let (c, s) = (angle.cos(), angle.sin());
+            // Places across the axis at two heights, and along the normal of the contact alone.
+            [(0.0, -5.0), (0.0, 5.0), (5.0, 0.0), (-5.0, 0.0)].map(|(x, y)| [x, y, 0.0, c, s, 0.0])
+        };
+        let look = |angle: f64, pose: Pose| {
+            let rows = rows(angle);
+            let information = core::array::from_fn(|i| {
+                core::array::from_fn(|j| rows.iter().map(|r| 1e6 * r[i] * r[j]).sum())
+            });
+            PoseEstimate { pose, information }.in_frame(&t_base_part).in_frame(&t_base_part.inverse())
+        };
+        let first = look(0.0, Pose::IDENTITY);
+        let second = look(turn, Pose::from_translation_mm(DVec3::new(0.01, 0.01, 3.0)));
+        let found = fused(&first, &second).estimate.pose;
+        prop_assert!(found.translation_mm.z.abs() < 1e-3, "{}", found.translation_mm);
+    }
+
     #[test]
     fn a_disturbance_adds_its_covariance(a in estimates([10, 0]), point in vector(40.0)) {
-        // Known to no more than this, along every direction: the closed form on the other side needs an inverse.
+        // Known to no more than this, along every direction: the closed form on the other side needs an
+        // inverse.
         let mut a = a[0];
         (0..6).for_each(|i| a.information[i][i] += if i < 3 { 1e4 } else { 1.0 });
         let (sigma_rad, sigma_mm) = (DVec3::new(2e-3, 1e-3, 0.0), DVec3::new(0.05, 0.6, 0.0));

@@ -135,29 +135,32 @@ pub struct TaskConfig {
     /// While they last nothing is felt: at 30 Hz and 10 mm/s the part moves 0.33 mm with each. Valid: 0 to
     /// 1000 pairs. Default: `2`. Raise it only for slow moves.
     pub max_bad_frames: u32,
-    /// What the hole's width has over the part's. With it the job inserts only if that is likely to succeed, and
-    /// looks again if not. Valid: 0.001 to 10 mm. Default: none, and then every part that is localized is
-    /// inserted. Change it to your hole's.
+    /// What the hole's width has over the part's. With it the job inserts only if that is likely to
+    /// succeed, and looks again if not. Valid: 0.001 to 10 mm. Default: none, and then every part that is
+    /// localized is inserted. Change it to your hole's.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub clearance_mm: Option<f64>,
-    /// The part is inserted from this probability of success on. Valid: 0 to 1. Default: `0.99`. Lower it where
-    /// a part that jams does no harm.
+    /// The part is inserted from this probability of success on. Valid: 0 to 1. Default: `0.99`. Lower it
+    /// where a part that jams does no harm.
     pub min_chance: f64,
-    /// Looks at a part, the first one included. Between two looks the hand lets go of the part in its holder, and
-    /// takes it again. Valid: 1 to 10. Default: `3`. Change it to 1 where the part does not stand by itself.
+    /// Looks at a part, the first one included. Between two looks the hand lets go of the part in its
+    /// holder, and takes it again. Valid: 1 to 10. Default: `3`. Change it to 1 where the part does not
+    /// stand by itself.
     pub max_looks: u32,
-    /// The hand may turn about the part's axis by this between two looks, either way. Valid: -3.2 to 3.2 rad.
-    /// Default: `1.5707963267948966` rad, a quarter turn. Change it to the angle between two faces of your part.
+    /// The hand may turn about the part's axis by this between two looks, either way. Valid: -3.2 to 3.2
+    /// rad. Default: `1.5707963267948966` rad, a quarter turn. Change it to the angle between two faces of
+    /// your part.
     pub look_turn_rad: f64,
     /// How far the part moves in its holder between two looks, with the robot's repeatability: one standard
-    /// deviation per axis. Along the closing direction it is pushed, and `part_sigma_mm` counts. Valid: 0.0001 to
-    /// 100 mm. Default: `0.03` mm. Raise it for a loose holder.
+    /// deviation per axis. Along the closing direction it is pushed, and `part_sigma_mm` counts. Valid:
+    /// 0.0001 to 100 mm. Default: `0.03` mm. Raise it for a loose holder.
     pub look_sigma_mm: f64,
-    /// The same for its rotation. Valid: 0.0001 to 3.2 rad. Default: `0.001` rad. Raise it for a loose holder.
+    /// The same for its rotation. Valid: 0.0001 to 3.2 rad. Default: `0.001` rad. Raise it for a loose
+    /// holder.
     pub look_sigma_rad: f64,
-    /// Insertions that are tried where the part jams: it is lifted, shifted along a spiral and lowered again. Needs
-    /// `clearance_mm`. Valid: 1 to 100. Default: `1`, which is no search. Raise it where a part that touches the
-    /// rim does no harm.
+    /// Insertions that are tried where the part jams: it is lifted, shifted on rings around the hole and
+    /// lowered again. Needs `clearance_mm`. Valid: 1 to 100. Default: `1`, which is no search. Raise it
+    /// where a part that touches the rim does no harm.
     pub max_tries: u32,
 }
 

@@ -1,20 +1,24 @@
 //! How probable it is that the part goes into its hole, from what is known of its pose.
 //!
-//! The inserted end stays within the walls if no point of its flank moves along its own normal by more than half of the
-//! clearance. A small motion (ω, v) of the part moves a point p with normal n by n·(ω x p + v).
+//! The inserted end stays within the walls if no point of its flank moves along its own normal by more than
+//! half of the clearance. A small motion (ω, v) of the part moves a point p with normal n by n·(ω x p + v).
 
 use crate::report::Forecast;
 use gelstereo_core::math::linalg::{Symmetric, eigen};
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec3, sqrt};
-use gelstereo_core::register::{PoseEstimate, Template};
+use gelstereo_core::register::{PoseEstimate, Symmetry, Template};
 
 /// Poses drawn for one answer: a chance of 0.99 is then known to 0.0022.
 const DRAWS: usize = 2048;
-/// A point whose normal leans towards the axis by more than this sine is no flank: the tip's face, or a chamfer.
+/// A point whose normal leans towards the axis by more than this sine is no flank: the tip's face, or a
+/// chamfer.
 const MAX_LEAN: f64 = 0.5;
-/// Displacements are linear along the axis, so that the points near the tip and near the rim are the ones to check.
+/// Displacements are linear along the axis, so that the points near the tip and near the rim are the ones to
+/// check.
 const MAX_POINTS: usize = 600;
+/// A part that a turn about the direction of insertion moves by less is round: twice a mesh's facets.
+const ROUND_MM: f64 = 0.01;
 
 /// The part's inserted end and its clearance, in the part's frame.
 pub(super) struct Flank {
@@ -26,6 +30,8 @@ pub(super) struct Flank {
     tip_mm: DVec3,
     middle_mm: DVec3,
     half_clearance_mm: f64,
+    /// Whether the part is round about the axis. Its facets would count a spin otherwise.
+    is_round: bool,
 }
 
 #[derive(Clone, Copy)]
@@ -67,6 +73,10 @@ impl Flank {
         let stride = points.len().div_ceil(MAX_POINTS).max(1);
         points = points.into_iter().step_by(stride).collect();
         let on_axis = |along: f64| axis * along;
+        let is_round = Symmetry::of(template, ROUND_MM).iter().any(|symmetry| {
+            let beside_mm = symmetry.centre_mm.cross(axis).length();
+            symmetry.order.is_none() && symmetry.axis.cross(axis).length() < 1e-3 && beside_mm < ROUND_MM
+        });
         Self {
             points,
             axis,
@@ -74,10 +84,12 @@ impl Flank {
             tip_mm: on_axis(tip),
             middle_mm: on_axis(tip - 0.5 * depth_mm),
             half_clearance_mm: 0.5 * clearance_mm,
+            is_round,
         }
     }
 
-    /// What to expect of a part that is known so; `sigma_rad` and `sigma_mm` are what is known of it without sensing.
+    /// What to expect of a part that is known so; `sigma_rad` and `sigma_mm` are what is known of it without
+    /// sensing.
     pub(super) fn forecast(&self, estimate: &PoseEstimate, sigma_rad: f64, sigma_mm: f64) -> Forecast {
         let information = estimate.in_frame(&estimate.pose.inverse()).information;
         let covariance = joined(&information, sigma_rad, sigma_mm);
@@ -108,11 +120,14 @@ impl Flank {
 
     /// Least distance of the flank from the walls after a motion; below 0 the part does not go in.
     fn room_mm(&self, motion: &Motion) -> f64 {
+        let spin = if self.is_round { self.axis * motion.omega.dot(self.axis) } else { DVec3::ZERO };
+        let motion = Motion { omega: motion.omega - spin, ..*motion };
         let farthest = self.points.iter().map(|p| p.normal.dot(motion.at(p.position_mm))).fold(0.0, f64::max);
         self.half_clearance_mm - farthest
     }
 
-    /// Names the motion that costs the most room when it is made by one standard deviation, about the middle of the hole.
+    /// Names the motion that costs the most room when it is made by one standard deviation, about the middle
+    /// of the hole.
     fn weakest(&self, covariance: &Symmetric<6>) -> String {
         let turns =
             [("lean about", self.across[0]), ("lean about", self.across[1]), ("spin about", self.axis)];
@@ -189,4 +204,63 @@ fn quadratic(matrix: &Symmetric<6>, vector: &[f64; 6]) -> f64 {
 
 fn words(direction: DVec3) -> String {
     format!("({:.2} {:.2} {:.2})", direction.x, direction.y, direction.z)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use gelstereo_core::math::{Pose, exp};
+    use gelstereo_sim::Shape;
+
+    /// A peg 8 mm in diameter and 40 mm long, its origin in the middle; 10 mm of it go into a hole of 8.2 mm.
+    fn peg() -> Flank {
+        let shape = Shape::Cylinder { radius_mm: 4.0, length_mm: 40.0 };
+        let template = Template::from_mesh(&shape.mesh(0.003).unwrap(), 0.4, 1).unwrap();
+        Flank::of(&template, DVec3::NEG_Z, 10.0, 0.2)
+    }
+
+    /// Standard deviations of turns and shifts in the part's frame.
+    fn diagonal(sigma: [f64; 6]) -> Symmetric<6> {
+        core::array::from_fn(|i| core::array::from_fn(|j| if i == j { sigma[i] * sigma[i] } else { 0.0 }))
+    }
+
+    #[test]
+    fn a_round_peg_that_shifts_evenly_has_the_chance_of_a_disc() {
+        for sigma_mm in [0.02, 0.05, 0.1] {
+            let chance = peg().chance(&diagonal([0.0, 0.0, 0.0, sigma_mm, sigma_mm, 0.6]));
+            let expected = 1.0 - exp(-0.5 * (0.1 / sigma_mm) * (0.1 / sigma_mm));
+            // Four standard deviations of a share of the draws, and 1 % of the radius between points of the
+            // template.
+            let slack = 4.0 * sqrt(expected * (1.0 - expected) / DRAWS as f64) + 0.01;
+            assert!((chance - expected).abs() < slack, "{chance} against {expected}");
+        }
+    }
+
+    #[test]
+    fn spin_and_slide_along_the_axis_cost_a_round_peg_nothing() {
+        assert!(peg().chance(&diagonal([0.0, 0.0, 0.02, 0.0, 0.0, 5.0])) > 0.999);
+        assert_eq!(peg().chance(&diagonal([0.0; 6])), 1.0);
+    }
+
+    #[test]
+    fn the_motion_that_costs_most_is_named_with_its_size() {
+        let peg = peg();
+        let along = |k: usize| words(peg.across[k]);
+        let across = peg.across[1];
+        let mut slides = diagonal([1e-6; 6]);
+        for i in 0..3 {
+            for j in 0..3 {
+                slides[3 + i][3 + j] += 0.09 * across[i] * across[j];
+            }
+        }
+        assert_eq!(peg.weakest(&slides), format!("slide along {}, known to 0.300 mm", along(1)));
+        // A lean is about the middle of the hole: there it shifts nothing, and the tip by 5 mm times its
+        // angle.
+        let pose = Pose::from_translation_mm(-peg.middle_mm);
+        let information = diagonal([1e3, 1.0 / 0.03, 1e3, 1e3, 1e3, 1e3]);
+        let forecast = peg.forecast(&PoseEstimate { pose, information }, 10.0, 100.0);
+        assert!(forecast.weakest.starts_with("lean about"), "{}", forecast.weakest);
+        assert!((forecast.lateral_sigma_mm - 0.15).abs() < 0.01, "{}", forecast.lateral_sigma_mm);
+    }
 }

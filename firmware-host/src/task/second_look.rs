@@ -1,8 +1,8 @@
 //! Look again at a part that one grasp does not tell well enough, while it stands in its holder.
 //!
-//! The hand opens, rises, turns about the part's axis and closes again. Poses are fused in the base frame by their
-//! information. The turn is chosen by what is unknown: the one after which the chance of insertion is the highest, if
-//! the next contact tells as much as the last one.
+//! The hand opens, rises, turns about the part's axis and closes again. Poses are fused in the base frame by
+//! their information. The turn is chosen by what is unknown: the one after which the chance of insertion is
+//! the highest, if the next contact tells as much as the last one.
 
 use super::cell::Cell;
 use super::chance::Flank;
@@ -16,11 +16,12 @@ use crate::report::{Forecast, Stage};
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::register::{FusedPose, PoseEstimate, fuse_poses};
 
-/// 99.9 % of chi-squared with six degrees of freedom: two looks at a part that stood still seldom differ by more.
+/// 99.9 % of chi-squared with six degrees of freedom: two looks at a part that stood still seldom differ by
+/// more.
 const MAX_SQUARED_DISTANCE: f64 = 22.458;
 
-/// Looks until the chance of insertion is high enough, `task.max_looks` times at most. Without `task.clearance_mm` one
-/// look is enough.
+/// Looks until the chance of insertion is high enough, `task.max_looks` times at most. Without
+/// `task.clearance_mm` one look is enough.
 pub(super) fn look_until_known(cell: &mut Cell, first: Held) -> Result<Localization, Halt> {
     let task = &cell.config.task;
     let Some(clearance_mm) = task.clearance_mm else {
@@ -52,8 +53,8 @@ pub(super) fn look_until_known(cell: &mut Cell, first: Held) -> Result<Localizat
     }
 }
 
-/// The turn of the hand about the part's axis after which the chance is the highest; the least one of those alike.
-/// `known` is in the base frame, the last `contact` in the gripper's.
+/// The turn of the hand about the part's axis after which the chance is the highest; the least one of those
+/// alike. `known` is in the base frame, the last `contact` in the gripper's.
 fn best_turn(cell: &Cell, flank: &Flank, known: &PoseEstimate, contact: &PoseEstimate) -> f64 {
     let task = &cell.config.task;
     let expected = |turn_rad: f64| -> Forecast {
@@ -77,13 +78,15 @@ fn best_turn(cell: &Cell, flank: &Flank, known: &PoseEstimate, contact: &PoseEst
     best.0
 }
 
-/// Pose of the gripper, `t_base_gripper`, that holds the part as is expected, but turned about the part's axis.
+/// Pose of the gripper, `t_base_gripper`, that holds the part as is expected, but turned about the part's
+/// axis.
 fn hand_around(cell: &Cell, t_base_object: &Pose, turn_rad: f64) -> Pose {
     let turn = Pose::exp(cell.config.insertion_axis() * turn_rad, DVec3::ZERO);
     *t_base_object * turn * cell.config.expected_t_gripper_object().inverse()
 }
 
-/// What is known of a part once the fingers have closed on it again, base frame: they push it along the gripper's x.
+/// What is known of a part once the fingers have closed on it again, base frame: they push it along the
+/// gripper's x.
 fn disturbed(cell: &Cell, known: &PoseEstimate, t_base_gripper: &Pose) -> PoseEstimate {
     let task = &cell.config.task;
     let held = known.in_frame(&t_base_gripper.inverse());
@@ -120,6 +123,19 @@ fn wait(cell: &mut Cell) -> Result<(), Halt> {
     Ok(())
 }
 
+/// Joins an estimate with what is known of the part without sensing. Two contacts that leave the slide along
+/// an axis free, and see this axis 1e-4 rad apart, would otherwise settle their difference across it by a
+/// slide of centimetres.
+fn expected_anyway(cell: &Cell, estimate: &PoseEstimate) -> PoseEstimate {
+    let task = &cell.config.task;
+    let mut joined = estimate.in_frame(&estimate.pose.inverse());
+    for (i, row) in joined.information.iter_mut().enumerate() {
+        let sigma = if i < 3 { task.part_sigma_rad } else { task.part_sigma_mm };
+        row[i] += 1.0 / (sigma * sigma);
+    }
+    joined.in_frame(&estimate.pose)
+}
+
 /// Localizes the part in the hand, and fuses that with what was known of it in the base frame.
 fn fused_look(cell: &mut Cell, known: &PoseEstimate) -> Result<Localization, Halt> {
     let t_base_gripper = cell.devices.robot.status()?.t_base_gripper;
@@ -129,11 +145,12 @@ fn fused_look(cell: &mut Cell, known: &PoseEstimate) -> Result<Localization, Hal
         other => return Ok(other),
     };
     let before = disturbed(cell, known, &t_base_gripper).in_frame(&t_base_gripper.inverse());
+    let before = expected_anyway(cell, &before);
     match fuse_poses(&before, &held.estimate) {
         Ok(FusedPose { squared_distance, .. }) if squared_distance > MAX_SQUARED_DISTANCE => {
             let reason = format!(
-                "two looks at the part contradict each other: a squared distance of {squared_distance:.1}, of which \
-                 {MAX_SQUARED_DISTANCE} is the limit; did the part move in its holder?"
+                "two looks at the part contradict each other: a squared distance of {squared_distance:.1}, \
+                 of which {MAX_SQUARED_DISTANCE} is the limit; did the part move in its holder?"
             );
             Ok(Localization::Declined { reason })
         }

@@ -1,8 +1,8 @@
 //! Fusion of two estimates of one pose, each with its information (Barfoot and Furgale 2014).
 //!
-//! An estimate says that the true pose is exp(e) T with e normal, of zero mean and information Λ. The fused pose is the
-//! one with the least e₁ᵀ Λ₁ e₁ + e₂ᵀ Λ₂ e₂, by Gauss-Newton on SE(3). Either information may be singular: along what
-//! a contact leaves free, the other estimate alone counts.
+//! An estimate says that the true pose is exp(e) T with e normal, of zero mean and information Λ. The fused
+//! pose is the one with the least e₁ᵀ Λ₁ e₁ + e₂ᵀ Λ₂ e₂, by Gauss-Newton on SE(3). Either information may be
+//! singular: along what a contact leaves free, the other estimate alone counts.
 
 use crate::math::linalg::{Symmetric, eigen};
 use crate::math::{DVec3, Pose, so3, sqrt};
@@ -21,8 +21,8 @@ pub struct PoseEstimate {
 pub struct FusedPose {
     /// The fused pose, with its information. Along what neither estimate knows it is the first one's.
     pub estimate: PoseEstimate,
-    /// Least sum of eᵀ Λ e: how far the estimates contradict each other. Of two estimates that know all six directions
-    /// and are right, it is distributed as chi-squared with six degrees of freedom.
+    /// Least sum of eᵀ Λ e: how far the estimates contradict each other. Of two estimates that know all six
+    /// directions and are right, it is distributed as chi-squared with six degrees of freedom.
     pub squared_distance: f64,
 }
 
@@ -46,12 +46,15 @@ pub enum FusionError {
     },
 }
 
-/// Estimates that differ by a larger angle are not fused: the series of the Jacobian is cut for angles up to this.
+/// Estimates that differ by a larger angle are not fused: the series of the Jacobian is cut for angles up to
+/// this.
 const MAX_TURN_RAD: f64 = 0.5;
 /// Gauss-Newton converges in a few steps; estimates that contradict each other take more.
 const MAX_STEPS: usize = 60;
-/// A direction with less of the information than this, after scaling to a unit diagonal, is free: round-off of the sum.
-const FREE: f64 = 1e-13;
+/// A direction with less of the scaled information than this is free. Carried through a frame that is L away,
+/// information about a part of size l keeps a round-off of 1e-16 (L / l)²: 1e-12 for a robot's base. A height
+/// is known to 1e-3 mm at best, so that what is known to worse than 100 mm is left alone.
+const FREE: f64 = 1e-10;
 
 impl core::fmt::Display for FusionError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
@@ -83,8 +86,8 @@ impl PoseEstimate {
         Self { pose: *t_c_a * self.pose, information: sandwiched(&self.information, &back) }
     }
 
-    /// The same estimate after the pose was disturbed about a point of frame a, by independent normal turns about and
-    /// shifts along the axes of frame a with these standard deviations.
+    /// The same estimate after the pose was disturbed about a point of frame a, by independent normal turns
+    /// about and shifts along the axes of frame a with these standard deviations.
     #[must_use]
     pub fn disturbed(&self, point_mm: DVec3, sigma_rad: DVec3, sigma_mm: DVec3) -> Self {
         let there = Pose::from_translation_mm(point_mm);
@@ -142,14 +145,14 @@ fn check(index: usize, estimate: &PoseEstimate) -> Result<(), FusionError> {
     if !finite {
         return Err(FusionError::NotFinite { index });
     }
-    let scale = |i: usize, j: usize| sqrt(information[i][i].abs()) * sqrt(information[j][j].abs());
-    // Round-off of a sum of some thousand points.
-    let symmetric = (0..6).all(|i| {
-        (0..6).all(|j| (information[i][j] - information[j][i]).abs() <= 1e-9 * scale(i, j))
-            && information[i][i] >= 0.0
-    });
-    let least = eigen(&unit_diagonal(information).matrix).values[0];
-    if symmetric && least >= -1e-9 { Ok(()) } else { Err(FusionError::Information { index }) }
+    // Round-off of a sum of some thousand points, carried through frames.
+    let scaled = scaled(information).matrix;
+    let symmetric = (0..6).all(|i| (0..6).all(|j| (scaled[i][j] - scaled[j][i]).abs() <= 1e-9));
+    if symmetric && eigen(&scaled).values[0] >= -1e-9 {
+        Ok(())
+    } else {
+        Err(FusionError::Information { index })
+    }
 }
 
 /// The normal equations of Gauss-Newton at a pose.
@@ -180,7 +183,7 @@ impl Normal {
 
     /// The least step to the minimum of the quadratic, by eigenvectors of the scaled information.
     fn step(&self) -> [f64; 6] {
-        let Scaled { matrix, scale } = unit_diagonal(&self.information);
+        let Scaled { matrix, scale } = scaled(&self.information);
         let parts = eigen(&matrix);
         let mut step = [0.0; 6];
         for (value, vector) in parts.values.into_iter().zip(parts.vectors) {
@@ -193,14 +196,18 @@ impl Normal {
     }
 }
 
-/// D⁻¹ M D⁻¹ with a unit diagonal, and D's diagonal; radians and millimetres are not comparable otherwise.
+/// D⁻¹ M D⁻¹ and D's diagonal: the largest entry of turns is 1, and that of shifts. Radians and millimetres
+/// are not comparable otherwise. Each entry by itself would blow up the round-off of one that is free.
 struct Scaled {
     matrix: Symmetric<6>,
     scale: [f64; 6],
 }
 
-fn unit_diagonal(information: &Symmetric<6>) -> Scaled {
-    let scale = core::array::from_fn(|i| if information[i][i] > 0.0 { sqrt(information[i][i]) } else { 1.0 });
+fn scaled(information: &Symmetric<6>) -> Scaled {
+    let largest = |from: usize| (from..from + 3).map(|i| information[i][i].abs()).fold(0.0, f64::max);
+    let unit = |from: usize| if largest(from) > 0.0 { sqrt(largest(from)) } else { 1.0 };
+    let units = [unit(0), unit(3)];
+    let scale = core::array::from_fn(|i| units[i / 3]);
     Scaled { matrix: matrix(|i, j| information[i][j] / (scale[i] * scale[j])), scale }
 }
 
@@ -223,7 +230,8 @@ fn adjoint(pose: &Pose) -> [[f64; 6]; 6] {
     })
 }
 
-/// Even Bernoulli numbers over factorials, B₂ₙ / (2n)! from n = 1 on. At [`MAX_TURN_RAD`] the next term is below 1e-13.
+/// Even Bernoulli numbers over factorials, B₂ₙ / (2n)! from n = 1 on. At [`MAX_TURN_RAD`] the next term is
+/// below 1e-13.
 const BERNOULLI: [f64; 6] = [
     1.0 / 12.0,
     -1.0 / 720.0,
@@ -233,7 +241,8 @@ const BERNOULLI: [f64; 6] = [
     -691.0 / 1_307_674_368_000.0,
 ];
 
-/// Inverse of the left Jacobian of SE(3): I - ad / 2 + Σ B₂ₙ / (2n)! ad²ⁿ (Barfoot, State Estimation for Robotics, 7.3).
+/// Inverse of the left Jacobian of SE(3): I - ad / 2 + Σ B₂ₙ / (2n)! ad²ⁿ (Barfoot, State Estimation for
+/// Robotics, 7.3).
 fn left_jacobian_inverse(omega: DVec3, v: DVec3) -> [[f64; 6]; 6] {
     let (turn, shift) = (so3::hat(omega), so3::hat(v));
     let ad: [[f64; 6]; 6] = matrix(|i, j| match (i < 3, j < 3) {
