@@ -1,6 +1,6 @@
 """gelstereo-host's task with real peers: a frame stream at 30 Hz, a Modbus gripper on a serial line, a robot bridge.
 
-Triggers stop the gripper within a frame; a part of the cell that falls silent stops the others; signals end a run safely.
+Triggers stop the gripper within a frame; a part that falls silent stops the others; signals end a run safely.
 """
 
 from __future__ import annotations
