@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 from test_recording_readers import host_binary
 from test_run_report import Tree
 
-STAGES = ["rest", "close", "localize", "align", "insert"]
+STAGES = ["rest", "close", "localize", "align", "insert", "retreat"]
 #: The time that a program of others may take on a busy machine.
 PATIENCE_S = 120.0
 
@@ -50,12 +50,12 @@ def test_there_is_a_step_for_each_stage_that_senses(steps: list[Step], recording
 
 def test_a_step_has_what_was_known_then(steps: list[Step], recording: tuple[Path, dict]) -> None:
     summary = recording[1]
-    assert [step.t_sensor_object is not None for step in steps] == [False, False, True, True, True]
+    assert [step.t_sensor_object is not None for step in steps] == [False, False, True, True, True, False]
     localized = summary["localized"]
     np.testing.assert_allclose(steps[2].t_sensor_object, localized["t_sensor_object"], atol=1e-9)
     assert steps[2].free == tuple(localized["free"])
     assert [step.events for step in steps if step.events] == [("trigger: grasp",), ("trigger: insertion",)]
-    assert [step.outcome for step in steps[:-1]] == [""] * 4
+    assert [step.outcome for step in steps[:-1]] == [""] * (len(STAGES) - 1)
     outcome = summary["outcome"]
     assert steps[-1].outcome == (
         f"inserted: depth {outcome['depth_mm']:.2f} mm, within {outcome['within_mm']:.2f} mm"
