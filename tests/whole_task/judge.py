@@ -89,7 +89,10 @@ def assert_at_rest(opened: Cell, since_ns: int, within_s: float = MAX_MOTION_S) 
     events = late()
     places = {tuple(event["position_mm"]) for event in events}
     assert len(places) == 1, f"the robot moves: {places}"
-    commands = [event for event in events if event["event"] != "exposed"]
+    # A stop may come late, when the host has given a silent gripper up; it moves nothing.
+    commands = [
+        event for event in events if event["event"] != "exposed" and not event["event"].endswith("_stop")
+    ]
     assert not commands, commands
     # Fingers that finish a move go one way.
     ways_mm = [after["width_mm"] - before["width_mm"] for before, after in itertools.pairwise(events)]
