@@ -2,25 +2,11 @@
 //! grey levels, blur 0.8 px, gel with shoulder, spread, drag).
 #![allow(clippy::unwrap_used)]
 
+mod quick_world;
+
 use gelstereo_core::params::RegisterMethod;
-use gelstereo_host::config::Config;
 use gelstereo_host::report::{JobReport, Outcome, Stage};
-use gelstereo_host::run::{Setup, run_with};
-use std::sync::atomic::AtomicBool;
-
-fn job(config: &Config) -> JobReport {
-    let stop = AtomicBool::new(false);
-    run_with(config, Setup::new(config).unwrap(), None, &stop, &mut |_| {}).unwrap()
-}
-
-/// A world that is quick to run: the way down takes half the frames, the template has a third of the points.
-fn quick(seed: u64) -> Config {
-    let mut config = Config::default();
-    config.simulated.seed = seed;
-    config.task.insertion_speed_mm_s = 20.0;
-    config.part.spacing_mm = 0.4;
-    config
-}
+use quick_world::{quick, run};
 
 fn count(report: &JobReport, stage: Stage) -> usize {
     report.stages.iter().filter(|s| s.stage == stage).count()
@@ -35,7 +21,7 @@ fn tight(seed: u64, max_looks: u32) -> JobReport {
     config.task.max_looks = max_looks;
     // The simulated robot is exact, and the simulated holder holds the peg but along the closing direction.
     (config.task.look_sigma_mm, config.task.look_sigma_rad) = (0.001, 1e-4);
-    job(&config)
+    run(&config)
 }
 
 #[test]
@@ -60,10 +46,10 @@ fn a_peg_that_jams_is_inserted_by_a_search_around_the_hole() {
         let mut config = quick(seed);
         config.params.register.method = RegisterMethod::RansacIcp;
         config.task.clearance_mm = Some(0.2);
-        let once = job(&config);
+        let once = run(&config);
         assert!(matches!(once.outcome, Outcome::Jammed { .. }), "seed {seed}: {}", once.outcome);
         config.task.max_tries = 19;
-        let report = job(&config);
+        let report = run(&config);
         assert!(matches!(report.outcome, Outcome::Inserted { .. }), "seed {seed}: {}", report.outcome);
         let truth = report.truth.clone().unwrap();
         assert!(truth.outcome_is_true && truth.tip_error_mm > 0.1, "seed {seed}: {truth:?}");
@@ -75,10 +61,10 @@ fn a_peg_that_jams_is_inserted_by_a_search_around_the_hole() {
 /// does.
 #[test]
 fn a_wide_hole_is_met_after_one_look_with_the_same_frames() {
-    let plain = job(&quick(1));
+    let plain = run(&quick(1));
     let mut config = quick(1);
     config.task.clearance_mm = Some(0.2);
-    let predicted = job(&config);
+    let predicted = run(&config);
     assert_eq!(plain.digest, predicted.digest);
     assert!(plain.localized.unwrap().forecast.is_none());
     assert!(predicted.localized.unwrap().forecast.unwrap().chance > 0.999);

@@ -1,6 +1,8 @@
 //! The whole job in the simulated world (simulated: noise 2 grey levels, blur 0.8 px, gel with shoulder, spread, drag).
 #![allow(clippy::unwrap_used)]
 
+mod quick_world;
+
 use gelstereo_core::params::RegisterMethod;
 use gelstereo_host::config::Config;
 use gelstereo_host::config::RecordingConfig;
@@ -10,34 +12,21 @@ use gelstereo_host::report::{JobReport, Outcome, Stage};
 use gelstereo_host::run::{HostError, Setup, recorded_config, run_with};
 use gelstereo_host::source::{FrameSource, Next, SourceError, StereoPair};
 use gelstereo_sim::Shape;
+use quick_world::{quick, run};
 use std::io::{Cursor, Write};
 use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-fn task(config: &Config) -> JobReport {
-    let stop = AtomicBool::new(false);
-    run_with(config, Setup::new(config).unwrap(), None, &stop, &mut |_| {}).unwrap()
-}
-
 fn figure(report: &JobReport, stage: Stage, name: &str) -> f64 {
     let stage = report.stages.iter().find(|s| s.stage == stage).unwrap();
     stage.figures.iter().find(|f| f.name == name).unwrap().value
 }
 
-/// A world that is quick to run: the way down takes half the frames, the template has a third of the points.
-fn quick(seed: u64) -> Config {
-    let mut config = Config::default();
-    config.simulated.seed = seed;
-    config.task.insertion_speed_mm_s = 20.0;
-    config.part.spacing_mm = 0.4;
-    config
-}
-
 #[test]
 fn the_embedded_default_inserts_the_peg() {
-    let report = task(&Config::default());
+    let report = run(&Config::default());
     assert!(matches!(report.outcome, Outcome::Inserted { .. }), "{}", report.outcome);
     let stages: Vec<Stage> = report.stages.iter().map(|s| s.stage).collect();
     use Stage::{Align, Close, Insert, Localize, Open, Rest, Retreat};
@@ -82,7 +71,7 @@ fn judged(config: &Config, report: &JobReport) -> bool {
 fn ten_pegs_go_in_and_the_outcome_says_so() {
     for seed in 1..=10 {
         let config = quick(seed);
-        let report = task(&config);
+        let report = run(&config);
         assert!(judged(&config, &report), "seed {seed}: {}", report.outcome);
     }
 }
@@ -93,7 +82,7 @@ fn failures_of_ten_pegs_are_told_as_what_they_are() {
     let inserted = (11..=20).filter(|&seed| {
         let mut config = quick(seed);
         config.params.register.method = RegisterMethod::RansacIcp;
-        judged(&config, &task(&config))
+        judged(&config, &run(&config))
     });
     let inserted = inserted.count();
     assert!((1..10).contains(&inserted), "{inserted} of 10: this test shows both only with some of each");
@@ -103,7 +92,7 @@ fn failures_of_ten_pegs_are_told_as_what_they_are() {
 fn a_hole_that_is_too_small_is_felt_at_the_rim() {
     let mut config = quick(1);
     config.simulated.hole_diameter_mm = 7.9;
-    let report = task(&config);
+    let report = run(&config);
     let truth = report.truth.clone().unwrap();
     assert!(matches!(report.outcome, Outcome::Jammed { .. }), "{}", report.outcome);
     assert_eq!(truth.limit_mm, 0.0);
@@ -118,7 +107,7 @@ fn a_hole_that_is_too_small_is_felt_at_the_rim() {
 fn a_wrong_template_is_stopped_by_the_trigger() {
     let mut config = quick(1);
     config.simulated.shape = Some(Shape::Cylinder { radius_mm: 4.5, length_mm: 40.0 });
-    let report = task(&config);
+    let report = run(&config);
     assert!(
         matches!(report.outcome, Outcome::Jammed { .. } | Outcome::NotLocalized { .. }),
         "{}",
@@ -132,7 +121,7 @@ fn fingers_that_close_on_nothing_grasp_nothing() {
     let mut config = quick(1);
     config.task.part_pose.position_mm[1] += 40.0;
     config.simulated.offset_mm = 0.0;
-    let report = task(&config);
+    let report = run(&config);
     assert!(matches!(report.outcome, Outcome::NotGrasped { .. }), "{}", report.outcome);
     assert_eq!(report.stages.last().unwrap().stage, Stage::Rest, "the unfinished stage is not reported");
 }

@@ -90,9 +90,8 @@ proptest! {
     /// distance.
     #[test]
     fn two_partial_looks_make_a_whole([a, b] in estimates([3, 3])) {
-        let found = fused(&a, &b);
         // Where two of the directions are nearly alike, the pose at no distance is too far away for
-        // Gauss-Newton.
+        // Gauss-Newton, which then says so.
         let sum: Symmetric<6> = core::array::from_fn(|i| {
             core::array::from_fn(|j| a.information[i][j] + b.information[i][j])
         });
@@ -100,7 +99,18 @@ proptest! {
             core::array::from_fn(|j| sum[i][j] / (sum[i][i] * sum[j][j]).sqrt())
         });
         prop_assume!(eigen(&scaled).values[0] > 0.03);
+        let found = fused(&a, &b);
         prop_assert!(found.squared_distance < 1e-6, "{}", found.squared_distance);
+    }
+
+    /// Two looks that know three directions each: either at rest, or refused.
+    #[test]
+    fn what_does_not_come_to_rest_is_no_answer([a, b] in estimates([3, 3])) {
+        match fuse_poses(&a, &b) {
+            // Three and three measurements can all be met; what is at rest elsewhere is a local minimum.
+            Ok(found) => prop_assert!(found.squared_distance.is_finite()),
+            Err(error) => prop_assert!(matches!(error, FusionError::NotConverged { .. }), "{error}"),
+        }
     }
 
     /// A peg that slides freely along its axis stays where the first look has it, wherever the robot's base

@@ -44,6 +44,13 @@ pub enum FusionError {
         /// Angle between them, rad.
         turn_rad: f64,
     },
+    /// The iterations did not come to rest: the estimates contradict each other.
+    NotConverged {
+        /// Turn of the last step, rad.
+        step_rad: f64,
+        /// Shift of the last step, mm.
+        step_mm: f64,
+    },
 }
 
 /// Estimates that differ by a larger angle are not fused: the series of the Jacobian is cut for angles up to
@@ -51,6 +58,11 @@ pub enum FusionError {
 const MAX_TURN_RAD: f64 = 0.5;
 /// Gauss-Newton converges in a few steps; estimates that contradict each other take more.
 const MAX_STEPS: usize = 60;
+/// A last step that is longer is not at rest. A thousandth of what a contact tells at best, 1e-3 mm and, over
+/// 10 mm, 1e-4 rad.
+const MAX_REST_RAD: f64 = 1e-7;
+/// The same for the shift.
+const MAX_REST_MM: f64 = 1e-6;
 /// A direction with less of the scaled information than this is free. Carried through a frame that is L away,
 /// information about a part of size l keeps a round-off of 1e-16 (L / l)²: 1e-12 for a robot's base. A height
 /// is known to 1e-3 mm at best, so that what is known to worse than 100 mm is left alone.
@@ -71,6 +83,11 @@ impl core::fmt::Display for FusionError {
                 f,
                 "the poses differ by {turn_rad:.3} rad; valid is up to {MAX_TURN_RAD} rad: are they of one part, and of \
                  the same one of its symmetric copies?"
+            ),
+            Self::NotConverged { step_rad, step_mm } => write!(
+                f,
+                "fusion did not come to rest in {MAX_STEPS} steps (the last one: {step_rad:.1e} rad, {step_mm:.1e} mm); \
+                 the estimates contradict each other: are they of one part?"
             ),
         }
     }
@@ -120,15 +137,21 @@ pub fn fuse_poses(first: &PoseEstimate, second: &PoseEstimate) -> Result<FusedPo
         return Err(FusionError::Apart { turn_rad });
     }
     let mut pose = first.pose;
+    let (mut step_rad, mut step_mm) = (0.0, 0.0);
     for _ in 0..MAX_STEPS {
         let normal = Normal::at(&pose, &estimates);
         let step = normal.step();
         let (omega, v) = (DVec3::new(step[0], step[1], step[2]), DVec3::new(step[3], step[4], step[5]));
         pose = Pose::exp(omega, v) * pose;
         pose.rotation = pose.rotation.normalize();
-        if omega.length() < 1e-15 && v.length() < 1e-13 * (1.0 + pose.translation_mm.length()) {
+        (step_rad, step_mm) = (omega.length(), v.length());
+        if step_rad < 1e-15 && step_mm < 1e-13 * (1.0 + pose.translation_mm.length()) {
             break;
         }
+    }
+    // The negated form refuses a NaN too.
+    if !(step_rad <= MAX_REST_RAD && step_mm <= MAX_REST_MM) {
+        return Err(FusionError::NotConverged { step_rad, step_mm });
     }
     let normal = Normal::at(&pose, &estimates);
     Ok(FusedPose {
