@@ -74,6 +74,7 @@ __all__ = [
     "decode_camera_frame",
     "disc_bias",
     "foresight_sort",
+    "fuse_poses",
     "hid_udev_rule",
     "list_cameras",
     "localize",

@@ -192,8 +192,9 @@ impl<'a> Cell<'a> {
                 self.watch.rests();
             }
             // What was recorded of the frame stays as it is, so that a replay gives the same.
-            let result =
-                if reached.is_some() { result } else { result.and_then(|()| self.sensing.check_seen()) };
+            // Lost markers matter only while a trigger is waited for: fingers that open shake the gel.
+            let waits = trigger.is_some() && reached.is_none();
+            let result = if waits { result.and_then(|()| self.sensing.check_seen()) } else { result };
             let Err(error) = result else {
                 return Ok(Felt { motion_px, triggered: reached.is_some() });
             };
