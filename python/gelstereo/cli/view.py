@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 EXAMPLES = """examples:
   gelstereo view run.mcap --output located.png        the moment at which the part was located
   gelstereo view run.mcap --steps out/steps           a picture of each stage, and a page of all of them
-  gelstereo view run.mcap --steps out/steps --every 5 of each fifth frame instead
-  gelstereo view run.mcap --window                    step by arrow keys, where OpenCV has windows
+  gelstereo view run.mcap --steps out/steps --every 5  of each fifth frame instead
   gelstereo view run.mcap --rerun run.rrd             a file for Rerun; without a name its viewer opens
   gelstereo view out/press --output press.png         the last of a folder of stereo images
   gelstereo view out/press --rig rig.toml --frame 12 --output press.png
