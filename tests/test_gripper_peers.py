@@ -7,6 +7,7 @@ server as a check on the server itself.
 from __future__ import annotations
 
 import queue
+import signal
 import socket
 import subprocess
 import sys
@@ -134,6 +135,38 @@ def test_a_robotiq_gripper_is_activated_moved_and_never_activated_again(tmp_path
         stopped = state(gripper(tmp_path, wire.host_port, "stop"))
         assert stopped["moving"] == "false"
         assert server.commands()[-1].startswith("0100"), "stopped by taking back the request, still activated"
+
+
+@pytest.mark.parametrize(
+    ("kind", "begun", "ended"),
+    [
+        ("robotiq", "0100 0000 0000", "0000 0000 0000"),
+        ("robotiq_urcap", "0100 0000 0000", "0000 0000 0000"),
+        # Sent to where it is, fully open.
+        ("dh", "00a5 0000 0000 0000 0000", "00a5 0000 0000 03e8 0000"),
+    ],
+)
+def test_ctrl_c_ends_an_activation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, begun: str, ended: str
+) -> None:
+    monkeypatch.setenv("ACTIVATION_S", "600")
+    opened = on_tcp("urcap_server.py") if kind == "robotiq_urcap" else on_a_wire("modbus_server.py", kind)
+    with opened as (line, server):
+        cell = tmp_path / "cell.toml"
+        port = line if isinstance(line, str) else line.host_port
+        cell.write_text(f'[gripper]\nkind = "{kind}"\nport = "{port}"\n{TABLES[kind]}\n')
+        command = [host_binary(), "gripper", "--config", str(cell), "activate"]
+        host = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        commands: list[str] = []
+        deadline = time.monotonic() + 30
+        while begun not in commands:
+            assert time.monotonic() < deadline, commands
+            commands += server.commands()
+            time.sleep(0.01)
+        host.send_signal(signal.SIGINT)
+        out, err = host.communicate(timeout=10)
+        assert host.returncode == 1, out + err
+        assert server.commands()[-1:] == [ended]
 
 
 def test_a_robotiq_gripper_is_reached_by_rtu_over_tcp(tmp_path: Path) -> None:

@@ -34,14 +34,23 @@ class Gripper:
         self._driver, self._port = driver, port
 
     def activate(self) -> None:
-        """Make the gripper ready. Some sweep their fingers, unless they are ready.
+        """Make the gripper ready and wait until it is. Some sweep their fingers, unless they are ready.
+
+        Ctrl-C stops them.
 
         Raises
         ------
         GripperError
-            If the gripper holds something that activation would drop, reports a fault or does not answer.
+            If the gripper holds something that activation would drop, reports a fault, does not answer or is not ready
+            after 15 s.
         """
         self._driver.activate()
+        try:
+            while self._driver.status().moving:
+                time.sleep(_POLL_S)
+        except BaseException:
+            self._driver.stop()
+            raise
 
     def move(
         self, width_mm: float, *, speed_mm_s: float = 50.0, force: float = 0.2, timeout_s: float = 30.0

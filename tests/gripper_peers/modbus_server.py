@@ -4,12 +4,14 @@ Only how position and status follow the commands is written here, from the vendo
 is written is printed as a line, so that a test can see what was asked.
 
 usage: modbus_server.py robotiq|dh|onrobot PORT [HELD]     PORT is a serial port, or a TCP port number on loopback.
-HELD is where something stops the fingers that close, in the gripper's own counts.
+HELD is where something stops the fingers that close, in the gripper's own counts. The environment variable ACTIVATION_S
+is how long an activation takes.
 """
 
 from __future__ import annotations
 
 import asyncio
+import os
 import sys
 import time
 from typing import Protocol
@@ -18,7 +20,7 @@ from pymodbus import FramerType
 from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
-ACTIVATION_S = 0.3
+ACTIVATION_S = float(os.environ.get("ACTIVATION_S", "0.3"))
 
 
 class Gripper(Protocol):

@@ -99,7 +99,8 @@ impl GripperDriver {
         Ok(Self { driver: Mutex::new(driver), raised })
     }
 
-    /// Make the gripper ready. Some sweep their fingers, unless they are ready; one that holds something is refused.
+    /// Begin to make the gripper ready; returns at once. Some sweep their fingers, unless they are ready; one that holds
+    /// something is refused.
     fn activate(&mut self) -> PyResult<()> {
         let result = self.driver().activate();
         self.result(result)

@@ -55,26 +55,38 @@ pub fn command(Arguments { config, action }: &Arguments) -> Result<bool, CliErro
     let status = act(gripper.as_mut(), action, &stop).map_err(HostError::Gripper)?;
     let GripperStatus { width_mm, moving, object_detected } = status;
     say(format_args!("width_mm {width_mm:.2}  moving {moving}  object_detected {object_detected}"))?;
-    Ok(true)
+    Ok(!stop.load(Ordering::Relaxed))
 }
 
 fn act(gripper: &mut dyn Gripper, action: &Action, stop: &AtomicBool) -> Result<GripperStatus, GripperError> {
     match *action {
         Action::Status => {}
-        Action::Activate => gripper.activate()?,
+        Action::Activate => activate(gripper, stop)?,
         Action::Stop => gripper.stop()?,
         Action::Move { width_mm, speed_mm_s, force } => {
-            gripper.activate()?;
-            gripper.move_to(width_mm, speed_mm_s, force)?;
-            let deadline = Instant::now() + MAX_MOVE;
-            while gripper.status()?.moving {
-                if stop.load(Ordering::Relaxed) || Instant::now() > deadline {
-                    gripper.stop()?;
-                    break;
-                }
-                std::thread::sleep(POLL);
+            activate(gripper, stop)?;
+            if !stop.load(Ordering::Relaxed) {
+                gripper.move_to(width_mm, speed_mm_s, force)?;
+                wait(gripper, stop)?;
             }
         }
     }
     gripper.status()
+}
+
+fn activate(gripper: &mut dyn Gripper, stop: &AtomicBool) -> Result<(), GripperError> {
+    gripper.activate()?;
+    wait(gripper, stop)
+}
+
+/// Waits until the fingers stand, and stops them when somebody asks for it.
+fn wait(gripper: &mut dyn Gripper, stop: &AtomicBool) -> Result<(), GripperError> {
+    let deadline = Instant::now() + MAX_MOVE;
+    while gripper.status()?.moving {
+        if stop.load(Ordering::Relaxed) || Instant::now() > deadline {
+            return gripper.stop();
+        }
+        std::thread::sleep(POLL);
+    }
+    Ok(())
 }

@@ -1,8 +1,7 @@
 //! DH-Robotics AG-95, PGC, PGE and PGI over Modbus RTU.
 
-use super::{Gripper, GripperError, GripperStatus, Master, WidthTable, check_speed, share};
+use super::{Activating, Gripper, GripperError, GripperStatus, Master, WidthTable, check_speed, share};
 use crate::codec::modbus::Request;
-use std::time::{Duration, Instant};
 
 const INITIALISE: u16 = 0x0100;
 const CLOSING_FORCE: u16 = 0x0101;
@@ -22,8 +21,6 @@ const DROPPED: u16 = 3;
 /// Force and speed are per cent of the largest; the manual's least force is 20 %.
 const PERCENT: f64 = 100.0;
 const MIN_FORCE_PERCENT: f64 = 20.0;
-const MAX_INITIALISATION: Duration = Duration::from_secs(15);
-const POLL: Duration = Duration::from_millis(50);
 
 /// A driver of one gripper.
 pub struct DhRobotics {
@@ -32,13 +29,14 @@ pub struct DhRobotics {
     /// Absent for the AG-95, whose speed cannot be set.
     speed_mm_s: Option<(f64, f64)>,
     target: Option<u16>,
+    initialising: Option<Activating>,
 }
 
 impl DhRobotics {
     /// On a Modbus RTU line. `widths` maps the position, 0 to 1000, to the opening.
     #[must_use]
     pub const fn new(master: Master, widths: WidthTable, speed_mm_s: Option<(f64, f64)>) -> Self {
-        Self { master, widths, speed_mm_s, target: None }
+        Self { master, widths, speed_mm_s, target: None, initialising: None }
     }
 
     fn write(&mut self, address: u16, value: u16) -> Result<(), GripperError> {
@@ -62,19 +60,8 @@ impl Gripper for DhRobotics {
             return Err(GripperError::Holds);
         }
         self.write(INITIALISE, FULL)?;
-        let deadline = Instant::now() + MAX_INITIALISATION;
-        loop {
-            std::thread::sleep(POLL);
-            let [initialised, _, position] = self.state()?;
-            if initialised == INITIALISED {
-                self.target = Some(position);
-                return Ok(());
-            }
-            if Instant::now() > deadline {
-                let message = format!("initialisation did not end within {MAX_INITIALISATION:?}");
-                return Err(GripperError::Fault { message });
-            }
-        }
+        self.initialising = Some(Activating::begun());
+        Ok(())
     }
 
     fn move_to(&mut self, width_mm: f64, speed_mm_s: f64, force: f64) -> Result<(), GripperError> {
@@ -96,9 +83,12 @@ impl Gripper for DhRobotics {
         Ok(())
     }
 
-    /// The protocol has no stop: the gripper is sent to where it is.
+    /// The protocol has no stop: the gripper is sent to where it is, also while it is initialised.
     fn stop(&mut self) -> Result<(), GripperError> {
         let [_, grip, position] = self.state()?;
+        if self.initialising.take().is_some() {
+            return self.write(POSITION, position);
+        }
         if grip == MOVING {
             self.write(POSITION, position)?;
             self.target = Some(position);
@@ -111,14 +101,17 @@ impl Gripper for DhRobotics {
     }
 
     fn status(&mut self) -> Result<GripperStatus, GripperError> {
-        let [_, grip, position] = self.state()?;
+        let [initialised, grip, position] = self.state()?;
+        let width_mm = self.widths.width_mm(position.into());
+        if let Some(initialising) = self.initialising {
+            if initialised != INITIALISED {
+                return initialising.status(width_mm, &"it is not initialised");
+            }
+            (self.initialising, self.target) = (None, Some(position));
+        }
         if grip == DROPPED {
             return Err(GripperError::Fault { message: "what was held has dropped".to_owned() });
         }
-        Ok(GripperStatus {
-            width_mm: self.widths.width_mm(position.into()),
-            moving: grip == MOVING,
-            object_detected: grip == CAUGHT,
-        })
+        Ok(GripperStatus { width_mm, moving: grip == MOVING, object_detected: grip == CAUGHT })
     }
 }

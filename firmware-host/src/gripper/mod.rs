@@ -25,6 +25,7 @@ pub use robotiq_urcap::RobotiqUrcap;
 pub use width::{WidthTable, WidthTableError};
 
 use std::fmt;
+use std::time::{Duration, Instant};
 
 /// What a gripper says of itself.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -108,7 +109,10 @@ impl fmt::Display for GripperError {
                 write!(f, "the gripper was asked for a force of {force}; valid is a share from 0 to 1")
             }
             Self::NotActivated => {
-                write!(f, "the gripper is not activated; activate it before the first move")
+                write!(
+                    f,
+                    "the gripper is not activated; activate it, and wait until its fingers stand, before the first move"
+                )
             }
             Self::Holds => write!(
                 f,
@@ -129,6 +133,30 @@ impl fmt::Display for GripperError {
 
 impl std::error::Error for GripperError {}
 
+/// Activation sweeps the fingers once open and closed; the makers' own drivers allow ten seconds.
+const MAX_ACTIVATION: Duration = Duration::from_secs(15);
+
+/// An activation that is under way.
+#[derive(Clone, Copy, Debug)]
+struct Activating {
+    deadline: Instant,
+}
+
+impl Activating {
+    fn begun() -> Self {
+        Self { deadline: Instant::now() + MAX_ACTIVATION }
+    }
+
+    /// The status of fingers that sweep at `width_mm`. `fault` is the gripper's own word for what is wrong.
+    fn status(self, width_mm: f64, fault: &dyn fmt::Display) -> Result<GripperStatus, GripperError> {
+        if Instant::now() > self.deadline {
+            let message = format!("activation did not end within {} s: {fault}", MAX_ACTIVATION.as_secs());
+            return Err(GripperError::Fault { message });
+        }
+        Ok(GripperStatus { width_mm, moving: true, object_detected: false })
+    }
+}
+
 /// A speed within a range; a NaN is out of it.
 fn check_speed(speed_mm_s: f64, (min_mm_s, max_mm_s): (f64, f64)) -> Result<f64, GripperError> {
     if speed_mm_s >= min_mm_s && speed_mm_s <= max_mm_s {
@@ -146,12 +174,13 @@ fn share(force: f64, steps: f64) -> Result<f64, GripperError> {
     }
 }
 
-/// A two-finger gripper. Moves return at once; [`Gripper::status`] says when they are over.
+/// A two-finger gripper. Activation and moves return at once; [`Gripper::status`] says when they are over.
 pub trait Gripper {
-    /// Makes the gripper ready. Some sweep their fingers, and drop what they hold.
+    /// Begins to make the gripper ready. Some sweep their fingers, and drop what they hold; they move until they are
+    /// ready.
     ///
     /// # Errors
-    /// [`GripperError::Device`].
+    /// [`GripperError`].
     fn activate(&mut self) -> Result<(), GripperError>;
 
     /// Starts to move to a width. `force` is a share of the gripper's range, 0 to 1.
@@ -163,7 +192,7 @@ pub trait Gripper {
     /// Begins to stop without waiting for the gripper, where the driver can; [`Self::stop`] follows in any case.
     fn begin_stop(&mut self) {}
 
-    /// Stops where the fingers are.
+    /// Stops where the fingers are. A gripper that is being activated is not ready afterwards.
     ///
     /// # Errors
     /// [`GripperError::Device`].

@@ -1,13 +1,8 @@
 //! Robotiq 2F-85, 2F-140 and Hand-E over Modbus RTU, by a serial adapter or by TCP (the UR controller's port 54321).
 
-use super::{Gripper, GripperError, GripperStatus, Master, WidthTable, check_speed, share};
+use super::{Activating, Gripper, GripperError, GripperStatus, Master, WidthTable, check_speed, share};
 use crate::codec::robotiq::{Activation, Command, Motion, READ_STATUS, REGISTERS, Status, exchange};
-use std::time::{Duration, Instant};
 
-/// Activation sweeps the fingers once open and closed; the vendor's own driver allows ten seconds.
-const MAX_ACTIVATION: Duration = Duration::from_secs(15);
-/// Between two looks at an activation.
-const POLL: Duration = Duration::from_millis(50);
 /// Steps of position, speed and force.
 const STEPS: f64 = 255.0;
 
@@ -18,6 +13,7 @@ pub struct Robotiq {
     speed_mm_s: (f64, f64),
     /// The command that the gripper has; unknown until its status was read.
     command: Option<Command>,
+    activating: Option<Activating>,
 }
 
 /// The command of an active gripper as its status repeats it, so that writing it again moves nothing.
@@ -38,7 +34,7 @@ impl Robotiq {
     /// fastest speed of the model.
     #[must_use]
     pub fn new(master: Master, widths: WidthTable, speed_mm_s: (f64, f64)) -> Self {
-        Self { master, widths, speed_mm_s, command: None }
+        Self { master, widths, speed_mm_s, command: None, activating: None }
     }
 
     fn write(&mut self, command: Command) -> Result<Status, GripperError> {
@@ -61,22 +57,6 @@ impl Robotiq {
             None => self.read().map(|status| command_of(&status)),
         }
     }
-
-    /// Resets and activates, which sweeps the fingers.
-    fn sweep(&mut self) -> Result<(), GripperError> {
-        self.write(Command::default())?;
-        let deadline = Instant::now() + MAX_ACTIVATION;
-        let mut status = self.write(Command { activate: true, ..Command::default() })?;
-        while status.activation != Activation::Active {
-            if status.fault.needs_activation() || Instant::now() > deadline {
-                let message = format!("activation did not end: {}", status.fault);
-                return Err(GripperError::Fault { message });
-            }
-            std::thread::sleep(POLL);
-            status = self.read()?;
-        }
-        Ok(())
-    }
 }
 
 impl Gripper for Robotiq {
@@ -92,11 +72,15 @@ impl Gripper for Robotiq {
         if matches!(status.motion, Motion::ContactClosing | Motion::ContactOpening) {
             return Err(GripperError::Holds);
         }
-        self.sweep()
+        // A rising edge activates.
+        self.write(Command::default())?;
+        self.write(Command { activate: true, ..Command::default() })?;
+        self.activating = Some(Activating::begun());
+        Ok(())
     }
 
     fn move_to(&mut self, width_mm: f64, speed_mm_s: f64, force: f64) -> Result<(), GripperError> {
-        if !self.command()?.activate {
+        if self.activating.is_some() || !self.command()?.activate {
             return Err(GripperError::NotActivated);
         }
         let (min_mm, max_mm) = self.widths.range_mm();
@@ -115,6 +99,10 @@ impl Gripper for Robotiq {
     }
 
     fn stop(&mut self) -> Result<(), GripperError> {
+        if self.activating.take().is_some() {
+            // A sweep is no move that could be taken back: a reset ends it.
+            return self.write(Command::default()).map(|_| ());
+        }
         let command = Command { go: false, ..self.command()? };
         self.write(command).map(|_| ())
     }
@@ -128,12 +116,18 @@ impl Gripper for Robotiq {
         if status.fault.needs_activation() {
             return Err(GripperError::Fault { message: status.fault.to_string() });
         }
+        let width_mm = self.widths.width_mm(status.position.into());
+        if status.activation == Activation::Active {
+            self.activating = None;
+        } else if let Some(activating) = self.activating {
+            return activating.status(width_mm, &status.fault);
+        }
         let command = self.command()?;
         // Until the request is repeated, the object bits are those of the move before.
         let echoed = status.requested == command.position;
         let stopped = status.motion != Motion::Moving;
         Ok(GripperStatus {
-            width_mm: self.widths.width_mm(status.position.into()),
+            width_mm,
             moving: command.go && !(echoed && stopped),
             object_detected: status.go
                 && echoed

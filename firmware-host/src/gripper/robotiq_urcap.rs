@@ -1,15 +1,11 @@
 //! Robotiq grippers through the Robotiq Gripper URCap on a UR controller: text over TCP, port 63352.
 
 use super::line::Line;
-use super::{Gripper, GripperError, GripperStatus, WidthTable, check_speed, share};
+use super::{Activating, Gripper, GripperError, GripperStatus, WidthTable, check_speed, share};
 use crate::codec::robotiq::Fault;
 use crate::codec::robotiq_urcap::{self as urcap, LineReader, ReplyError, Variable};
 use std::time::{Duration, Instant};
 
-/// Activation sweeps the fingers once open and closed.
-const MAX_ACTIVATION: Duration = Duration::from_secs(15);
-/// Between two looks at an activation.
-const POLL: Duration = Duration::from_millis(50);
 /// Steps of position, speed and force.
 const STEPS: f64 = 255.0;
 /// `STA` of an active gripper.
@@ -23,13 +19,14 @@ pub struct RobotiqUrcap {
     speed_mm_s: (f64, f64),
     position: Option<u8>,
     go: bool,
+    activating: Option<Activating>,
 }
 
 impl RobotiqUrcap {
     /// On a TCP line; `timeout` is what one reply may take, the rest as for [`super::Robotiq::new`].
     #[must_use]
     pub fn new(line: Box<dyn Line>, timeout: Duration, widths: WidthTable, speed_mm_s: (f64, f64)) -> Self {
-        Self { line, timeout, widths, speed_mm_s, position: None, go: false }
+        Self { line, timeout, widths, speed_mm_s, position: None, go: false, activating: None }
     }
 
     fn ask(&mut self, request: &str) -> Result<String, GripperError> {
@@ -79,15 +76,7 @@ impl Gripper for RobotiqUrcap {
         }
         self.set(&[(Variable::Act, 0)])?;
         self.set(&[(Variable::Act, 1)])?;
-        let deadline = Instant::now() + MAX_ACTIVATION;
-        while self.get(Variable::Sta)? != ACTIVE {
-            if Instant::now() > deadline {
-                let fault = Fault(self.get(Variable::Flt)? & 0x0F);
-                return Err(GripperError::Fault { message: format!("activation did not end: {fault}") });
-            }
-            std::thread::sleep(POLL);
-        }
-        self.position = Some(self.get(Variable::Pre)?);
+        self.activating = Some(Activating::begun());
         Ok(())
     }
 
@@ -111,6 +100,10 @@ impl Gripper for RobotiqUrcap {
     }
 
     fn stop(&mut self) -> Result<(), GripperError> {
+        if self.activating.take().is_some() {
+            // A sweep is no move that could be taken back: a reset ends it.
+            return self.set(&[(Variable::Act, 0)]);
+        }
         self.set(&[(Variable::Gto, 0)])?;
         self.go = false;
         Ok(())
@@ -124,6 +117,13 @@ impl Gripper for RobotiqUrcap {
         let fault = Fault(self.get(Variable::Flt)? & 0x0F);
         if fault.needs_activation() {
             return Err(GripperError::Fault { message: fault.to_string() });
+        }
+        if let Some(activating) = self.activating {
+            if self.get(Variable::Sta)? != ACTIVE {
+                let position = self.get(Variable::Pos)?;
+                return activating.status(self.widths.width_mm(position.into()), &fault);
+            }
+            (self.activating, self.position) = (None, Some(self.get(Variable::Pre)?));
         }
         // The echo comes first: until it is there, the object's state is that of the move before.
         let echoed = Some(self.get(Variable::Pre)?) == self.position;

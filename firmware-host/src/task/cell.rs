@@ -79,6 +79,18 @@ impl<'a> Cell<'a> {
         }
     }
 
+    /// Makes the gripper ready, and returns when its fingers stand. Frames meanwhile show neither rest nor contact: they
+    /// are let go.
+    pub(super) fn activate_gripper(&mut self) -> Result<(), Halt> {
+        let task = &self.config.task;
+        self.watch.moves(task, Guard::Free, task.opening_speed_mm_s);
+        self.devices.gripper.activate()?;
+        while self.moves()? {
+            self.skip_pair()?;
+        }
+        Ok(())
+    }
+
     /// Starts to move the fingers with the task's closing force.
     pub(super) fn move_gripper(&mut self, width_mm: f64, speed_mm_s: f64, guard: Guard) -> Result<(), Halt> {
         let task = &self.config.task;

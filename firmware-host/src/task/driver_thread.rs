@@ -14,8 +14,8 @@ use std::time::{Duration, Instant};
 
 /// Between two status requests of a device at rest; a Robotiq gripper wants one each second.
 const KEEP_ALIVE: Duration = Duration::from_millis(200);
-/// An activation may take 15 s, each other command two seconds of attempts. Longer means that the driver hangs.
-const MAX_COMMAND: Duration = Duration::from_secs(20);
+/// A command takes two seconds of attempts at most. Longer means that the driver hangs.
+const MAX_COMMAND: Duration = Duration::from_secs(5);
 
 /// A device as its thread drives it.
 pub trait Driver: Send + 'static {

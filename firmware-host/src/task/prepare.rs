@@ -13,8 +13,8 @@ use gelstereo_core::track::MarkerState;
 /// Makes the gripper ready, opens it and brings it to a pose, or leaves it where it is.
 pub(super) fn open(cell: &mut Cell, t_base_gripper: Option<&Pose>) -> Result<(), Halt> {
     cell.log.begin(Stage::Open);
+    cell.activate_gripper()?;
     let task = &cell.config.task;
-    cell.devices.gripper.activate()?;
     cell.move_gripper(task.open_width_mm, task.opening_speed_mm_s, Guard::Free)?;
     if let Some(t_base_gripper) = t_base_gripper {
         cell.move_robot(t_base_gripper, task.move_speed_mm_s, Guard::Free)?;
