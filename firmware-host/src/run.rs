@@ -52,6 +52,27 @@ pub enum HostError {
     Task(TaskError),
 }
 
+impl HostError {
+    /// What kind of error it is, in the words of the JSON summary.
+    #[must_use]
+    pub const fn cause(&self) -> &'static str {
+        match self {
+            Self::Config(_) => "config",
+            Self::Part(_) => "part",
+            Self::World(_) => "world",
+            Self::Hid(_) => "hid",
+            Self::Source(_) => "source",
+            Self::Sensing(_) => "sensing",
+            Self::Gripper(_) => "gripper",
+            Self::Robot(_) => "robot",
+            Self::Thread(_) => "thread",
+            Self::Recording(_) => "recording",
+            Self::Taught(_) => "taught",
+            Self::Task(error) => error.cause(),
+        }
+    }
+}
+
 impl std::fmt::Display for HostError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {

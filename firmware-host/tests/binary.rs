@@ -74,6 +74,41 @@ fn bad_input_is_an_error_in_words_with_code_2() {
     }
 }
 
+/// Standard output of a command that ends in an error, as JSON, and the error on stderr.
+fn broken_off(folder: &Path, arguments: &[&str]) -> (serde_json::Value, String) {
+    let Output { status, stdout, stderr } = host(folder, arguments).output().unwrap();
+    let errors = String::from_utf8(stderr).unwrap();
+    assert_eq!(status.code(), Some(2), "{errors}");
+    let error = errors.lines().last().unwrap().strip_prefix("gelstereo-host: ").unwrap();
+    (serde_json::from_slice(&stdout).unwrap(), error.to_owned())
+}
+
+#[test]
+fn a_job_that_breaks_off_has_a_json_summary_with_the_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    let slow = "[task]\nclosing_speed_mm_s = 0.01\nstage_timeout_s = 1.0\n";
+    std::fs::write(folder.path().join("slow.toml"), slow).unwrap();
+    let common = ["--config", "slow.toml", "--record", "run.mcap", "--json"];
+    let timeout = serde_json::json!({ "kind": "error", "cause": "stage_timeout" });
+
+    let (summary, error) = broken_off(folder.path(), &[&["run"][..], &common].concat());
+    assert!(error.starts_with("close did not end within 1 s") && summary["why"] == error, "{error}");
+    assert_eq!(summary["outcome"], timeout);
+    let stages = summary["stages"].as_array().unwrap();
+    assert_eq!(stages.iter().map(|stage| &stage["stage"]).collect::<Vec<_>>(), ["open", "rest"]);
+    assert_eq!(summary["page"]["path"], "run.html");
+
+    // The way down to the goal takes more than a second.
+    let (summary, error) =
+        broken_off(folder.path(), &[&["teach", "--output", "goal.json"][..], &common].concat());
+    assert!(error.starts_with("open did not end within 1 s") && summary["why"] == error, "{error}");
+    assert_eq!(summary["outcome"], timeout);
+
+    let (summary, error) = broken_off(folder.path(), &["run", "--config", "missing.toml", "--json"]);
+    assert_eq!(summary["outcome"], serde_json::json!({ "kind": "error", "cause": "config" }));
+    assert!(summary["why"] == error && summary["stages"] == serde_json::json!([]), "{summary}");
+}
+
 #[test]
 fn help_shows_examples_and_exit_codes() {
     let folder = tempfile::tempdir().unwrap();

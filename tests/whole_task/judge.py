@@ -12,7 +12,7 @@ from typing import Any
 from whole_task.cell import Cell, Outcome, wait_until
 
 # Outcomes that say nothing of the insertion; all others but "inserted" name the reason against it.
-NO_ANSWERS = {"interrupted", "source_ended"}
+NO_ANSWERS = {"interrupted", "source_ended", "error"}
 # After a part vanished the world may move on for so long: the longest watchdog of the defaults, task.frame_timeout_s,
 # and what a busy computer adds.
 MAX_MOTION_S = 3.0

@@ -1,5 +1,6 @@
 //! The command line. Progress goes to stderr, results to stdout.
 
+mod broken_off;
 mod check;
 mod doctor;
 mod gripper;

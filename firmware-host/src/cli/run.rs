@@ -1,9 +1,10 @@
 //! `gelstereo-host run`.
 
+use super::broken_off::{Done, reported};
 use super::{CliError, load, say, stop_flag};
 use clap::Args;
 use gelstereo_host::config::RecordingConfig;
-use gelstereo_host::report::{JobReport, Outcome, StageReport, page_path};
+use gelstereo_host::report::{JobReport, Outcome, PageReport, StageReport, page_path};
 use gelstereo_host::run::{self, HostError};
 use indicatif::ProgressBar;
 use std::io::Write;
@@ -26,7 +27,11 @@ pub struct Arguments {
     json: bool,
 }
 
-pub fn command(Arguments { config, record, seed, json }: Arguments) -> Result<bool, CliError> {
+pub fn command(arguments: Arguments) -> Result<bool, CliError> {
+    reported(arguments.json, |done| job(arguments, done))
+}
+
+fn job(Arguments { config, record, seed, json }: Arguments, done: &mut Done) -> Result<bool, CliError> {
     let mut config = load(config.as_deref())?;
     config.recording.path = record.unwrap_or(config.recording.path);
     config.simulated.seed = seed.unwrap_or(config.simulated.seed);
@@ -42,11 +47,12 @@ pub fn command(Arguments { config, record, seed, json }: Arguments) -> Result<bo
             if json { writeln!(std::io::stderr(), "{line}") } else { writeln!(std::io::stdout(), "{line}") }
         };
         said = std::mem::replace(&mut said, Ok(())).and(bar.suspend(write));
+        done.stages.push(report.clone());
     };
     let report = run::run(&config, &stop, &mut progress);
     bar.finish_and_clear();
     if matches!(report, Err(HostError::Task(_))) {
-        name_page(&config.recording);
+        done.page = name_page(&config.recording);
     }
     let report = report?;
     said.map_err(CliError::Output)?;
@@ -77,12 +83,14 @@ pub(super) fn tell_light_fault(report: &JobReport) {
 }
 
 /// Says where the page of a run that broke off stands. A page that could not be written leaves no file.
-fn name_page(recording: &RecordingConfig) {
+fn name_page(recording: &RecordingConfig) -> Option<PageReport> {
     let path = page_path(&recording.path);
-    if recording.report && path.is_file() {
-        // When stderr is gone too, the error that follows is lost as well.
-        let _ = writeln!(std::io::stderr(), "gelstereo-host: report: {}", path.display());
+    if !(recording.report && path.is_file()) {
+        return None;
     }
+    // When stderr is gone too, the error that follows is lost as well.
+    let _ = writeln!(std::io::stderr(), "gelstereo-host: report: {}", path.display());
+    Some(PageReport { path, fault: None })
 }
 
 pub(super) fn stage_line(report: &StageReport) -> String {

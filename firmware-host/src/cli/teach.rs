@@ -1,5 +1,6 @@
 //! `gelstereo-host teach`.
 
+use super::broken_off::{Done, reported};
 use super::run::{stage_line, tell_light_fault, tell_page_fault};
 use super::{CliError, load, say, stop_flag};
 use clap::Args;
@@ -35,6 +36,10 @@ pub struct Arguments {
 }
 
 pub fn command(arguments: Arguments) -> Result<bool, CliError> {
+    reported(arguments.json, |done| job(arguments, done))
+}
+
+fn job(arguments: Arguments, done: &mut Done) -> Result<bool, CliError> {
     let Arguments { config, output, record, seed, stay, yes, json } = arguments;
     let mut config = load(config.as_deref())?;
     config.recording.path = record.unwrap_or(config.recording.path);
@@ -47,6 +52,7 @@ pub fn command(arguments: Arguments) -> Result<bool, CliError> {
     let mut progress = |report: &StageReport| {
         let written = writeln!(std::io::stderr(), "{}", stage_line(report));
         said = std::mem::replace(&mut said, Ok(())).and(written);
+        done.stages.push(report.clone());
     };
     let teaching = run::teach(&config, stay, &stop, &mut progress)?;
     said.map_err(CliError::Output)?;

@@ -1,9 +1,11 @@
 //! What came of a job, and the page that shows it.
 
+mod broken_off;
 mod file;
 mod page;
 mod trace;
 
+pub use broken_off::{ErrorOutcome, ErrorReport};
 pub use file::page_path;
 pub use page::page;
 pub use trace::Trace;

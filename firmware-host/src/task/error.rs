@@ -69,6 +69,23 @@ pub enum TaskError {
     },
 }
 
+impl TaskError {
+    /// What kind of error it is, in the words of the JSON summary.
+    pub(crate) const fn cause(&self) -> &'static str {
+        match self {
+            Self::Source(_) => "source",
+            Self::Gripper(_) => "gripper",
+            Self::Robot(_) => "robot",
+            Self::Width(_) => "width",
+            Self::Sensing { .. } => "sensing",
+            Self::CameraSilent { .. } => "camera_silent",
+            Self::Late { .. } => "late",
+            Self::TriggerInNoise { .. } => "trigger_in_noise",
+            Self::StageTimeout { .. } => "stage_timeout",
+        }
+    }
+}
+
 impl std::fmt::Display for TaskError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
