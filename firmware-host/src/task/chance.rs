@@ -3,11 +3,12 @@
 //! The inserted end stays within the walls if no point of its flank moves along its own normal by more than
 //! half of the clearance. A small motion (ω, v) of the part moves a point p with normal n by n·(ω x p + v).
 
+use super::belief::Belief;
 use crate::report::Forecast;
 use gelstereo_core::math::linalg::{Symmetric, eigen};
 use gelstereo_core::math::random::Stream;
-use gelstereo_core::math::{DVec3, sqrt};
-use gelstereo_core::register::{PoseEstimate, Symmetry, Template};
+use gelstereo_core::math::{DVec3, Pose, sqrt};
+use gelstereo_core::register::{Symmetry, Template};
 
 /// Poses drawn for one answer: a chance of 0.99 is then known to 0.0022.
 const DRAWS: usize = 2048;
@@ -32,6 +33,8 @@ pub(super) struct Flank {
     half_clearance_mm: f64,
     /// Whether the part is round about the axis. Its facets would count a spin otherwise.
     is_round: bool,
+    /// Turns after which the part looks the same, each about one axis.
+    copies: Vec<Pose>,
 }
 
 #[derive(Clone, Copy)]
@@ -73,7 +76,8 @@ impl Flank {
         let stride = points.len().div_ceil(MAX_POINTS).max(1);
         points = points.into_iter().step_by(stride).collect();
         let on_axis = |along: f64| axis * along;
-        let is_round = Symmetry::of(template, ROUND_MM).iter().any(|symmetry| {
+        let symmetries = Symmetry::of(template, ROUND_MM);
+        let is_round = symmetries.iter().any(|symmetry| {
             let beside_mm = symmetry.centre_mm.cross(axis).length();
             symmetry.order.is_none() && symmetry.axis.cross(axis).length() < 1e-3 && beside_mm < ROUND_MM
         });
@@ -85,29 +89,54 @@ impl Flank {
             middle_mm: on_axis(tip - 0.5 * depth_mm),
             half_clearance_mm: 0.5 * clearance_mm,
             is_round,
+            copies: symmetries.iter().flat_map(copies).collect(),
         }
     }
 
-    /// What to expect of a part that is known so; `sigma_rad` and `sigma_mm` are what is known of it without
-    /// sensing.
-    pub(super) fn forecast(&self, estimate: &PoseEstimate, sigma_rad: f64, sigma_mm: f64) -> Forecast {
-        let information = estimate.in_frame(&estimate.pose.inverse()).information;
-        let covariance = joined(&information, sigma_rad, sigma_mm);
+    /// What to expect of a part that is believed so and inserted by its likeliest pose. `sigma_rad` and `sigma_mm`
+    /// are what is known of it without sensing.
+    pub(super) fn forecast(&self, belief: &Belief, sigma_rad: f64, sigma_mm: f64) -> Forecast {
+        let back = belief.likeliest().pose.inverse();
+        let mut chance = 0.0;
+        let mut about_likeliest: Symmetric<6> = [[0.0; 6]; 6];
+        for share in belief.shares() {
+            let estimate = share.estimate;
+            let information = estimate.in_frame(&estimate.pose.inverse()).information;
+            let covariance = joined(&information, sigma_rad, sigma_mm);
+            let off = self.nearest_copy(&(back * estimate.pose));
+            chance += share.probability * self.chance(&off, &covariance);
+            about_likeliest = core::array::from_fn(|i| {
+                core::array::from_fn(|j| {
+                    let moment = covariance[i][j] + off[i] * off[j];
+                    about_likeliest[i][j] + share.probability * moment
+                })
+            });
+        }
         Forecast {
-            chance: self.chance(&covariance),
-            weakest: self.weakest(&covariance),
-            lateral_sigma_mm: self.lateral_sigma_mm(&covariance),
+            chance,
+            weakest: self.weakest(&about_likeliest),
+            lateral_sigma_mm: self.lateral_sigma_mm(&about_likeliest),
         }
     }
 
-    /// Share of motions drawn from a covariance, (ω, v) in the part's frame, that fit.
-    fn chance(&self, covariance: &Symmetric<6>) -> f64 {
+    /// The motion (ω, v) of the part by which it comes to a pose, or to a copy of it that looks the same: the least
+    /// turn of these.
+    fn nearest_copy(&self, t_part_other: &Pose) -> [f64; 6] {
+        let turned = self.copies.iter().map(|copy| (*t_part_other * *copy).log());
+        let (omega, v_mm) = turned.fold(t_part_other.log(), |least, other| {
+            if other.0.length_squared() < least.0.length_squared() { other } else { least }
+        });
+        [omega.x, omega.y, omega.z, v_mm.x, v_mm.y, v_mm.z]
+    }
+
+    /// Share of motions about `off`, drawn from a covariance, that fit; both (ω, v) in the part's frame.
+    fn chance(&self, off: &[f64; 6], covariance: &Symmetric<6>) -> f64 {
         let parts = eigen(covariance);
         // The same draws every time: a forecast is a function of what is known.
         let mut stream = Stream::new(0, "chance of insertion");
         let fits = (0..DRAWS)
             .filter(|_| {
-                let mut twist = [0.0; 6];
+                let mut twist = *off;
                 for (value, vector) in parts.values.into_iter().zip(parts.vectors) {
                     let size = sqrt(value.max(0.0)) * stream.normal();
                     (0..6).for_each(|i| twist[i] += size * vector[i]);
@@ -177,6 +206,13 @@ impl Flank {
     }
 }
 
+/// The turns of a symmetry that are finitely many.
+fn copies(symmetry: &Symmetry) -> Vec<Pose> {
+    let order = symmetry.order.unwrap_or(1);
+    let angle_rad = core::f64::consts::TAU / f64::from(order);
+    (1..order).map(|turn| symmetry.turned(f64::from(turn) * angle_rad)).collect()
+}
+
 /// Covariance of a motion in the part's frame: its information joined with what is known without sensing.
 fn joined(information: &Symmetric<6>, sigma_rad: f64, sigma_mm: f64) -> Symmetric<6> {
     let sigma = |i: usize| if i < 3 { sigma_rad } else { sigma_mm };
@@ -210,7 +246,8 @@ fn words(direction: DVec3) -> String {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use gelstereo_core::math::{Pose, exp};
+    use gelstereo_core::math::exp;
+    use gelstereo_core::register::PoseEstimate;
     use gelstereo_sim::Shape;
 
     /// A peg 8 mm in diameter and 40 mm long, its origin in the middle; 10 mm of it go into a hole of 8.2 mm.
@@ -228,7 +265,7 @@ mod tests {
     #[test]
     fn a_round_peg_that_shifts_evenly_has_the_chance_of_a_disc() {
         for sigma_mm in [0.02, 0.05, 0.1] {
-            let chance = peg().chance(&diagonal([0.0, 0.0, 0.0, sigma_mm, sigma_mm, 0.6]));
+            let chance = peg().chance(&[0.0; 6], &diagonal([0.0, 0.0, 0.0, sigma_mm, sigma_mm, 0.6]));
             let expected = 1.0 - exp(-0.5 * (0.1 / sigma_mm) * (0.1 / sigma_mm));
             // Four standard deviations of a share of the draws, and 1 % of the radius between points of the
             // template.
@@ -239,8 +276,47 @@ mod tests {
 
     #[test]
     fn spin_and_slide_along_the_axis_cost_a_round_peg_nothing() {
-        assert!(peg().chance(&diagonal([0.0, 0.0, 0.02, 0.0, 0.0, 5.0])) > 0.999);
-        assert_eq!(peg().chance(&diagonal([0.0; 6])), 1.0);
+        assert!(peg().chance(&[0.0; 6], &diagonal([0.0, 0.0, 0.02, 0.0, 0.0, 5.0])) > 0.999);
+        assert_eq!(peg().chance(&[0.0; 6], &diagonal([0.0; 6])), 1.0);
+    }
+
+    /// Known to 1e-3 mm and 1e-5 rad at this pose.
+    fn exactly(pose: Pose) -> PoseEstimate {
+        let sharp = diagonal([1e5, 1e5, 1e5, 1e3, 1e3, 1e3]);
+        PoseEstimate { pose, information: sharp }
+    }
+
+    /// A thread's next pitch may be as likely: the part goes in if the pose is one that fits where the likeliest is.
+    #[test]
+    fn the_chance_is_that_of_all_poses_by_their_odds() {
+        let here = Pose::from_translation_mm(DVec3::new(3.0, -2.0, 50.0));
+        let forecast = |shift_mm: DVec3, odds: f64| {
+            let there = here * Pose::from_translation_mm(shift_mm);
+            let belief = Belief::of_two(exactly(here), exactly(there), odds.ln());
+            peg().forecast(&belief, 10.0, 100.0)
+        };
+        // The hole has 0.1 mm to each side.
+        assert!((forecast(DVec3::X * 0.2, 0.25).chance - 0.8).abs() < 1e-9);
+        assert!((forecast(DVec3::X * 0.2, 1.0).chance - 0.5).abs() < 1e-9);
+        assert!((forecast(DVec3::X * 0.05, 1.0).chance - 1.0).abs() < 1e-9);
+        assert!((forecast(DVec3::Z * 1.5, 1.0).chance - 1.0).abs() < 1e-9, "along the axis there is room");
+        let aside = forecast(DVec3::X * 0.2, 1.0);
+        assert!((aside.lateral_sigma_mm - 0.2 / sqrt(2.0)).abs() < 1e-3, "the search reaches the other pose");
+        assert!(aside.weakest.starts_with("slide along"), "{}", aside.weakest);
+    }
+
+    #[test]
+    fn a_pose_that_looks_the_same_costs_nothing() {
+        let size_mm = [8.0, 8.0, 40.0];
+        let template = Template::from_mesh(&Shape::Box { size_mm }.mesh(0.003).unwrap(), 0.4, 1).unwrap();
+        let square = Flank::of(&template, DVec3::NEG_Z, 10.0, 0.2);
+        let chance = |turn_rad: f64| {
+            let turned = Pose::exp(DVec3::Z * turn_rad, DVec3::ZERO);
+            let belief = Belief::of_two(exactly(Pose::IDENTITY), exactly(turned), 0.0);
+            square.forecast(&belief, 10.0, 100.0).chance
+        };
+        assert!((chance(core::f64::consts::FRAC_PI_2) - 1.0).abs() < 1e-9, "a quarter turn of a square peg");
+        assert!((chance(0.1) - 0.5).abs() < 1e-9, "turned by 0.1 rad a corner is off by 0.4 mm");
     }
 
     #[test]
@@ -259,7 +335,7 @@ mod tests {
         // angle.
         let pose = Pose::from_translation_mm(-peg.middle_mm);
         let information = diagonal([1e3, 1.0 / 0.03, 1e3, 1e3, 1e3, 1e3]);
-        let forecast = peg.forecast(&PoseEstimate { pose, information }, 10.0, 100.0);
+        let forecast = peg.forecast(&Belief::alone(PoseEstimate { pose, information }), 10.0, 100.0);
         assert!(forecast.weakest.starts_with("lean about"), "{}", forecast.weakest);
         assert!((forecast.lateral_sigma_mm - 0.15).abs() < 0.01, "{}", forecast.lateral_sigma_mm);
     }

@@ -1,6 +1,7 @@
 //! Find the part's pose in the hand, and say what it allows.
 
 use super::TaskError;
+use super::belief::Belief;
 use super::cell::Cell;
 use super::error::Halt;
 use super::log::figure;
@@ -16,8 +17,8 @@ use gelstereo_core::register::{PoseEstimate, Registration};
 pub(super) struct Held {
     /// Maps part coordinates to gripper coordinates.
     pub(super) t_gripper_object: Pose,
-    /// The same with its information, by all looks.
-    pub(super) estimate: PoseEstimate,
+    /// The same with its information and the other poses that explain the contacts, by all looks.
+    pub(super) belief: Belief,
     /// What the last contact alone told.
     pub(super) contact: PoseEstimate,
     /// Its evidence.
@@ -72,9 +73,9 @@ pub(super) fn localize(cell: &mut Cell, expected_t_gripper_object: &Pose) -> Res
         figure("axial_sigma_mm", localized.axial_sigma_mm),
         figure("free", found.free.len() as f64),
     ]);
-    let contact = PoseEstimate { pose: found.t_sensor_object, information: found.information };
-    let contact = contact.in_frame(&t_gripper_sensor);
-    Ok(Localization::Go(Box::new(Held { t_gripper_object, estimate: contact, contact, localized })))
+    let belief = Belief::of(&found).in_frame(&t_gripper_sensor);
+    let contact = *belief.likeliest();
+    Ok(Localization::Go(Box::new(Held { t_gripper_object, belief, contact, localized })))
 }
 
 /// Puts a registration's evidence together, and records the pose with its covariance.

@@ -1,6 +1,7 @@
 //! The paper's task: grasp, localize, align, insert (section V-A), and then leave the hole.
 
 mod align;
+mod belief;
 mod cell;
 mod chance;
 mod devices;

@@ -1,9 +1,10 @@
 //! Look again at a part that one grasp does not tell well enough, while it stands in its holder.
 //!
 //! The hand opens, rises, turns about the part's axis and closes again. Poses are fused in the base frame by
-//! their information. The turn is chosen by what is unknown: the one after which the chance of insertion is
+//! their information, each with the other poses that explain its contact. The turn is chosen by what is unknown: the one after which the chance of insertion is
 //! the highest, if the next contact tells as much as the last one.
 
+use super::belief::{Belief, FusedBelief};
 use super::cell::Cell;
 use super::chance::Flank;
 use super::error::Halt;
@@ -14,7 +15,7 @@ use super::prepare::rest;
 use super::watch::Guard;
 use crate::report::{Forecast, Stage};
 use gelstereo_core::math::{DVec3, Pose};
-use gelstereo_core::register::{FusedPose, PoseEstimate, fuse_poses};
+use gelstereo_core::register::PoseEstimate;
 
 /// 99.9 % of chi-squared with six degrees of freedom: two looks at a part that stood still seldom differ by
 /// more.
@@ -31,7 +32,7 @@ pub(super) fn look_until_known(cell: &mut Cell, first: Held) -> Result<Localizat
     let flank = Flank::of(cell.sensing.template(), axis, depth_mm, clearance_mm);
     let (mut held, mut looks) = (first, 1);
     loop {
-        let forecast = flank.forecast(&held.estimate, task.part_sigma_rad, task.part_sigma_mm);
+        let forecast = flank.forecast(&held.belief, task.part_sigma_rad, task.part_sigma_mm);
         cell.log.note(&serde_json::json!({ "look": looks, "forecast": &forecast }));
         held.localized.looks = looks;
         held.localized.forecast = Some(forecast.clone());
@@ -42,9 +43,10 @@ pub(super) fn look_until_known(cell: &mut Cell, first: Held) -> Result<Localizat
             return Ok(Localization::TooUncertain { localized: Box::new(held.localized), forecast });
         }
         let t_base_gripper = cell.devices.robot.status()?.t_base_gripper;
-        let known = held.estimate.in_frame(&t_base_gripper);
-        let turn_rad = best_turn(cell, &flank, &known, &held.contact);
-        regrasp(cell, &known.pose, turn_rad)?;
+        let known = held.belief.in_frame(&t_base_gripper);
+        let likeliest = *known.likeliest();
+        let turn_rad = best_turn(cell, &flank, &likeliest, &held.contact);
+        regrasp(cell, &likeliest.pose, turn_rad)?;
         held = match fused_look(cell, &known)? {
             Localization::Go(held) => *held,
             other => return Ok(other),
@@ -54,7 +56,8 @@ pub(super) fn look_until_known(cell: &mut Cell, first: Held) -> Result<Localizat
 }
 
 /// The turn of the hand about the part's axis after which the chance is the highest; the least one of those
-/// alike. `known` is in the base frame, the last `contact` in the gripper's.
+/// alike. `known` is in the base frame, the last `contact` in the gripper's. Other poses are left out: which of them the
+/// next contact tells apart is not known.
 fn best_turn(cell: &Cell, flank: &Flank, known: &PoseEstimate, contact: &PoseEstimate) -> f64 {
     let task = &cell.config.task;
     let expected = |turn_rad: f64| -> Forecast {
@@ -66,7 +69,7 @@ fn best_turn(cell: &Cell, flank: &Flank, known: &PoseEstimate, contact: &PoseEst
             core::array::from_fn(|j| before.information[i][j] + turned.information[i][j])
         });
         let together = PoseEstimate { pose: known.pose, information };
-        flank.forecast(&together, task.part_sigma_rad, task.part_sigma_mm)
+        flank.forecast(&Belief::alone(together), task.part_sigma_rad, task.part_sigma_mm)
     };
     let mut best = (0.0, expected(0.0).chance);
     for turn_rad in [task.look_turn_rad, -task.look_turn_rad] {
@@ -137,27 +140,29 @@ fn expected_anyway(cell: &Cell, estimate: &PoseEstimate) -> PoseEstimate {
 }
 
 /// Localizes the part in the hand, and fuses that with what was known of it in the base frame.
-fn fused_look(cell: &mut Cell, known: &PoseEstimate) -> Result<Localization, Halt> {
+fn fused_look(cell: &mut Cell, known: &Belief) -> Result<Localization, Halt> {
     let t_base_gripper = cell.devices.robot.status()?.t_base_gripper;
-    let guess = t_base_gripper.inverse() * known.pose;
+    let guess = t_base_gripper.inverse() * known.likeliest().pose;
     let mut held = match localize(cell, &guess)? {
         Localization::Go(held) => held,
         other => return Ok(other),
     };
-    let before = disturbed(cell, known, &t_base_gripper).in_frame(&t_base_gripper.inverse());
-    let before = expected_anyway(cell, &before);
-    match fuse_poses(&before, &held.estimate) {
-        Ok(FusedPose { squared_distance, .. }) if squared_distance > MAX_SQUARED_DISTANCE => {
+    let before = known.map(|one| {
+        let held = disturbed(cell, one, &t_base_gripper).in_frame(&t_base_gripper.inverse());
+        expected_anyway(cell, &held)
+    });
+    match before.fused(&held.belief) {
+        Ok(FusedBelief { squared_distance, .. }) if squared_distance > MAX_SQUARED_DISTANCE => {
             let reason = format!(
                 "two looks at the part contradict each other: a squared distance of {squared_distance:.1}, \
                  of which {MAX_SQUARED_DISTANCE} is the limit; did the part move in its holder?"
             );
             Ok(Localization::Declined { reason })
         }
-        Ok(FusedPose { estimate, .. }) => {
-            held.t_gripper_object = estimate.pose;
-            held.localized.t_gripper_object = estimate.pose.to_rows();
-            held.estimate = estimate;
+        Ok(FusedBelief { belief, .. }) => {
+            held.t_gripper_object = belief.likeliest().pose;
+            held.localized.t_gripper_object = held.t_gripper_object.to_rows();
+            held.belief = belief;
             Ok(Localization::Go(held))
         }
         Err(error) => Ok(Localization::Declined { reason: error.to_string() }),

@@ -1,0 +1,195 @@
+//! What is known of the part's pose: every pose that explains what was felt, with its odds.
+//!
+//! The poses are the means of a mixture of normal distributions. Of two looks each pair of poses is fused, and counts by
+//! the odds of both and by how well they agree.
+
+use gelstereo_core::math::{Pose, exp};
+use gelstereo_core::register::{
+    Alternatives, FusedPose, FusionError, PoseEstimate, Registration, fuse_poses,
+};
+
+/// As many poses are kept as a registration has: its own and its alternatives.
+const MAX_POSES: usize = 1 + Alternatives::MOST;
+
+/// Poses with their odds.
+#[derive(Clone, Debug)]
+pub(super) struct Belief {
+    likeliest: PoseEstimate,
+    others: Vec<Other>,
+}
+
+/// A pose that is less likely.
+#[derive(Clone, Copy, Debug)]
+struct Other {
+    estimate: PoseEstimate,
+    /// Natural logarithm of its odds over the likeliest pose.
+    log_odds: f64,
+}
+
+/// A pose and the probability of it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Share {
+    pub(super) estimate: PoseEstimate,
+    /// 0 to 1; all shares of a belief sum to 1.
+    pub(super) probability: f64,
+}
+
+/// What two looks say together.
+pub(super) struct FusedBelief {
+    pub(super) belief: Belief,
+    /// How far the looks contradict each other at the likeliest pose; see [`FusedPose`].
+    pub(super) squared_distance: f64,
+}
+
+impl Belief {
+    /// In the sensor frame. An alternative is known as well as the pose itself, in the part's frame.
+    pub(super) fn of(found: &Registration) -> Self {
+        let likeliest = PoseEstimate { pose: found.t_sensor_object, information: found.information };
+        let best = found.log_likelihood.unwrap_or(0.0);
+        let others = found.alternatives.iter().map(|other| {
+            let t_other_best = other.t_sensor_object * found.t_sensor_object.inverse();
+            Other { estimate: likeliest.in_frame(&t_other_best), log_odds: other.log_likelihood - best }
+        });
+        Self { likeliest, others: others.collect() }
+    }
+
+    /// One pose without alternatives.
+    pub(super) const fn alone(estimate: PoseEstimate) -> Self {
+        Self { likeliest: estimate, others: Vec::new() }
+    }
+
+    /// Two poses, the second with these odds.
+    #[cfg(test)]
+    pub(super) fn of_two(likeliest: PoseEstimate, second: PoseEstimate, log_odds: f64) -> Self {
+        Self { likeliest, others: vec![Other { estimate: second, log_odds }] }
+    }
+
+    /// The pose to act on.
+    pub(super) const fn likeliest(&self) -> &PoseEstimate {
+        &self.likeliest
+    }
+
+    /// All poses; the first is the likeliest.
+    pub(super) fn shares(&self) -> Vec<Share> {
+        let sum = 1.0 + self.others.iter().map(|other| exp(other.log_odds)).sum::<f64>();
+        let first = Share { estimate: self.likeliest, probability: 1.0 / sum };
+        let others = self
+            .others
+            .iter()
+            .map(|other| Share { estimate: other.estimate, probability: exp(other.log_odds) / sum });
+        core::iter::once(first).chain(others).collect()
+    }
+
+    /// The same in another outer frame c, given `t_c_a`.
+    pub(super) fn in_frame(&self, t_c_a: &Pose) -> Self {
+        self.map(|estimate| estimate.in_frame(t_c_a))
+    }
+
+    /// Each pose changed in the same way.
+    pub(super) fn map(&self, change: impl Fn(&PoseEstimate) -> PoseEstimate) -> Self {
+        let others = self.others.iter().map(|other| Other { estimate: change(&other.estimate), ..*other });
+        Self { likeliest: change(&self.likeliest), others: others.collect() }
+    }
+
+    /// Joined with another look at the part, in the same frame. Pairs of poses that cannot be of one part are left out.
+    ///
+    /// # Errors
+    /// [`FusionError`] of the likeliest poses, if no pair can be of one part.
+    pub(super) fn fused(&self, look: &Self) -> Result<FusedBelief, FusionError> {
+        let mut pairs: Vec<Pair> = Vec::new();
+        let mut first_error = None;
+        for before in self.with_odds() {
+            for now in look.with_odds() {
+                match fuse_poses(&before.estimate, &now.estimate) {
+                    Ok(fused) => pairs.push(Pair {
+                        fused,
+                        log_odds: before.log_odds + now.log_odds - 0.5 * fused.squared_distance,
+                    }),
+                    Err(error) => first_error = first_error.or(Some(error)),
+                }
+            }
+        }
+        pairs.sort_by(|a, b| b.log_odds.total_cmp(&a.log_odds));
+        match (pairs.first().copied(), first_error) {
+            (Some(best), _) => {
+                let others = pairs.iter().skip(1).take(MAX_POSES - 1).map(|pair| Other {
+                    estimate: pair.fused.estimate,
+                    log_odds: pair.log_odds - best.log_odds,
+                });
+                let belief = Self { likeliest: best.fused.estimate, others: others.collect() };
+                Ok(FusedBelief { belief, squared_distance: best.fused.squared_distance })
+            }
+            (None, Some(error)) => Err(error),
+            // Each pair is fused or has an error, and there is a pair.
+            (None, None) => Ok(FusedBelief { belief: self.clone(), squared_distance: 0.0 }),
+        }
+    }
+
+    fn with_odds(&self) -> impl Iterator<Item = Other> {
+        let first = Other { estimate: self.likeliest, log_odds: 0.0 };
+        core::iter::once(first).chain(self.others.iter().copied())
+    }
+}
+
+#[derive(Clone, Copy)]
+struct Pair {
+    fused: FusedPose,
+    log_odds: f64,
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use gelstereo_core::math::DVec3;
+
+    /// Known to so much along every axis, and to 0.01 rad.
+    fn at(x_mm: f64, sigma_mm: f64) -> PoseEstimate {
+        let information = core::array::from_fn(|i| {
+            core::array::from_fn(|j| match (i == j, i < 3) {
+                (false, _) => 0.0,
+                (true, true) => 1e4,
+                (true, false) => 1.0 / (sigma_mm * sigma_mm),
+            })
+        });
+        PoseEstimate { pose: Pose::from_translation_mm(DVec3::X * x_mm), information }
+    }
+
+    fn two(x_mm: [f64; 2], odds: f64, sigma_mm: f64) -> Belief {
+        let [first, second] = x_mm.map(|x_mm| at(x_mm, sigma_mm));
+        Belief::of_two(first, second, odds.ln())
+    }
+
+    #[test]
+    fn shares_are_the_odds_and_sum_to_one() {
+        let shares = two([0.0, 1.5], 0.25, 0.1).shares();
+        assert!((shares[0].probability - 0.8).abs() < 1e-12 && (shares[1].probability - 0.2).abs() < 1e-12);
+        assert_eq!(Belief::alone(at(0.0, 0.1)).shares()[0].probability, 1.0);
+    }
+
+    /// By the product of two mixtures of normal distributions along a line.
+    #[test]
+    fn a_second_look_tells_poses_apart_that_the_first_cannot() {
+        let (first, second) = (two([0.0, 1.5], 0.5, 0.1), two([1.55, 3.05], 0.9, 0.1));
+        let fused = first.fused(&second).unwrap();
+        // Only 1.5 and 1.55 mm agree: within 0.05 mm, known to 0.14 mm.
+        let likeliest = fused.belief.likeliest();
+        assert!((likeliest.pose.translation_mm.x - 1.525).abs() < 1e-9);
+        assert!((fused.squared_distance - 0.125).abs() < 1e-9);
+        assert!(fused.belief.shares()[0].probability > 0.999);
+        // Looks that leave both poses open leave the product of their odds.
+        let again = first.fused(&two([0.0, 1.5], 0.5, 0.1)).unwrap().belief.shares();
+        assert!((again[1].probability / again[0].probability - 0.25).abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_likeliest_poses_are_kept() {
+        let others: Vec<Other> = (1..9)
+            .map(|k| Other { estimate: at(f64::from(k), 1.0), log_odds: -0.1 * f64::from(k) })
+            .collect();
+        let belief = Belief { likeliest: at(0.0, 1.0), others };
+        let shares = belief.fused(&belief).unwrap().belief.shares();
+        assert_eq!(shares.len(), MAX_POSES);
+        assert!(shares.windows(2).all(|pair| pair[0].probability >= pair[1].probability));
+    }
+}
