@@ -25,6 +25,7 @@ import numpy.typing as npt
 import pytest
 from gelstereo.streams import FrameWriter
 from gripper_peers.wire import Wire
+from slow_line import SlowLine
 from test_gripper_peers import Server, robotiq, wait_for
 from test_recording_readers import host_binary
 
@@ -32,6 +33,7 @@ BRIDGE = Path(__file__).parent.parent / "examples" / "robot_bridge.py"
 PERIOD_S = 1 / 30
 #: Commands of the Robotiq server: closing goes to the closed end, a stop takes the request to move back.
 STOP = "0100"
+ACTIVATE, RESET = "0100 0000 0000", "0000 0000 0000"
 
 
 @pytest.fixture(scope="session")
@@ -54,9 +56,13 @@ def press() -> list[npt.NDArray[np.uint8]]:
 
 
 class Camera:
-    """Writes frames to a FIFO at 30 Hz: the frame at rest, then the press, and can fall silent."""
+    """Writes frames to a FIFO at 30 Hz: the frame at rest, then the press; each was exposed `age_s` before.
 
-    def __init__(self, fifo: Path, frames: list[npt.NDArray[np.uint8]]) -> None:
+    It can fall silent.
+    """
+
+    def __init__(self, fifo: Path, frames: list[npt.NDArray[np.uint8]], age_s: float = 0.0) -> None:
+        self._age_ns = int(age_s * 1e9)
         self.pressing, self.silent = threading.Event(), threading.Event()
         self._fifo, self._frames, self._stop = fifo, frames, threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -74,7 +80,7 @@ class Camera:
                     continue
                 at = min(at + 1, len(self._frames) - 1) if self.pressing.is_set() else 0
                 try:
-                    writer.write(self._frames[at])
+                    writer.write(self._frames[at], captured_ns=time.monotonic_ns() - self._age_ns)
                 except BrokenPipeError:
                     return
 
@@ -146,13 +152,17 @@ class Bridge:
 
 @contextmanager
 def cell(
-    folder: Path, press: list[npt.NDArray[np.uint8]], bridge: Bridge | None = None, extra: str = ""
+    folder: Path,
+    press: list[npt.NDArray[np.uint8]],
+    bridge_port: int | None = None,
+    extra: str = "",
+    age_s: float = 0.0,
 ) -> Iterator[tuple[Cell, Camera, Wire, Server]]:
     """A host with a camera, a gripper on a serial line and a robot."""
     os.mkfifo(folder / "camera.fifo")
     with robotiq() as (wire, server):
-        camera = Camera(folder / "camera.fifo", press)
-        host = Cell(folder, wire.host_port, bridge.port if bridge else None, extra)
+        camera = Camera(folder / "camera.fifo", press, age_s)
+        host = Cell(folder, wire.host_port, bridge_port, extra)
         try:
             yield host, camera, wire, server
         finally:
@@ -181,6 +191,12 @@ def closing_begins(server: Server) -> list[str]:
             return commands
         time.sleep(0.002)
     raise TimeoutError(f"no closing among {commands}")
+
+
+def commands_of(server: Server, before: list[str]) -> list[str]:
+    """The commands so far; `before` has those that were looked at."""
+    before += server.commands()
+    return before
 
 
 def stopped_last(server: Server) -> bool:
@@ -228,7 +244,7 @@ def test_a_silent_gripper_stops_the_task(tmp_path: Path, press) -> None:
 
 def test_a_silent_robot_stops_the_task_and_the_gripper(tmp_path: Path, press, bridge: Bridge) -> None:
     # On its long way to the part the robot falls silent, while the fingers open.
-    with cell(tmp_path, press, bridge, "move_speed_mm_s = 60.0\nopening_speed_mm_s = 20.0\n") as (
+    with cell(tmp_path, press, bridge.port, "move_speed_mm_s = 60.0\nopening_speed_mm_s = 20.0\n") as (
         host,
         _,
         _,
@@ -263,8 +279,74 @@ def test_a_signal_stops_gripper_and_recording(tmp_path: Path, press, request_to_
         assert host.replays()
 
 
+@pytest.mark.parametrize("request_to_stop", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_an_activation(
+    tmp_path: Path, press, monkeypatch: pytest.MonkeyPatch, request_to_stop: signal.Signals
+) -> None:
+    # Longer than any limit of the host: only the signal can end it.
+    monkeypatch.setenv("ACTIVATION_S", "600")
+    with cell(tmp_path, press) as (host, _, _, server):
+        commands: list[str] = []
+        wait_until(lambda: ACTIVATE in commands_of(server, commands))
+        host.process.send_signal(request_to_stop)
+        code, out, _ = host.wait()
+        assert code == 1
+        assert json.loads(out)["why"] == "interrupted during open"
+        assert server.commands() == [RESET]
+
+
+def test_a_late_result_stops_closing_fingers(tmp_path: Path, press) -> None:
+    # 30 periods of 30 Hz are allowed. At rest nothing is late.
+    with cell(tmp_path, press, age_s=1.5) as (host, _, _, server):
+        code, out, err = host.wait()
+        assert code == 2
+        assert "close: a result came 15" in err and "task.max_late_periods" in err
+        summary = json.loads(out)
+        assert summary["outcome"] == {"kind": "error", "cause": "late"}
+        assert [stage["stage"] for stage in summary["stages"]] == ["open", "rest"]
+        assert stopped_last(server)
+        assert host.replays()
+
+
+def test_a_robot_that_answers_slowly_does_not_delay_the_grippers_stop(
+    tmp_path: Path, press, bridge: Bridge
+) -> None:
+    delay_s = 0.4
+    line = SlowLine(bridge.port, delay_s)
+    with cell(tmp_path, press, line.port, "device_timeout_s = 2.0\n") as (host, camera, _, server):
+        closing_begins(server)
+        camera.pressing.set()
+        wait_until(lambda: any(command.startswith(STOP) for command in server.commands()))
+        host.process.send_signal(signal.SIGTERM)
+        code, out, err = host.wait()
+        assert code == 1, err
+        (stop,) = [stop for stop in json.loads(out)["latency"]["stops"] if stop["cause"] == "grasp"]
+        # A status of the robot is always under way, and takes this long.
+        assert stop["sensed_to_wire_ms"] < 1e3 * delay_s
+        names = [request.name for request in line.requests]
+        at = names.index("stop")
+        assert names[at - 1] == "status" and "move" not in names[at:], names
+        assert host.replays()
+    line.close()
+
+
+@pytest.mark.parametrize("lose_every", [2, 3])
+def test_a_stop_comes_through_while_statuses_are_retried(tmp_path: Path, press, lose_every: int) -> None:
+    with cell(tmp_path, press) as (host, camera, wire, server):
+        closing_begins(server)
+        wire.lose_every = lose_every
+        camera.pressing.set()
+        _, out, err = host.wait()
+        assert out, err
+        report = json.loads(out)
+        assert report["outcome"]["kind"] != "error", err
+        assert "grasp" in [stop["cause"] for stop in report["latency"]["stops"]]
+        assert stopped_last(server)
+        assert host.replays()
+
+
 def test_a_killed_host_leaves_a_robot_that_stops_by_itself(tmp_path: Path, press, bridge: Bridge) -> None:
-    with cell(tmp_path, press, bridge, "move_speed_mm_s = 60.0\n") as (host, _, _, server):
+    with cell(tmp_path, press, bridge.port, "move_speed_mm_s = 60.0\n") as (host, _, _, server):
         wait_until(lambda: any(command.startswith("0900") for command in server.commands()))
         time.sleep(0.5)
         host.process.send_signal(signal.SIGKILL)

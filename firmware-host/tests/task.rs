@@ -163,39 +163,63 @@ fn a_simulated_run_is_the_same_to_the_last_byte_of_its_recording() {
     assert_ne!(first.digest, other.digest, "the digest sees another seed");
 }
 
-/// The simulated camera, with black pictures at some places.
+/// The simulated camera, with pictures that are spoilt at some places.
 struct Flawed {
     source: Box<dyn FrameSource>,
     taken: usize,
-    black: Range<usize>,
+    spoilt: Range<usize>,
+    flaw: Flaw,
+}
+
+#[derive(Clone, Copy)]
+enum Flaw {
+    /// The right picture is black: nothing can be sensed.
+    Black,
+    /// The lower part of both pictures shows gel without markers, from this share of the height on.
+    Covered(f64),
+}
+
+impl Flaw {
+    fn spoil(self, pair: &mut StereoPair) {
+        match self {
+            Self::Black => pair.right.pixels.fill(0),
+            Self::Covered(from) => {
+                for view in [&mut pair.left, &mut pair.right] {
+                    let first = (from * view.height as f64) as usize * view.width;
+                    // As bright as the gel between the markers.
+                    view.pixels[first..].fill(170);
+                }
+            }
+        }
+    }
 }
 
 impl FrameSource for Flawed {
     fn next_pair(&mut self, timeout: Duration, pair: &mut StereoPair) -> Result<Next, SourceError> {
         let next = self.source.next_pair(timeout, pair)?;
-        if self.black.contains(&self.taken) {
-            pair.right.pixels.fill(0);
+        if self.spoilt.contains(&self.taken) {
+            self.flaw.spoil(pair);
         }
         self.taken += 1;
         Ok(next)
     }
 }
 
-/// A job whose pairs from 20 on, while the fingers close, are black in one view, and its recording.
-fn with_black_pairs(count: usize) -> (Result<JobReport, HostError>, Vec<u8>) {
+/// A job whose pairs from 20 on, while the fingers close, are spoilt, and its recording.
+fn with_spoilt_pairs(count: usize, flaw: Flaw) -> (Result<JobReport, HostError>, Vec<u8>) {
     let config = quick(1);
     let buffer = SharedBuffer::default();
     let recording = recording_to(buffer.clone(), &config);
     let mut setup = Setup::new(&config).unwrap();
     let source = setup.devices.source;
-    setup.devices.source = Box::new(Flawed { source, taken: 0, black: 20..20 + count });
+    setup.devices.source = Box::new(Flawed { source, taken: 0, spoilt: 20..20 + count, flaw });
     let report = run_with(&config, setup, Some(recording), &AtomicBool::new(false), &mut |_| {});
     (report, buffer.bytes())
 }
 
 #[test]
 fn a_few_bad_frames_are_passed_over_and_more_stop_the_job() {
-    let (report, bytes) = with_black_pairs(2);
+    let (report, bytes) = with_spoilt_pairs(2, Flaw::Black);
     let report = report.unwrap();
     assert!(judged(&quick(1), &report), "{}", report.outcome);
     let bad: Vec<(Stage, u64)> = report.stages.iter().map(|s| (s.stage, s.bad_frames)).collect();
@@ -212,12 +236,36 @@ fn a_few_bad_frames_are_passed_over_and_more_stop_the_job() {
     );
     assert_eq!(again.differing, 0, "{again}");
 
-    let (report, bytes) = with_black_pairs(3);
+    let (report, bytes) = with_spoilt_pairs(3, Flaw::Black);
     let message = report.unwrap_err().to_string();
     assert!(message.starts_with("close: 3 bad frames in a row, at last: right view: "), "{message}");
     std::fs::write(&path, bytes).unwrap();
     let again = replay(&[&path], None, &mut |_| {}).unwrap();
     assert!(!again.truncated && again.differing == 0, "{again}");
+}
+
+/// What the pipeline senses of a covered gel is no error, but a trigger that counts on a few markers feels nothing.
+#[test]
+fn fingers_do_not_close_on_while_most_markers_are_covered() {
+    let (report, _) = with_spoilt_pairs(2, Flaw::Covered(0.2));
+    let report = report.unwrap();
+    assert!(judged(&quick(1), &report), "{}", report.outcome);
+
+    let (report, bytes) = with_spoilt_pairs(3, Flaw::Covered(0.2));
+    let message = report.unwrap_err().to_string();
+    assert!(message.starts_with("close: 3 bad frames in a row, at last: "), "{message}");
+    assert!(message.contains("markers are seen, half are needed"), "{message}");
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    std::fs::write(&path, bytes).unwrap();
+    let again = replay(&[&path], None, &mut |_| {}).unwrap();
+    assert!(!again.truncated && again.differing == 0, "{again}");
+
+    // A third of the markers may be covered.
+    let (report, _) = with_spoilt_pairs(30, Flaw::Covered(0.7));
+    if let Err(error) = report {
+        panic!("{error}");
+    }
 }
 
 #[test]

@@ -32,6 +32,9 @@ class Wire:
     def __init__(self, faults: Faults | None = None) -> None:
         self.faults = faults or Faults()
         self.cut = False
+        #: Each so-many-th reply of the device is lost; 0 loses none.
+        self.lose_every = 0
+        self._replies = 0
         self._random = random.Random(self.faults.seed)
         self._masters: list[int] = []
         self._slaves: list[int] = []
@@ -69,6 +72,9 @@ class Wire:
     def _deliver(self, burst: bytes) -> None:
         """Sends what the device wrote to the host, with faults."""
         faults, chance, host = self.faults, self._random.random, self._masters[0]
+        self._replies += 1
+        if self.lose_every and self._replies % self.lose_every == 0:
+            return
         if chance() < faults.drop:
             return
         if chance() < faults.change:
