@@ -7,6 +7,7 @@ on a pseudo-terminal), the robot's bridge (examples/robot_bridge.py) and the hos
 from __future__ import annotations
 
 import random
+import shutil
 import subprocess
 import time
 from collections import Counter
@@ -14,10 +15,12 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from gripper_peers.wire import Faults
+from slow_line import SlowLine
 from test_recording_readers import host_binary
-from whole_task.cell import Cell, Outcome, Setting, cell
+from whole_task.cell import TASK, Cell, Outcome, Setting, cell
 from whole_task.judge import assert_at_rest, assert_triggers, assert_true, frames
 
 pytest.importorskip("pymodbus")
@@ -32,6 +35,9 @@ MOMENTS = [
     ("robot_move", 4, 1.2),  # inserting
 ]
 PARTS = ["camera", "gripper", "robot", "host"]
+STEPS = ("driver_to_received_ms", "received_to_sensed_ms", "sensed_to_wire_ms", "image_to_wire_ms")
+# Results may be late on a busy computer: for what is measured, or is slow on purpose.
+UNHURRIED = TASK.replace("[task]", "[task]\nmax_late_periods = 30.0")
 # What each part is called where the host says what went wrong.
 WORDS = {"camera": ("stereo pair", "camera"), "gripper": ("gripper",), "robot": ("robot",)}
 
@@ -51,6 +57,23 @@ def test_the_task_is_done_through_real_protocols(tmp_path: Path, kind: str) -> N
     # Half a step of the 2F-85's width puts the part off by 0.09 mm; a pose from a frame with moving fingers by 0.25 mm.
     assert outcome.truth["lateral_mm"] < 0.15, outcome.truth
     assert_triggers(outcome, frames(opened.recording))
+
+
+def test_a_robot_that_answers_slowly_is_stopped_after_one_status(tmp_path: Path) -> None:
+    with cell(tmp_path, Setting(1, task=UNHURRIED)) as opened:
+        line = SlowLine(opened.robot_port, 0.08)
+        opened.robot_port = line.port
+        source = f'kind = "stream"\npath = "{tmp_path / "camera.fifo"}"'
+        opened.configure(source, opened.wire.host_port, "127.0.0.1", opened.recording)
+        outcome = run_to_the_end(opened)
+        assert outcome.report is not None
+        (stop,) = [stop for stop in outcome.report["latency"]["stops"] if stop["cause"] == "insertion"]
+        sent_ns = next(request.time_ns for request in line.requests if request.name == "stop")
+        sensed_ns = sent_ns - int(1e6 * stop["sensed_to_wire_ms"])
+        waited = [r.name for r in line.requests if sensed_ns <= r.time_ns < sent_ns]
+        # The host's clock stops when the bytes are sent, the line's when they came: one status may lie between.
+        assert waited in ([], ["status"]), waited
+        line.close()
 
 
 @pytest.mark.parametrize(
@@ -93,6 +116,27 @@ def test_twenty_seeds_are_inserted_or_refused_with_a_reason(tmp_path: Path) -> N
             exposed.update(assert_triggers(outcome, frames(opened.recording)).items())
     print(kinds, "frames exposed before the stop:", exposed)
     assert kinds["inserted"] >= 15, kinds
+
+
+@pytest.mark.long
+def test_triggers_of_many_tasks(tmp_path: Path) -> None:
+    """From image to the stop's last byte over 20 tasks; printed, since it depends on the computer."""
+    stops: dict[str, list[dict[str, float]]] = {"grasp": [], "insertion": []}
+    for seed in range(1, 21):
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        with cell(folder, Setting(seed, task=UNHURRIED)) as opened:
+            opened.start_host()
+            report = opened.end().report
+            assert report is not None
+            for stop in report.get("latency", {"stops": []})["stops"]:
+                stops[stop["cause"]].append(stop)
+        shutil.rmtree(folder)
+    for cause, of_cause in stops.items():
+        assert len(of_cause) >= 15, cause
+        for step in STEPS:
+            p50_ms, p99_ms = np.quantile([stop[step] for stop in of_cause], [0.5, 0.99])
+            print(f"{cause}, {step}: p50 {p50_ms:.1f}, p99 {p99_ms:.1f} of {len(of_cause)}")
 
 
 def recovered(recording: Path) -> dict[str, Any]:
