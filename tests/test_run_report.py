@@ -75,7 +75,7 @@ def run_host(folder: Path, *words: str, config: str = "", code: int = 0) -> dict
     command = [host_binary(), "run", "--config", "cell.toml", "--json", *words]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == code, done.stdout + done.stderr
-    return dict(json.loads(done.stdout)) if done.stdout else {"error": done.stderr}
+    return dict(json.loads(done.stdout))
 
 
 @dataclass(frozen=True)

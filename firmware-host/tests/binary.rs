@@ -86,7 +86,7 @@ fn broken_off(folder: &Path, arguments: &[&str]) -> (serde_json::Value, String) 
 #[test]
 fn a_job_that_breaks_off_has_a_json_summary_with_the_reason() {
     let folder = tempfile::tempdir().unwrap();
-    let slow = "[task]\nclosing_speed_mm_s = 0.01\nstage_timeout_s = 1.0\n";
+    let slow = "[task]\nclosing_speed_mm_s = 0.01\ninsertion_speed_mm_s = 20.0\nstage_timeout_s = 1.0\n";
     std::fs::write(folder.path().join("slow.toml"), slow).unwrap();
     let common = ["--config", "slow.toml", "--record", "run.mcap", "--json"];
     let timeout = serde_json::json!({ "kind": "error", "cause": "stage_timeout" });

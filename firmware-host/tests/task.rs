@@ -175,17 +175,17 @@ struct Flawed {
 enum Flaw {
     /// The right picture is black: nothing can be sensed.
     Black,
-    /// The lower part of both pictures shows gel without markers, from this share of the height on.
-    Covered(f64),
+    /// Both pictures show gel without markers, but for their upper fifth.
+    Covered,
 }
 
 impl Flaw {
     fn spoil(self, pair: &mut StereoPair) {
         match self {
             Self::Black => pair.right.pixels.fill(0),
-            Self::Covered(from) => {
+            Self::Covered => {
                 for view in [&mut pair.left, &mut pair.right] {
-                    let first = (from * view.height as f64) as usize * view.width;
+                    let first = view.height / 5 * view.width;
                     // As bright as the gel between the markers.
                     view.pixels[first..].fill(170);
                 }
@@ -247,11 +247,11 @@ fn a_few_bad_frames_are_passed_over_and_more_stop_the_job() {
 /// What the pipeline senses of a covered gel is no error, but a trigger that counts on a few markers feels nothing.
 #[test]
 fn fingers_do_not_close_on_while_most_markers_are_covered() {
-    let (report, _) = with_spoilt_pairs(2, Flaw::Covered(0.2));
+    let (report, _) = with_spoilt_pairs(2, Flaw::Covered);
     let report = report.unwrap();
     assert!(judged(&quick(1), &report), "{}", report.outcome);
 
-    let (report, bytes) = with_spoilt_pairs(3, Flaw::Covered(0.2));
+    let (report, bytes) = with_spoilt_pairs(3, Flaw::Covered);
     let message = report.unwrap_err().to_string();
     assert!(message.starts_with("close: 3 bad frames in a row, at last: "), "{message}");
     assert!(message.contains("markers are seen, half are needed"), "{message}");
@@ -260,12 +260,6 @@ fn fingers_do_not_close_on_while_most_markers_are_covered() {
     std::fs::write(&path, bytes).unwrap();
     let again = replay(&[&path], None, &mut |_| {}).unwrap();
     assert!(!again.truncated && again.differing == 0, "{again}");
-
-    // A third of the markers may be covered.
-    let (report, _) = with_spoilt_pairs(30, Flaw::Covered(0.7));
-    if let Err(error) = report {
-        panic!("{error}");
-    }
 }
 
 #[test]
