@@ -6,6 +6,7 @@ server as a check on the server itself.
 
 from __future__ import annotations
 
+import os
 import queue
 import signal
 import socket
@@ -292,6 +293,19 @@ def test_python_drives_the_same_gripper_by_pyserial() -> None:
         wire.cut = True
         with pytest.raises(gelstereo.GripperError, match="has not answered"):
             hand.status()
+
+
+def test_ctrl_c_ends_an_activation_from_python(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ACTIVATION_S", "600")
+    with (
+        robotiq() as (wire, server),
+        gelstereo.grippers.open("robotiq", wire.host_port, model="2f85") as hand,
+    ):
+        threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT)).start()
+        with pytest.raises(KeyboardInterrupt):
+            hand.activate()
+        commands = server.commands()
+        assert "0100 0000 0000" in commands and commands[-1] == "0000 0000 0000"
 
 
 def test_settings_of_grippers_are_checked_in_python() -> None:

@@ -147,7 +147,7 @@ impl Activating {
         Self { deadline: Instant::now() + MAX_ACTIVATION }
     }
 
-    /// The status of fingers that sweep at `width_mm`. `fault` is the gripper's own word for what is wrong.
+    /// The status of fingers that sweep at `width_mm`. `fault` is what the gripper reports.
     fn status(self, width_mm: f64, fault: &dyn fmt::Display) -> Result<GripperStatus, GripperError> {
         if Instant::now() > self.deadline {
             let message = format!("activation did not end within {} s: {fault}", MAX_ACTIVATION.as_secs());
