@@ -43,7 +43,8 @@ test-python: prerequisites $(BIN)/python
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy --strict python/gelstereo
 	$(BIN)/python -m mypy.stubtest gelstereo._native
-	GELSTEREO_HOST=$(HOST) $(BIN)/pytest -n auto
+	GELSTEREO_HOST=$(HOST) $(BIN)/pytest -n auto -m "not long and not realtime"
+	GELSTEREO_HOST=$(HOST) $(BIN)/pytest -m "realtime and not long"
 
 # The live outputs are optional features; the everyday build stays light without them. They are built in the profile
 # of the tests and for the whole workspace, which has most of their dependencies already.

@@ -23,6 +23,8 @@ from whole_task.judge import assert_at_rest, assert_triggers, assert_true, frame
 pytest.importorskip("pymodbus")
 mcap_reader = pytest.importorskip("mcap.reader")
 
+pytestmark = pytest.mark.realtime
+
 # The moment of a kill: after so many of these commands, and up to this long after.
 MOMENTS = [
     ("gripper_move", 1, 0.4),  # opening
