@@ -17,7 +17,7 @@ demo: prerequisites $(BIN)/python
 	@echo "picture:   $(OUT)/demo/located.png"
 	@echo "recording: $(OUT)/demo/run.mcap"
 
-test: prerequisites test-rust test-python fuzz
+test: prerequisites test-rust test-python
 	@echo "all tests passed"
 
 # Property tests try the same cases on every run, so that a change fails for what it did; `make explore` tries others.
@@ -43,26 +43,29 @@ test-python: prerequisites $(BIN)/python
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy --strict python/gelstereo
 	$(BIN)/python -m mypy.stubtest gelstereo._native
-	GELSTEREO_HOST=$(HOST) $(BIN)/pytest
+	GELSTEREO_HOST=$(HOST) $(BIN)/pytest -n auto -m "not long and not realtime"
+	GELSTEREO_HOST=$(HOST) $(BIN)/pytest -m "realtime and not long"
 
-# The live outputs are optional features, built apart so that the everyday build stays light.
-LIVE := $(CURDIR)/target/live
+# The live outputs are optional features; the everyday build stays light without them. They are built in the profile
+# of the tests and for the whole workspace, which has most of their dependencies already.
+LIVE_HOST := $(CURDIR)/target/debug/gelstereo-host
+LIVE_FEATURES := gelstereo-host/zenoh,gelstereo-host/foxglove
 ROS_PEER := $(CURDIR)/target/ros_peer
 
 test-long: export GELSTEREO_HOST := $(HOST)
-test-long: export GELSTEREO_HOST_LIVE := $(LIVE)/release/gelstereo-host
+test-long: export GELSTEREO_HOST_LIVE := $(LIVE_HOST)
 test-long: export GELSTEREO_ROS_PEER := $(ROS_PEER)/debug/ros-peer
 test-long: prerequisites $(BIN)/python
 	@.ci/long-prerequisites.sh
 	$(BIN)/pip install --quiet '.[test,long]'
 	cargo build --release --quiet -p gelstereo-host --bins --example world_server
-	cargo build --release --quiet -p gelstereo-host --features zenoh,foxglove --target-dir $(LIVE)
+	GELSTEREO_KILLS=50 cargo test --quiet --workspace --test all -- faults::
+	GELSTEREO_LONG_FRAMES=12000 cargo test --quiet --workspace --test long_run
+	cargo test --quiet --workspace --test all -- --ignored reference::
+	cargo build --quiet --workspace --bin gelstereo-host --features $(LIVE_FEATURES)
 	cargo build --quiet --manifest-path tests/ros_peer/Cargo.toml --target-dir $(ROS_PEER)
-	GELSTEREO_KILLS=50 cargo test --quiet -p gelstereo-host --test faults
-	GELSTEREO_LONG_FRAMES=12000 cargo test --quiet -p gelstereo-host --test long_run
-	cargo test --quiet -p gelstereo-host --test reference -- --ignored
 	$(BIN)/pytest -m long
-	fuzz/run.sh 10
+	$(MAKE) fuzz
 	@echo "all long tests passed"
 
 # Cases that no run has tried yet, of every property test in Rust.
@@ -70,7 +73,7 @@ explore: prerequisites
 	cargo test --workspace --quiet
 
 # So many seconds for each target; a find ends it.
-FUZZ_SECONDS ?= 4
+FUZZ_SECONDS ?= 10
 fuzz: prerequisites
 	cargo fmt --manifest-path fuzz/Cargo.toml --check
 	fuzz/run.sh $(FUZZ_SECONDS)

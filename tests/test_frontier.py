@@ -315,6 +315,7 @@ def test_methods_take_turns() -> None:
 @pytest.mark.skipif(
     shutil.which("valgrind") is None or shutil.which("cargo") is None, reason="valgrind or cargo is absent"
 )
+@pytest.mark.long
 def test_instructions_are_counted_and_repeat_exactly(tmp_path: Path) -> None:
     counter = InstructionCounter(ROOT)
     assert counter.present

@@ -29,6 +29,8 @@ from slow_line import SlowLine
 from test_gripper_peers import Server, robotiq, wait_for
 from test_recording_readers import host_binary
 
+pytestmark = pytest.mark.realtime
+
 BRIDGE = Path(__file__).parent.parent / "examples" / "robot_bridge.py"
 PERIOD_S = 1 / 30
 #: Commands of the Robotiq server: closing goes to the closed end, a stop takes the request to move back.

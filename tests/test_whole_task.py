@@ -26,6 +26,8 @@ from whole_task.judge import assert_at_rest, assert_triggers, assert_true, frame
 pytest.importorskip("pymodbus")
 mcap_reader = pytest.importorskip("mcap.reader")
 
+pytestmark = pytest.mark.realtime
+
 # The moment of a kill: after so many of these commands, and up to this long after.
 MOMENTS = [
     ("gripper_move", 1, 0.4),  # opening
@@ -56,7 +58,7 @@ def test_the_task_is_done_through_real_protocols(tmp_path: Path, kind: str) -> N
     assert outcome.kind == "inserted", (outcome.report, outcome.truth)
     # Half a step of the 2F-85's width puts the part off by 0.09 mm; a pose from a frame with moving fingers by 0.25 mm.
     assert outcome.truth["lateral_mm"] < 0.15, outcome.truth
-    assert_triggers(outcome, frames(opened.recording))
+    assert_triggers(outcome, frames(opened.recording), opened.lateness.longest_s)
 
 
 def test_a_robot_that_answers_slowly_is_stopped_after_one_status(tmp_path: Path) -> None:
@@ -113,7 +115,8 @@ def test_twenty_seeds_are_inserted_or_refused_with_a_reason(tmp_path: Path) -> N
         with cell(folder, Setting(seed, ("robotiq", "dh")[seed % 2])) as opened:
             outcome = run_to_the_end(opened)
             kinds[outcome.kind] += 1
-            exposed.update(assert_triggers(outcome, frames(opened.recording)).items())
+            late_s = opened.lateness.longest_s
+            exposed.update(assert_triggers(outcome, frames(opened.recording), late_s).items())
     print(kinds, "frames exposed before the stop:", exposed)
     assert kinds["inserted"] >= 15, kinds
 

@@ -129,7 +129,7 @@ impl Setup {
     pub fn without_robot(config: &Config) -> Result<Self, HostError> {
         config.validate()?;
         let (gripper, robot) = (GripperConfig::Simulated, RobotConfig::Simulated);
-        Self::new(&Config { gripper, robot, ..config.clone() })
+        Self::with_part_at(&Config { gripper, robot, ..config.clone() }, Place::Holder)
     }
 
     /// Opens and builds everything that the configuration names, but not the recording.
@@ -137,6 +137,7 @@ impl Setup {
     /// # Errors
     /// [`HostError`].
     pub fn new(config: &Config) -> Result<Self, HostError> {
+        config.validate_task()?;
         Self::with_part_at(config, Place::Holder)
     }
 
@@ -145,6 +146,7 @@ impl Setup {
     /// # Errors
     /// [`HostError`].
     pub fn for_teaching(config: &Config) -> Result<Self, HostError> {
+        config.validate_task()?;
         let task = TaskConfig { taught: None, ..config.task.clone() };
         Self::with_part_at(&Config { task, ..config.clone() }, Place::Goal)
     }

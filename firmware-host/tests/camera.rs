@@ -5,6 +5,7 @@ use gelstereo_host::camera::{CameraConfig, ControlSettings, PixelFormat};
 use gelstereo_host::check::check;
 use gelstereo_host::config::{Config, SourceConfig};
 use gelstereo_host::gripper::Gripper;
+use gelstereo_host::run::Setup;
 use gelstereo_host::source::{
     FrameMode, FrameSource, Next, SourceError, SourceEvent, StereoLayout, StereoPair,
 };
@@ -118,6 +119,27 @@ fn a_camera_needs_its_rig_and_to_be_there() {
     } else {
         assert!(problem.contains("standard input"), "{problem}");
     }
+}
+
+#[test]
+fn a_camera_too_slow_for_the_tasks_moves_is_good_for_sensing() {
+    let text = "[source]\nkind = \"camera\"\ndevice = \"/dev/no-camera\"\nframe_rate_hz = 4.0\n";
+    let slow = with_rig(text);
+    slow.validate().unwrap();
+    let refused =
+        [Setup::new(&slow), Setup::for_teaching(&slow)].map(|setup| setup.err().unwrap().to_string());
+    for words in refused {
+        assert!(words.contains("task.closing_speed_mm_s allows no two periods of 4 Hz"), "{words}");
+    }
+    let findings = check(&slow);
+    let task = findings.iter().find(|finding| finding.subject == "task").unwrap();
+    assert!(task.found.contains("task.max_blind_travel_mm is 3 mm, 150 ms at 20 mm/s"), "{}", task.found);
+    // For sensing the camera is opened, and only then missed.
+    let sensing = Setup::without_robot(&slow).err().unwrap().to_string();
+    assert!(!sensing.contains("task."), "{sensing}");
+
+    let moves = "[task]\nclosing_speed_mm_s = 5.0\ninsertion_speed_mm_s = 5.0\nmove_speed_mm_s = 200.0\n";
+    with_rig(&format!("{text}{moves}")).validate_task().unwrap();
 }
 
 /// Pairs at these times; `None` is an event.

@@ -130,7 +130,7 @@ fn at_most_a_second_is_lost() {
     let folder = tempfile::tempdir().unwrap();
     for kill in 0..kills() {
         let mut child = Command::new(std::env::current_exe().unwrap())
-            .args(["--ignored", "--exact", "child_that_records", "--nocapture"])
+            .args(["--ignored", "--exact", "faults::child_that_records", "--nocapture"])
             .env("GELSTEREO_CHILD_FOLDER", folder.path())
             .stdout(Stdio::piped())
             .stderr(Stdio::null())

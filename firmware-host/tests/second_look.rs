@@ -2,7 +2,7 @@
 //! grey levels, blur 0.8 px, gel with shoulder, spread, drag).
 #![allow(clippy::unwrap_used)]
 
-mod quick_world;
+use crate::quick_world;
 
 use gelstereo_core::params::RegisterMethod;
 use gelstereo_host::report::{JobReport, Outcome, Stage};

@@ -1,7 +1,7 @@
 //! The whole job in the simulated world (simulated: noise 2 grey levels, blur 0.8 px, gel with shoulder, spread, drag).
 #![allow(clippy::unwrap_used)]
 
-mod quick_world;
+use crate::quick_world;
 
 use gelstereo_core::params::{Params, RegisterMethod};
 use gelstereo_host::config::Config;

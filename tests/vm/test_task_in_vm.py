@@ -186,7 +186,8 @@ def vm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Vm]:
 def task(vm: Vm, seed: int) -> Iterator[Cell]:
     cell = vm.start(seed)
     try:
-        yield cell
+        with cell.lateness:
+            yield cell
     finally:
         cell.close()
 
@@ -201,7 +202,8 @@ def test_twenty_seeds_are_inserted_or_refused_with_a_reason(vm: Vm) -> None:
         with task(vm, seed) as cell:
             outcome = vm.run_task(cell)
             assert_true(outcome)
-            exposed = assert_triggers(outcome, frames(cell.recording, vm.camera.sent))
+            recorded = frames(cell.recording, vm.camera.sent)
+            exposed = assert_triggers(outcome, recorded, cell.lateness.longest_s)
             lines.append({"seed": seed, "outcome": outcome.kind, "exposed": exposed, "truth": outcome.truth})
     summary = {"total_s": time.monotonic() - begun, "serial": vm.serial, "runs": lines}
     (REPOSITORY / "target" / "vm" / "task.json").write_text(json.dumps(summary, indent=1), encoding="utf-8")

@@ -1,7 +1,7 @@
 //! No stage allocates after its first frame, not even when a later one holds more.
 
-mod counting;
-mod support;
+use crate::counting;
+use crate::support;
 
 use counting::ALLOCATIONS;
 use gelstereo_core::camera::{Camera, Layer, Layers};

@@ -1,8 +1,7 @@
 //! Which printed row is which, where the frame alone or the prediction alone would mislead: right, or not claimed.
 #![allow(clippy::unwrap_used)]
 
-mod disturbed;
-mod support;
+use crate::disturbed;
 
 use disturbed::{MIDDLE, PITCH, SIZE, Scene};
 use gelstereo_core::label::{Anchor, FoundLattice, LatticeFinder, anchor};

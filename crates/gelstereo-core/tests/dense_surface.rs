@@ -1,6 +1,6 @@
 //! The surface between markers.
 
-mod support;
+use crate::support;
 
 use gelstereo_core::math::{DVec2, DVec3};
 use gelstereo_core::surface::{DenseFrame, DenseSurface, DenseSurfaceError, MarkerMeshError};

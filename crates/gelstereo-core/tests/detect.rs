@@ -1,6 +1,6 @@
 //! Detection against dots whose centres are known.
 
-mod support;
+use crate::support;
 
 use gelstereo_core::detect::{DetectError, Detector, Markers};
 use gelstereo_core::digest::Digest;

@@ -1,6 +1,6 @@
 //! Blur, box mean, morphology and components against plain definitions.
 
-mod support;
+use crate::support;
 
 use gelstereo_core::detect::blur::{BoxMean, FRACTION_BITS, GaussianBlur, reflect101};
 use gelstereo_core::detect::components::Components;

@@ -1,6 +1,6 @@
 //! The model fit against discs and ellipses whose centres, noise and blur are known.
 
-mod support;
+use crate::support;
 
 use gelstereo_core::detect::fit::{DiscFit, Start};
 use gelstereo_core::detect::{Detector, Markers};

@@ -1,7 +1,7 @@
 //! Markers found at half the image's size against those of the search at its own.
 #![allow(clippy::unwrap_used)]
 
-mod support;
+use crate::support;
 
 use gelstereo_core::detect::glance::Kind;
 use gelstereo_core::detect::{Detector, Markers};

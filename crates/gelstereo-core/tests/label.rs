@@ -1,6 +1,6 @@
 //! Labels against generated lattices: right, or refused.
 
-mod support;
+use crate::support;
 
 use gelstereo_core::label::{LabelError, foresight_sort, rest_lattice};
 use gelstereo_core::math::DVec2;

@@ -1,7 +1,6 @@
 //! The lattice of a single frame: every place right, whatever the disturbance, and how many are found.
 
-mod disturbed;
-mod support;
+use crate::disturbed;
 
 use disturbed::{MIDDLE, PITCH, SIZE, Scene};
 use gelstereo_core::label::{FoundLattice, LabelError, LatticeFinder, anchor, rest_lattice};

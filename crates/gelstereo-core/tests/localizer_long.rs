@@ -3,8 +3,8 @@
 // A test may stop at what it did not expect, and print its counts.
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
-mod counting;
-mod problems;
+use crate::counting;
+use crate::problems;
 
 use counting::{ALLOCATIONS, HELD};
 use gelstereo_core::digest::Digest;

@@ -1,6 +1,6 @@
 //! The mesh between markers.
 
-mod support;
+use crate::support;
 
 use gelstereo_core::math::{DVec2, DVec3};
 use gelstereo_core::surface::{MarkerMesh, MarkerMeshError};

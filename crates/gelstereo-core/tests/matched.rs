@@ -1,6 +1,6 @@
 //! The matched step against discs of which everything is known, and against the model fit, which it approximates.
 
-mod support;
+use crate::support;
 
 use gelstereo_core::detect::fit::Noise;
 use gelstereo_core::detect::matched::{MOST_MISFIT, Matched, Refined};

@@ -1,6 +1,6 @@
 //! The search near expected positions against the search of the whole image.
 
-mod support;
+use crate::support;
 
 use gelstereo_core::detect::near::{Found, Sight};
 use gelstereo_core::detect::{DetectError, Detector, Markers};

@@ -1,10 +1,10 @@
 //! How often and how exactly the rungs find simulated contacts (noise 0.03 mm per axis, starts 5 degrees and 1 mm off).
 //!
-//! `cargo nextest run -p gelstereo-core --test register_accuracy --no-capture` prints the table.
+//! `cargo nextest run -p gelstereo-core register_accuracy:: --no-capture` prints the table.
 // A test may stop at what it did not expect, and print its table.
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
-mod contact_patch;
+use crate::contact_patch;
 
 use contact_patch::{Contact, Shape};
 use gelstereo_core::math::linalg::eigen;

@@ -3,9 +3,9 @@
 // A test may stop at what it did not expect.
 #![allow(clippy::unwrap_used)]
 
-mod contact_patch;
-mod counting;
-mod problems;
+use crate::contact_patch;
+use crate::counting;
+use crate::problems;
 
 use contact_patch::{Contact, Shape};
 use counting::ALLOCATIONS;

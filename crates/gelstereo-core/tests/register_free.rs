@@ -3,8 +3,8 @@
 // A test may stop at what it did not expect.
 #![allow(clippy::unwrap_used)]
 
-mod problems;
-mod solids;
+use crate::problems;
+use crate::solids;
 
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec3, Pose};

@@ -2,7 +2,7 @@
 // A test may stop at what it did not expect.
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
-mod problems;
+use crate::problems;
 
 use gelstereo_core::math::linalg::Symmetric;
 use gelstereo_core::math::random::Stream;

@@ -4,7 +4,7 @@
 // A test may stop at what it did not expect.
 #![allow(clippy::unwrap_used)]
 
-mod contact_patch;
+use crate::contact_patch;
 
 use contact_patch::Shape;
 use gelstereo_core::math::DVec3;

@@ -2,7 +2,7 @@
 // A test may stop at what it did not expect, and print its counts.
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
-mod contact_patch;
+use crate::contact_patch;
 
 use contact_patch::{Contact, Shape};
 use gelstereo_core::math::linalg::Symmetric;

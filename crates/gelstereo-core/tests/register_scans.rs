@@ -2,7 +2,7 @@
 // A test may stop at what it did not expect, and print its table.
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
-mod problems;
+use crate::problems;
 
 use gelstereo_core::math::DVec3;
 use gelstereo_core::math::random::Stream;

@@ -4,7 +4,7 @@
 // A test may stop at what it did not expect, and print its table.
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
-mod problems;
+use crate::problems;
 
 use gelstereo_core::math::linalg::{Symmetric, eigen};
 use gelstereo_core::math::random::Stream;

@@ -2,7 +2,7 @@
 // A test may stop at what it did not expect.
 #![allow(clippy::unwrap_used)]
 
-mod solids;
+use crate::solids;
 
 use gelstereo_core::math::DVec3;
 use gelstereo_core::math::random::Stream;

@@ -2,7 +2,7 @@
 // A test may stop at what it did not expect.
 #![allow(clippy::unwrap_used)]
 
-mod problems;
+use crate::problems;
 
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec3, Pose, so3};

@@ -1,6 +1,6 @@
 //! The threshold derived from the image, its parts against plain definitions, and what it finds.
 
-mod support;
+use crate::support;
 
 use gelstereo_core::detect::blocks::{BLOCK_PX, Blocks, BoxSums};
 use gelstereo_core::detect::blur::reflect101;

@@ -1,6 +1,6 @@
 //! Identity over frames, against displaced lattices.
 
-mod support;
+use crate::support;
 
 use gelstereo_core::detect::Markers;
 use gelstereo_core::label::RestLattice;

@@ -1,6 +1,6 @@
 //! Identities over frames that bend, turn, jump and lose markers: right, or not claimed.
 
-mod support;
+use crate::support;
 
 use gelstereo_core::detect::Markers;
 use gelstereo_core::detect::near::{Found, Sight};

@@ -2,7 +2,7 @@
 //! px that may move, narrow contacts that squeeze the lattice to half a pitch, jumps, and every fifth frame dropped. Much
 //! is held then; nothing is taken for another marker.
 
-mod support;
+use crate::support;
 
 use gelstereo_core::math::DVec2;
 use gelstereo_core::math::random::Stream;

@@ -1,6 +1,6 @@
 //! Triangulation against projection, and the disparities that mean nothing (hard cases 17 and 18).
 
-mod rigs;
+use crate::rigs;
 
 use gelstereo_core::camera::Camera;
 use gelstereo_core::math::random::Stream;

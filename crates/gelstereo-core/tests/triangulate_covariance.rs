@@ -1,6 +1,6 @@
 //! Covariances of points whatever the rig and the centres (hard case 32).
 
-mod rigs;
+use crate::rigs;
 
 use gelstereo_core::camera::{Camera, Layer, Layers};
 use gelstereo_core::math::linalg::eigen;

@@ -1,7 +1,7 @@
 //! The search in windows against known dots and against the search of the whole image.
 #![allow(clippy::unwrap_used)]
 
-mod support;
+use crate::support;
 
 use gelstereo_core::detect::near::{Found, Sight};
 use gelstereo_core::detect::{Detector, Markers};

@@ -177,6 +177,14 @@ impl SensorMount {
     fn t_gripper_sensor(&self, py: Python<'_>, width_mm: f64) -> PyResult<Matrix> {
         arrays::pose_matrix(py, &self.inner.t_gripper_sensor(width_mm).map_err(raise)?)
     }
+
+    fn __repr__(&self) -> PyResult<String> {
+        Ok(format!("SensorMount.from_toml(\"\"\"\n{}\"\"\")", self.to_toml()?))
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<tree::Reduced<'py>> {
+        tree::reduce(slf)
+    }
 }
 
 /// Gripper pose that brings the held object to its goal, with the object rigid in the hand.

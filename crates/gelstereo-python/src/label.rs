@@ -30,6 +30,13 @@ pub struct RestLattice {
     pitch_px: f64,
 }
 
+#[pymethods]
+impl RestLattice {
+    fn __repr__(&self) -> String {
+        format!("<RestLattice: {} rows, {} columns, {:.2} px apart>", self.rows, self.cols, self.pitch_px)
+    }
+}
+
 /// Foresight sort (the paper's Algorithm 1): the order of markers row by row, left to right.
 ///
 /// Parameters

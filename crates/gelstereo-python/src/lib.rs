@@ -16,6 +16,7 @@ mod gripper;
 mod label;
 mod layer;
 mod params;
+mod pickle;
 mod pipeline;
 mod register;
 mod rest_record;

@@ -4,6 +4,7 @@ use crate::arrays::{self, Array1, Image, Matrix};
 use crate::contact::RestSurface;
 use crate::errors::raise;
 use crate::params::Params;
+use crate::pickle;
 use crate::rest_record::RestRecord;
 use crate::rig::Rig;
 use gelstereo_core::pipeline as core;
@@ -11,6 +12,7 @@ use gelstereo_core::track::MarkerState;
 use numpy::PyArray3;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use pyo3::types::PyType;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// What one view contributed to a frame.
@@ -68,42 +70,61 @@ impl ViewEvidence {
 }
 
 /// Everything that one stereo frame gave; marker ``row * cols + col`` stands at that index in every array.
-#[pyclass(frozen, get_all, module = "gelstereo")]
+#[pyclass(frozen, module = "gelstereo")]
 pub struct Frame {
     /// Frames since the last reset, from 0 (the rest frame).
+    #[pyo3(get)]
     index: u64,
     /// Markers from top to bottom, as found in the rest frame.
+    #[pyo3(get)]
     rows: usize,
     /// Markers from left to right, as found in the rest frame.
+    #[pyo3(get)]
     cols: usize,
     /// (N, 2) positions in the left image.
+    #[pyo3(get)]
     left_px: Matrix,
     /// (N, 2) positions in the right image.
+    #[pyo3(get)]
     right_px: Matrix,
     /// (N, 3) positions in the sensor frame; of a marker that is not seen, its last good one.
+    #[pyo3(get)]
     points_mm: Matrix,
     /// (N, 3, 3) covariances of the points, mm²; of a marker that is not seen, from when it last was.
+    #[pyo3(get)]
     covariance_mm2: Py<PyArray3<f64>>,
     /// (N,) height above the rest surface, towards the camera.
+    #[pyo3(get)]
     indentation_mm: Array1<f64>,
     /// (N,) uint8 of `MarkerState`.
+    #[pyo3(get)]
     state: Array1<u8>,
     /// (N,) bool, in contact (Eq. 4).
+    #[pyo3(get)]
     salient: Array1<bool>,
     /// (N,) whether each is in the contact patch, which is what `localize` wants.
+    #[pyo3(get)]
     patch: Array1<bool>,
     /// (M, 3) the points of the contact patch, in the order of the markers.
+    #[pyo3(get)]
     patch_points_mm: Matrix,
     /// Markers whose two views do not show the same one: rows, disparity, or depth beside their neighbours disagree.
+    #[pyo3(get)]
     mismatched: usize,
     /// Mean motion of the seen markers of the left view since the reference.
+    #[pyo3(get)]
     motion_px: f64,
     /// Digest of all results, bit for bit.
+    #[pyo3(get)]
     digest: u64,
     /// The left view's `ViewEvidence`.
+    #[pyo3(get)]
     left: Py<ViewEvidence>,
     /// The right view's `ViewEvidence`.
+    #[pyo3(get)]
     right: Py<ViewEvidence>,
+    /// The same, as the core has it, for pickling.
+    core: core::Frame,
 }
 
 impl Frame {
@@ -111,7 +132,9 @@ impl Frame {
         let digest = frame.digest();
         let mut patch_points = Vec::new();
         frame.patch_points_mm(&mut patch_points);
+        let core = frame.clone();
         Ok(Self {
+            core,
             index: frame.index,
             rows: frame.rows,
             cols: frame.cols,
@@ -146,6 +169,15 @@ impl Frame {
             "<Frame {}: {markers} markers, {patch} in contact, motion {:.2} px>",
             self.index, self.motion_px
         ))
+    }
+
+    #[classmethod]
+    fn _from_bytes(cls: &Bound<'_, PyType>, data: &[u8]) -> PyResult<Self> {
+        Self::new(cls.py(), pickle::from_bytes(data, "Frame")?)
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<pickle::Reduced<'py>> {
+        pickle::reduce(slf, "_from_bytes", &pickle::to_bytes(&slf.get().core)?)
     }
 }
 

@@ -3,12 +3,13 @@
 use crate::arrays::{self, Array1, Matrix, Numbers};
 use crate::errors::{RegisterError, raise};
 use crate::params::Params;
+use crate::pickle;
 use crate::template::Template;
 use gelstereo_core::math::DVec3;
 use gelstereo_core::params::{RegisterMethod, RegisterParams};
 use gelstereo_core::register as core;
 use pyo3::prelude::*;
-use pyo3::types::PyTuple;
+use pyo3::types::{PyTuple, PyType};
 use std::cell::RefCell;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -189,6 +190,17 @@ impl Localization {
     #[getter]
     fn digest(&self) -> u64 {
         self.found.digest()
+    }
+
+    #[classmethod]
+    fn _from_bytes(_cls: &Bound<'_, PyType>, data: &[u8]) -> PyResult<Self> {
+        let (found, standing, misfit) = pickle::from_bytes(data, "Localization")?;
+        Ok(Self { found, standing, misfit })
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<pickle::Reduced<'py>> {
+        let Self { found, standing, misfit } = slf.get();
+        pickle::reduce(slf, "_from_bytes", &pickle::to_bytes(&(found, standing, misfit))?)
     }
 
     fn __repr__(&self) -> String {

@@ -3,6 +3,7 @@
 use crate::arrays::{self, Array1, Count, Matrix, Numbers};
 use crate::closest::{self, Closest, Surface, Symmetry};
 use crate::errors::{MeshError, ShapeError, TemplateError, raise};
+use crate::pickle;
 use crate::tree;
 use gelstereo_core::math::{DVec3, sqrt};
 use gelstereo_core::register as core;
@@ -367,6 +368,15 @@ impl Template {
         let read = py.detach(|| core::Template::from_bytes(&bytes)).map_err(raise);
         let inner = read.map_err(|error| tree::in_file(py, &error, &path))?;
         Ok(Self { inner })
+    }
+
+    #[classmethod]
+    fn _from_bytes(_cls: &Bound<'_, PyType>, data: &[u8]) -> PyResult<Self> {
+        Ok(Self { inner: core::Template::from_bytes(data).map_err(raise)? })
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<pickle::Reduced<'py>> {
+        pickle::reduce(slf, "_from_bytes", &slf.get().inner.to_bytes())
     }
 
     fn __len__(&self) -> usize {

@@ -1,8 +1,7 @@
 //! After the first frame nothing is allocated, whatever acts.
 #![allow(clippy::unwrap_used)]
 
-#[path = "../../gelstereo-core/tests/counting/mod.rs"]
-mod counting;
+use crate::counting;
 
 use counting::ALLOCATIONS;
 use gelstereo_sim::{Scene, Simulator, Truth};

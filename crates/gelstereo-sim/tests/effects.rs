@@ -1,7 +1,7 @@
 //! Effects on the gel, against what their models say; and effects that are absent.
 #![allow(clippy::unwrap_used)]
 
-mod common;
+use crate::common;
 
 use common::{images, press, rest, rigid, truth, with_effects, xy};
 use gelstereo_core::math::{DVec2, DVec3, cos, sin};

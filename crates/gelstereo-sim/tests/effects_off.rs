@@ -1,9 +1,8 @@
 //! An effect that is off is one that the scene never had: the same simulator, bit by bit, and so the same work.
 #![allow(clippy::unwrap_used)]
 
-#[path = "../../gelstereo-core/tests/counting/mod.rs"]
-mod counting;
-mod every_effect;
+use crate::counting;
+use crate::every_effect;
 
 use counting::ALLOCATIONS;
 use every_effect::{names, switched_off, with, without};

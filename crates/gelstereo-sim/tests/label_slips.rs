@@ -1,7 +1,7 @@
 //! Labels of the two views that slip against each other are caught, and no true press is.
 #![allow(clippy::unwrap_used)]
 
-mod common;
+use crate::common;
 
 use common::{press, simulator};
 use gelstereo_core::contact::{LabelSlips, RestSurface};

@@ -1,7 +1,7 @@
 //! The lattice of single frames under full contact, as the simulator presses: no place is wrong.
 #![allow(clippy::unwrap_used)]
 
-mod common;
+use crate::common;
 
 use common::{press, simulator, with_effects};
 use gelstereo_core::label::{FoundLattice, LatticeFinder};

@@ -1,9 +1,8 @@
 //! On an elastic layer too nothing is allocated after the first frame.
 #![allow(clippy::unwrap_used)]
 
-mod common;
-#[path = "../../gelstereo-core/tests/counting/mod.rs"]
-mod counting;
+use crate::common;
+use crate::counting;
 
 use common::{press, simulator, with_effects};
 use counting::ALLOCATIONS;

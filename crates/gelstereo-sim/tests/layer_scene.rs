@@ -1,7 +1,7 @@
 //! Scenes whose gel is an elastic layer.
 #![allow(clippy::unwrap_used)]
 
-mod common;
+use crate::common;
 
 use common::{press, rest, rigid, simulator, truth, with_effects, xy};
 use gelstereo_core::math::{DVec2, DVec3};

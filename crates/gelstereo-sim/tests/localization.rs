@@ -1,7 +1,7 @@
 //! Where a part sits in the hand, from simulated stereo frames of a soft gel (sensor noise 2 grey levels), whose
 //! shoulders lie on no surface.
 //!
-//! `cargo nextest run -p gelstereo-sim --test localization --no-capture` prints the table.
+//! `cargo nextest run -p gelstereo-sim localization:: --no-capture` prints the table.
 // A test may stop at what it did not expect, and print its table.
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 

@@ -1,7 +1,7 @@
 //! A gel that moves before the cameras, and frames that never arrive.
 #![allow(clippy::unwrap_used)]
 
-mod common;
+use crate::common;
 
 use common::{images, rest, truth, xy};
 use gelstereo_core::math::{DVec2, cos, sin};

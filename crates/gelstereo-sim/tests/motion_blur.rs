@@ -2,7 +2,7 @@
 //! gives.
 #![allow(clippy::unwrap_used)]
 
-mod common;
+use crate::common;
 
 use common::simulator;
 use gelstereo_core::math::{DVec2, DVec3, Pose};

@@ -1,7 +1,7 @@
 //! Noise of image sensor and light, against the normal distribution it stands for.
 #![allow(clippy::unwrap_used)]
 
-mod common;
+use crate::common;
 
 use common::images;
 use gelstereo_sim::effects::{SensorNoise, ShotNoise};

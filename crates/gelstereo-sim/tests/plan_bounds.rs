@@ -2,7 +2,7 @@
 //! effects are on.
 #![allow(clippy::unwrap_used)]
 
-mod every_effect;
+use crate::every_effect;
 
 use gelstereo_core::camera::{Camera, Layer, Layers};
 use gelstereo_core::math::{DVec2, DVec3, Pose, so3};

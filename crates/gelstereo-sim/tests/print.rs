@@ -1,7 +1,7 @@
 //! What is wrong with the print: displaced, merged and spurious dots.
 #![allow(clippy::unwrap_used)]
 
-mod common;
+use crate::common;
 
 use common::{images, press, rest, truth};
 use gelstereo_core::math::{DVec2, DVec3};

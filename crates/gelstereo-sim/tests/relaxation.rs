@@ -1,7 +1,7 @@
 //! A gel that relaxes and creeps back.
 #![allow(clippy::unwrap_used)]
 
-mod common;
+use crate::common;
 
 use common::{press, rest, simulator, with_effects};
 use gelstereo_core::math::{DVec2, DVec3, exp};

@@ -1,7 +1,7 @@
 //! Images against what the geometry says.
 #![allow(clippy::unwrap_used)]
 
-mod common;
+use crate::common;
 
 use common::{images, press, rest, truth};
 use core::f64::consts::{PI, TAU};

@@ -1,7 +1,7 @@
 //! Rest lattices whose outer rows the image's border cuts (simulated, noise 2 grey levels).
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
-mod common;
+use crate::common;
 
 use common::images;
 use gelstereo_core::detect::{Detector, Markers};

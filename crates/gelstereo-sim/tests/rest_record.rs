@@ -1,7 +1,7 @@
 //! A pipeline that resumes from a recorded rest frame, on simulated frames (sensor noise 2 grey levels).
 #![allow(clippy::unwrap_used)]
 
-mod common;
+use crate::common;
 
 use common::{press, simulator};
 use gelstereo_core::image::GrayView;

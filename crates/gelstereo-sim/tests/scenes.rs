@@ -1,8 +1,6 @@
 //! Scenes as files.
 #![allow(clippy::unwrap_used)]
 
-mod common;
-
 use gelstereo_core::math::{DVec2, DVec3, so3};
 use gelstereo_sim::{Effects, Scene, SceneError, Sight, Simulator, Truth};
 

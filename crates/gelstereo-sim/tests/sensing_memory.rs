@@ -2,8 +2,7 @@
 //! after the rest frame and the first that is tracked.
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
-#[path = "../../gelstereo-core/tests/counting/mod.rs"]
-mod counting;
+use crate::counting;
 
 use counting::{ALLOCATIONS, HELD, PEAK};
 use gelstereo_core::image::GrayView;

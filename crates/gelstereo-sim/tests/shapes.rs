@@ -1,7 +1,7 @@
 //! Solids: their closed forms, their triangles, and how the two agree.
 #![allow(clippy::unwrap_used)]
 
-mod common;
+use crate::common;
 
 use common::{press, rigid, simulator};
 use gelstereo_core::math::{DVec2, DVec3};

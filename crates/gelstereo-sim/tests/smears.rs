@@ -1,8 +1,6 @@
 //! Patches on the images, against their definition pixel by pixel.
 #![allow(clippy::unwrap_used)]
 
-mod common;
-
 use gelstereo_core::math::DVec2;
 use gelstereo_sim::effects::{Patch, Smears, Views};
 use gelstereo_sim::{Effects, Scene, Sight, Simulator, Truth};

@@ -3,8 +3,7 @@
 //! The test runs as many as a test may; `GELSTEREO_SOAK_FRAMES=2600000` runs them all (in release mode 25 minutes).
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
-#[path = "../../gelstereo-core/tests/counting/mod.rs"]
-mod counting;
+use crate::counting;
 
 use counting::{ALLOCATIONS, HELD};
 use gelstereo_core::contact::RestSurface;

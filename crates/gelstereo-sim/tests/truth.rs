@@ -1,7 +1,7 @@
 //! Where markers come to lie.
 #![allow(clippy::unwrap_used)]
 
-mod common;
+use crate::common;
 
 use common::{press, rest, rigid, simulator, truth, with_effects};
 use gelstereo_core::math::{DVec2, DVec3, sqrt};

@@ -18,9 +18,11 @@ pub fn check(config: &Config) -> Vec<Finding> {
         Ok(()) => Finding::ok("configuration", format!("valid, preset \"{}\"", config.preset)),
         Err(error) => Finding::wrong("configuration", error.to_string()),
     }];
+    let task = config.validate_task();
+    findings.extend(task.as_ref().err().map(|error| Finding::wrong("task", error.to_string())));
     findings.push(part(config));
     findings.extend(hardware::examine(config));
-    if values.is_ok() {
+    if values.is_ok() && task.is_ok() {
         findings.extend(devices(config));
     }
     // An empty path is among the values.

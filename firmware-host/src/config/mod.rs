@@ -238,6 +238,14 @@ impl Config {
         }
         Ok(())
     }
+
+    /// Checks what only a task needs; [`Self::validate`] is enough for sensing.
+    ///
+    /// # Errors
+    /// [`ConfigError::Contradiction`] of a move that is too fast for the camera's rate.
+    pub fn validate_task(&self) -> Result<(), ConfigError> {
+        self.source.validate_blind_travel(&self.task)
+    }
 }
 
 /// Reads a text as the type of that name, whose keys the reference knows.

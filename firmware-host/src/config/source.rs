@@ -57,11 +57,11 @@ impl SourceConfig {
                 advice: "wait for at least two periods",
             });
         }
-        self.validate_blind_travel(task)
+        Ok(())
     }
 
     /// Whether the moves are so slow that a camera that is well never looks silent.
-    fn validate_blind_travel(&self, task: &TaskConfig) -> Result<(), ConfigError> {
+    pub(super) fn validate_blind_travel(&self, task: &TaskConfig) -> Result<(), ConfigError> {
         let Self::Camera(camera) = self else { return Ok(()) };
         let limits = [
             ("task.max_blind_travel_mm", task.max_blind_travel_mm, "closing", task.closing_speed_mm_s),

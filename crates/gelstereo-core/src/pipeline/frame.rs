@@ -9,6 +9,7 @@ use alloc::vec::Vec;
 
 /// Where the rows and columns of a frame come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum LabelSource {
     /// The rest frame's lattice.
     #[default]
@@ -25,6 +26,7 @@ pub enum LabelSource {
 
 /// Where a view's markers were searched for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Searched {
     /// In the whole image.
     #[default]
@@ -35,6 +37,7 @@ pub enum Searched {
 
 /// What one view contributed to a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct ViewEvidence {
     /// Markers detected.
     pub detected: usize,
@@ -48,6 +51,7 @@ pub struct ViewEvidence {
 
 /// Everything that one stereo frame gave; marker `row * cols + col` stands at that index in every list.
 #[derive(Clone, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Frame {
     /// Frames since the last reset, from 0 (the rest frame, also where it was recorded).
     pub index: u64,

@@ -7,6 +7,7 @@ use crate::math::{DVec3, sqrt};
 
 /// A direction of motion that the contact does not determine, in the object's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct FreeDirection {
     /// Rotation part of the twist about [`Self::centre_mm`]: of length 1 (rad), or zero for a pure translation.
     pub omega: DVec3,
@@ -94,6 +95,7 @@ fn write_axis(f: &mut core::fmt::Formatter<'_>, axis: DVec3) -> core::fmt::Resul
 
 /// Up to six free directions, without allocation; it reads, and prints, as a slice.
 #[derive(Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct FreeDirections {
     directions: [FreeDirection; 6],
     count: usize,

@@ -14,6 +14,7 @@ const MOVED: f64 = 0.1;
 
 /// How a localizer came to a pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Standing {
     /// From the frame before, by the rung that follows.
     Followed,

@@ -51,6 +51,7 @@ use error::LEAST_PATCH;
 
 /// What registration found, with its evidence.
 #[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Registration {
     /// Maps object coordinates to sensor coordinates.
     pub t_sensor_object: Pose,

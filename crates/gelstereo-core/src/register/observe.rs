@@ -97,6 +97,7 @@ pub(super) struct System {
 
 /// The eigenvectors of a patch's information and which of them it determines.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Observability {
     /// Centroid c of the patch, which the rotations are about.
     pub centre_mm: DVec3,

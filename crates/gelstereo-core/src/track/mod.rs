@@ -22,6 +22,7 @@ use grid::Grid;
 /// What is known of a marker in the present frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[repr(u8)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum MarkerState {
     /// Measured in this frame.
     Seen = 0,

@@ -69,6 +69,15 @@ impl Simulator {
         self.scene.clone_ref(py)
     }
 
+    fn __repr__(&self, py: Python<'_>) -> String {
+        format!("<Simulator of {} frames>", self.__len__(py))
+    }
+
+    /// By its scene: the copy simulates the same frames.
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> (Bound<'py, PyAny>, (Py<Scene>,)) {
+        (slf.as_any().get_type().into_any(), (slf.get().scene.clone_ref(slf.py()),))
+    }
+
     /// Which effects are computed and why.
     #[getter]
     fn plan(&self, py: Python<'_>) -> PyResult<Plan> {

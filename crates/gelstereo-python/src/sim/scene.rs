@@ -114,4 +114,19 @@ impl Scene {
     fn rig(&self) -> Rig {
         Rig { inner: self.inner.rig.clone() }
     }
+
+    fn __repr__(&self) -> PyResult<String> {
+        Ok(format!("Scene.from_toml(\"\"\"\n{}\"\"\")", self.to_toml()?))
+    }
+
+    /// With the folder of its file, where a mesh's relative path starts.
+    #[classmethod]
+    fn _from_file(_cls: &Bound<'_, PyType>, text: &str, folder: PathBuf) -> PyResult<Self> {
+        Self::checked(tree::from_toml(text).map_err(SceneError::new_err)?, folder)
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, (String, PathBuf))> {
+        let restore = slf.as_any().get_type().getattr("_from_file")?;
+        Ok((restore, (slf.get().to_toml()?, slf.get().folder.clone())))
+    }
 }

@@ -26,6 +26,8 @@ rig_file = "rig.toml"
 source = { kind = "camera", device = "serial:GS0003", size_px = [1280, 480], frame_rate_hz = 4.0 }
 sense = { localize = "never", rest_frames = 3 }
 part = { spacing_mm = 1.0 }
+# Slow enough for 4 Hz: the doctor says whether a task would start.
+task = { closing_speed_mm_s = 5.0, insertion_speed_mm_s = 5.0, move_speed_mm_s = 200.0 }
 """
 # systemd as the first process of a namespace of its own: the guest's first process is busybox. Kernel file systems and
 # devices are the guest's; of control groups it gets a tree of its own.

@@ -22,6 +22,7 @@ const LEAST_CURVED: f64 = 0.5;
 /// Turns after which the whole part looks the same are tried on every answer, and motions that brought one answer to
 /// another. A pose that looks the same in this contact alone is missing if no start came near it.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Alternative {
     /// Maps object coordinates to sensor coordinates.
     pub t_sensor_object: Pose,
@@ -32,6 +33,7 @@ pub struct Alternative {
 /// The other poses, the likelier one first, up to [`Self::MOST`] of them, without allocation; it reads, and prints, as a
 /// slice.
 #[derive(Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Alternatives {
     all: [Alternative; Self::MOST],
     count: usize,

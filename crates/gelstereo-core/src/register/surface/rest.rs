@@ -7,6 +7,7 @@ pub(super) const DECAY_LOGS: core::ops::RangeInclusive<f64> = -3.0..=1.5;
 
 /// A decay length that was fitted with the pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct GelDecay {
     /// The length that explains the contact best.
     pub length_mm: f64,

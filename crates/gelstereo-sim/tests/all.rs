@@ -1,0 +1,42 @@
+//! All tests in one binary: it links once, and its tests share the cores.
+mod common;
+#[path = "../../gelstereo-core/tests/counting/mod.rs"]
+mod counting;
+mod every_effect;
+
+mod allocation;
+mod centres;
+mod decay;
+mod disc_bias;
+mod effects;
+mod effects_off;
+mod gallery;
+mod label_slips;
+mod lattice;
+mod layer_allocation;
+mod layer_contact;
+mod layer_friction;
+mod layer_kernel;
+mod layer_scene;
+mod localization;
+mod motion;
+mod motion_blur;
+mod noise;
+mod pipeline;
+mod plan;
+mod plan_bounds;
+mod print;
+mod relaxation;
+mod render;
+mod rest_border;
+mod rest_record;
+mod saliency;
+mod scenes;
+mod sensing_allocation;
+mod sensing_memory;
+mod sequences;
+mod shapes;
+mod smears;
+mod soak;
+mod truth;
+mod windows;
