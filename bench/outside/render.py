@@ -1,0 +1,205 @@
+"""Render the pairs of `sequences.toml` that data/images does not have: `python -m outside.render [--list] [NAME ...]`.
+
+A picture is put together of three: the print, glowing as brightly as light reaches it, seen through the layers by a
+thin lens; tray and mount likewise; and the lights' reflections in the
+acrylic's front. So a pair takes seconds, and is free of the noise that path tracing alone leaves.
+Needs `requirements.txt` and LLVM (DRJIT_LIBLLVM_PATH).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import numpy.typing as npt
+import tomllib
+
+mi.set_variant("llvm_ad_mono")
+
+# Mitsuba's classes exist once a variant is set.
+from . import contacts, light, scene  # noqa: E402
+from .fields import Field  # noqa: E402
+from .optics import Camera, Optics  # noqa: E402
+from .prints import Print, Skin  # noqa: E402
+
+Array = npt.NDArray[np.float64]
+
+HERE = Path(__file__).parent
+DATA = HERE / "data" / "images"
+SAMPLES, PHOTONS = 48, 3_000_000
+WHITE_LEVEL = 165.0
+
+
+def table() -> dict[str, Any]:
+    """`sequences.toml`."""
+    return tomllib.loads((HERE / "sequences.toml").read_text())
+
+
+class Sensor:
+    """One sensor: optics, print, surroundings, and what of its pictures no contact changes."""
+
+    def __init__(self, entry: dict[str, Any]) -> None:
+        gel = contacts.table()["gels"][entry["gel"]]
+        self.optics = Optics(gel["thickness_mm"])
+        self.print = Print(entry["pitch_mm"], entry["radius_mm"], entry["print_seed"])
+        self.around = scene.Surroundings(strip_y_mm=entry["strip_y_mm"])
+        self.lights = tuple(entry["lights"])
+        self.focus_mm = 20.0 + 3.0 / 1.49 + gel["thickness_mm"] / 1.41 - 0.4
+        self.reflectance = self.print.reflectance()
+        self.still = lru_cache(self._still)
+        self.exposure = 1.0
+        rest = self.texture(Skin.flat(self.print.half_mm, self.optics.surface_mm), self.lights, 0)
+        image = self.see(self.optics.left, Skin.flat(self.print.half_mm, self.optics.surface_mm), rest)
+        self.exposure = WHITE_LEVEL / float(np.median(image[image > 0.5 * np.percentile(image, 90)]))
+
+    def levels(self, lights: tuple[float, float]) -> dict[str, float]:
+        return {"a": lights[0], "b": lights[1]}
+
+    def texture(self, surface: Skin, lights: tuple[float, float], seed: int) -> Array:
+        """What the print radiates."""
+        found = light.traced(self.optics, self.around, surface, self.levels(lights), PHOTONS, seed).on_print
+        shape = self.reflectance.shape[::-1]
+        # Rounding leaves irradiance no lower than a little above zero.
+        smooth = np.maximum(cv2.resize(found, shape, interpolation=cv2.INTER_CUBIC), 0.0)
+        return np.asarray(self.exposure * self.reflectance * smooth / np.pi)
+
+    def see(self, camera: Camera, surface: Skin, texture: Array, **more: Any) -> Array:
+        """The glowing print alone."""
+        world = mi.load_dict(
+            {
+                "type": "scene",
+                "integrator": {"type": "sight"},
+                "sensor": scene.sensor(camera, self.focus_mm, SAMPLES),
+                **scene.interfaces(self.optics, "clear"),
+                "skin": scene.skin(surface, self.optics, texture),
+                **more,
+            }
+        )
+        return np.array(mi.render(world, seed=1), dtype=float).squeeze()
+
+    def _still(self, view: str, lights: tuple[float, float]) -> Array:
+        """Tray, mount and reflections."""
+        camera: Camera = getattr(self.optics, view)
+        flat = Skin.flat(self.print.half_mm, self.optics.surface_mm)
+        parts = scene.rings(self.optics, self.around, flat.half_mm)
+        found = light.traced(self.optics, self.around, flat, self.levels(lights), PHOTONS, 0)
+        fronts = scene.glowing(parts, found.on_rings, light.REACH_MM)
+        image = self.see(camera, flat, np.zeros((2, 2)), **fronts)
+        mirror = {
+            "type": "scene",
+            "integrator": {"type": "sight", "turns": 1},
+            "sensor": scene.sensor(camera, self.focus_mm, SAMPLES),
+            "front": scene.interfaces(self.optics, "clear", bounces=True)["interface_0"],
+            **scene.lights(self.around, self.levels(lights)),
+            **scene.tray({"mount": parts["mount"]}),
+        }
+        glints = np.array(mi.render(mi.load_dict(mirror), seed=2), dtype=float).squeeze()
+        return self.exposure * (image + glints)
+
+    def pair(self, surface: Skin, lights: tuple[float, float], seed: int) -> dict[str, npt.NDArray[np.uint8]]:
+        """Both images, clean."""
+        texture = self.texture(surface, lights, seed)
+        images = {}
+        for view in ("left", "right"):
+            still = self.still(view, lights)
+            image = self.see(getattr(self.optics, view), surface, texture) + still
+            images[view] = np.clip(np.rint(image), 0, 255).astype(np.uint8)
+        return images
+
+    def truth(self, surface: Skin, frame: Any) -> dict[str, Array]:
+        """Markers' true places (sensor frame, mm), pixels, normals and contact."""
+        dots, _ = self.print.dots()
+        points = surface.at(dots)
+        left, right = self.optics.project(points)
+        found = {"points_mm": self.optics.in_sensor_frame(points), "left_px": left, "right_px": right}
+        found["normals"] = surface.normals(dots) @ self.optics.left.rotation
+        found["touching"] = np.zeros(len(dots), dtype=bool)
+        if frame != "rest":
+            name, stage, x, y = frame
+            found["touching"] = Field.load(name).touching(stage, dots - [x, y])
+        return found
+
+    def surface(self, frame: Any) -> Skin:
+        """The print's surface in a frame."""
+        half, height = self.print.half_mm, self.optics.surface_mm
+        if frame == "rest":
+            return Skin.flat(half, height)
+        name, stage, x, y = frame
+        along = np.linspace(-half, half, 2 * round(half / 0.1) + 1)
+        v, u = np.meshgrid(along, along, indexing="ij")
+        points = np.stack((u.ravel() - x, v.ravel() - y), axis=1)
+        motion = Field.load(name).motion(stage, points).reshape(len(along), len(along), 3)
+        return Skin.moved(along, motion, half, height)
+
+
+def render(entry: dict[str, Any], sensors: dict[str, Any]) -> None:
+    """All pairs of a sequence that are missing, and then its truth."""
+    sensor = Sensor(sensors[entry["sensor"]])
+    lights = entry.get("lights") or [list(sensor.lights)] * len(entry["frames"])
+    truths = []
+    for k, (frame, level) in enumerate(zip(entry["frames"], lights, strict=True)):
+        started = time.process_time()
+        surface = sensor.surface(frame)
+        truths.append(sensor.truth(surface, frame))
+        if path_of(entry["name"], k, "right").exists():
+            continue
+        for view, image in sensor.pair(surface, tuple(level), seed=k + 1).items():
+            cv2.imwrite(str(path_of(entry["name"], k, view)), image, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+        sys.stderr.write(f"{entry['name']} {k}: {time.process_time() - started:.1f} s of CPU time\n")
+    stacked = {key: np.stack([t[key] for t in truths]) for key in truths[0]}
+    packed = {key: a if a.dtype == bool else a.astype(np.float32) for key, a in stacked.items()}
+    about = {
+        "half": sensors[entry["sensor"]]["half"],
+        "pitch_mm": sensor.print.pitch_mm,
+        "frames": entry["frames"],
+    }
+    about |= {"sensor": entry["sensor"], "lights": lights, "rig": sensor.optics.rig_toml()}
+    np.savez_compressed(DATA / f"{entry['name']}.npz", about=json.dumps(about), **packed)
+
+
+def path_of(name: str, index: int, view: str) -> Path:
+    """One image's file."""
+    return DATA / f"{name}_{index:02d}_{view}.png"
+
+
+def missing(entry: dict[str, Any]) -> list[int]:
+    """Frames of a sequence that are not rendered."""
+    rest = [k for k in range(len(entry["frames"])) if not path_of(entry["name"], k, "right").exists()]
+    return rest or ([] if (DATA / f"{entry['name']}.npz").exists() else [0])
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Render what is missing, or list it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", help="sequences; all without")
+    parser.add_argument("--list", action="store_true", help="say what is left to render")
+    options = parser.parse_args(arguments)
+    sequences = table()
+    DATA.mkdir(parents=True, exist_ok=True)
+    # Two threads leave the machine to others.
+    dr.set_thread_count(2)
+    for entry in sequences["sequences"]:
+        left = missing(entry)
+        if not left or (options.names and entry["name"] not in options.names):
+            continue
+        used = {f[0] for f in entry["frames"] if f != "rest"}
+        unsolved = [n for n in sorted(used) if not (contacts.DATA / f"{n}.npz").exists()]
+        reason = f"; unsolved: {', '.join(unsolved)}" if unsolved else ""
+        sys.stderr.write(f"{entry['name']}: {len(left)} of {len(entry['frames'])} pairs left{reason}\n")
+        if not options.list and not unsolved:
+            render(entry, sequences["sensors"])
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
