@@ -5,6 +5,7 @@ Balls on a disc against meshes of half and a quarter of the element size; the bl
 
 from __future__ import annotations
 
+import argparse
 import sys
 
 import numpy as np
@@ -48,6 +49,9 @@ def block(
 
 def main() -> int:
     """Print a row for every mesh."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--block", action="store_true", help="the block's mesh too; minutes")
+    blocks = parser.parse_args().block
     table = contacts.table()
     sys.stdout.write(
         "| gel, ball, depth (mm) | mesh | height from the finest, largest / rms (um) | contact radius (mm) | force |\n"
@@ -59,7 +63,7 @@ def main() -> int:
         finest = ball(gel, radius, stages, 0.25)
         found = {f"disc, 1/{round(1 / fine)}": ball(gel, radius, stages, fine) for fine in (1.0, 0.5)}
         found["disc, 1/4"] = finest
-        if solid:
+        if solid and blocks:
             found[f"block, {contacts.SOLID_MM} mm"] = block(gel, radius, stages, contacts.SOLID_MM)
         for name, (height, edge, force) in found.items():
             off = 1000 * (height - finest[0])

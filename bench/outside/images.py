@@ -14,16 +14,22 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 Bytes = npt.NDArray[np.uint8]
 
+# About that of the print where it is lit least.
+BARE_LEVEL = 140
 DATA = Path(__file__).parent / "data" / "images"
 
 
 @dataclass(frozen=True)
 class Condition:
-    """Read noise and shot noise (levels; the shot noise at level 255), and JPEG's quality or none."""
+    """Read noise and shot noise (levels; the shot noise at level 255), and JPEG's quality or none.
+
+    `bare` overwrites everything round the markers with a plain grey: what is left is the print.
+    """
 
     read_levels: float = 1.0
     shot_levels: float = 2.0
     jpeg_quality: int | None = None
+    bare: bool = False
 
     def applied(self, image: Bytes, seed: list[int]) -> Bytes:
         """The image with noise, rounded, and through JPEG."""
@@ -77,10 +83,17 @@ class Sequence:
 
     def pair(self, index: int, condition: Condition, seed: int = 1) -> tuple[Bytes, Bytes]:
         """Left and right as a camera gives them."""
-        left, right = (
-            condition.applied(self.clean(index, view), [seed, index, side])
-            for side, view in enumerate(("left", "right"))
-        )
+        images = []
+        for side, view in enumerate(("left", "right")):
+            image = self.clean(index, view)
+            if condition.bare:
+                outline = cv2.convexHull(self.truth[f"{view}_px"][index].astype(np.float32))[:, 0]
+                middle = outline.mean(axis=0)
+                inside = np.zeros_like(image)
+                cv2.fillConvexPoly(inside, np.rint(middle + 1.035 * (outline - middle)).astype(np.int32), 1)
+                image = np.where(inside > 0, image, BARE_LEVEL).astype(np.uint8)
+            images.append(condition.applied(image, [seed, index, side]))
+        left, right = images
         return left, right
 
 

@@ -1,11 +1,11 @@
 """Judge presets on the rendered pairs: `python -m outside.judge [--half w|j] [--preset NAME ...] [--jpeg QUALITY]`.
 
-Figures of every preset:
-- missed: markers not SEEN, of all; wrong: SEEN markers that lie nearer to another true centre than to their own;
-- centre rms: of SEEN markers that no glint covers, px an axis;
-- NSE: their squared depth error over the stated variance, mean (1 is right, less is too cautious); NSE of lateral
-  position likewise;
-- depth bias and rms, um; F1 of contact, mean over frames in which at least four markers touch.
+Markers under glints count in their own column alone. Of the others:
+- missed: not SEEN; wrong: SEEN, and nearest to another marker's true centre;
+- centres: error of SEEN centres, px rms an axis, and that of a detector on each image alone over the variance that it
+  states: NSE, 1 is right, less is too cautious; strays: detections beyond 2 px of every centre, for each image;
+- points: NSE of triangulated points (3 directions); depth bias and rms;
+- F1 of contact, mean over frames in which four markers or more touch.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .images import Condition, Sequence, names
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
-GLINT_LEVEL, GLINT_REACH_PX = 245, 8
+GLINT_LEVEL, GLINT_REACH_PX = 245, 12
 PRESETS = ("fast", "balanced", "exact")
 
 
@@ -35,10 +35,11 @@ class Figures:
     markers: int = 0
     seen: int = 0
     wrong: int = 0
-    glint_seen: int = 0
     frames: int = 0
     failed: list[str] = field(default_factory=list)
+    strays: int = 0
     centre_errors_px: list[Array] = field(default_factory=list)
+    centre_squared: list[Array] = field(default_factory=list)
     errors_mm: list[Array] = field(default_factory=list)
     squared: list[Array] = field(default_factory=list)
     glint_squared: list[Array] = field(default_factory=list)
@@ -47,27 +48,33 @@ class Figures:
     def row(self, name: str) -> str:
         """One row of the table."""
         if not self.errors_mm:
-            return f"| {name} | {len(self.failed)} of {self.frames} | all | | | | | | |"
+            return f"| {name} | {len(self.failed)} of {self.frames} | all |" + 8 * " |"
         centres, errors = np.concatenate(self.centre_errors_px), np.concatenate(self.errors_mm)
-        squared = np.concatenate(self.squared)
-        glints = np.concatenate(self.glint_squared) if self.glint_squared else np.empty(0)
         cells = (
             name,
             f"{len(self.failed)} of {self.frames}",
             f"{100 * (1 - self.seen / self.markers):.1f}",
             f"{self.wrong}",
             f"{np.sqrt((centres**2).mean()):.3f}",
-            f"{squared.mean():.3f} ({np.median(squared):.3f})",
-            f"{glints.mean():.2f}" if len(glints) else "",
+            mean_and_median(self.centre_squared),
+            f"{self.strays / (2 * self.frames):.1f}",
+            mean_and_median(self.squared),
+            mean_and_median(self.glint_squared),
             f"{1000 * errors.mean():+.1f} / {1000 * np.sqrt((errors**2).mean()):.1f}",
             f"{np.mean(self.f1):.2f}" if self.f1 else "",
         )
         return "| " + " | ".join(cells) + " |"
 
 
+def mean_and_median(parts: list[Array]) -> str:
+    """Both, of all values, or nothing where there are none."""
+    values = np.concatenate(parts) if parts else np.empty(0)
+    return f"{values.mean():.3f} ({np.median(values):.3f})" if len(values) else ""
+
+
 HEAD = (
-    "| preset | failed frames | missed, % | wrong | centre rms, px | NSE, mean (median) | NSE under glints "
-    "| depth bias / rms, um | F1 |\n|---|---|---|---|---|---|---|---|---|"
+    "| preset | failed frames | missed, % | wrong | centre rms, px | centre NSE, mean (median) | strays "
+    "| point NSE, mean (median) | the same under glints | depth bias / rms, um | F1 |\n" + 11 * "|---" + "|"
 )
 
 
@@ -117,10 +124,24 @@ def add(figures: Figures, sequence: Sequence, index: int, frame: gelstereo.Frame
         if flags.any():
             solved = np.linalg.solve(covariance[flags], error[flags][..., None])[..., 0]
             kept.append((error[flags] * solved).sum(axis=1) / 3)
-    figures.glint_seen += int((seen & glint).sum())
     touching = true["touching"].astype(bool)
     if touching.sum() >= 4:
         figures.f1.append(f1(np.asarray(frame.salient).ravel(), touching))
+
+
+def add_detections(
+    figures: Figures, detector: gelstereo.Detector, image: npt.NDArray[np.uint8], true_px: Array, glint: Flags
+) -> None:
+    """Compare what a detector finds in one image with the markers' true centres."""
+    found = detector.detect(image)
+    far = np.linalg.norm(found.centres_px[:, None] - true_px[None], axis=2)
+    nearest, close = far.argmin(axis=1), far.min(axis=1) < 2.0
+    figures.strays += int((~close).sum())
+    kept = close & ~glint[nearest]
+    error = (found.centres_px - true_px[nearest])[kept]
+    covariance = found.covariance_px2.reshape(-1, 2, 2)[kept]
+    solved = np.linalg.solve(covariance, error[..., None])[..., 0]
+    figures.centre_squared.append((error * solved).sum(axis=1) / 2)
 
 
 def judged(
@@ -133,10 +154,14 @@ def judged(
             {"lattice.pitch_mm": sequence.about["pitch_mm"], **changes}
         )
         pipeline = gelstereo.Pipeline(gelstereo.Rig.from_toml(sequence.about["rig"]), params)
+        detector = gelstereo.Detector(params)
         for index in range(len(sequence)):
             figures.frames += 1
+            pair, glint = sequence.pair(index, condition), under_glints(sequence, index)
+            for image, view in zip(pair, ("left_px", "right_px"), strict=True):
+                add_detections(figures, detector, image, sequence.truth[view][index], glint)
             try:
-                frame = pipeline.process(*sequence.pair(index, condition))
+                frame = pipeline.process(*pair)
             except gelstereo.Error as error:
                 figures.failed.append(f"{sequence.name} {index}: {error}")
                 continue
@@ -154,7 +179,11 @@ def main() -> int:
     parser.add_argument("--jpeg", type=int, help="quality of JPEG; none without")
     parser.add_argument("--saliency", choices=("pressure", "depth"), help="instead of the preset's")
     parser.add_argument("--each", action="store_true", help="a table for each sequence")
+    parser.add_argument(
+        "--bare", action="store_true", help="overwrite everything round the markers with plain print"
+    )
     options = parser.parse_args()
+    condition = Condition(jpeg_quality=options.jpeg, bare=options.bare)
     changes = {"contact.saliency": options.saliency} if options.saliency else {}
     for half in [options.half] if options.half else ["w", "j"]:
         stored = [Sequence.load(name) for name in names(half)]
@@ -162,7 +191,7 @@ def main() -> int:
             heading = group[0].name if options.each else {"w": "for work", "j": "judged"}[half]
             sys.stdout.write(f"\n{heading}: {sum(map(len, group))} pairs\n\n{HEAD}\n")
             for preset in options.preset:
-                figures = judged(preset, group, Condition(jpeg_quality=options.jpeg), changes)
+                figures = judged(preset, group, condition, changes)
                 sys.stdout.write(figures.row(preset) + "\n")
                 for failure in figures.failed:
                     sys.stderr.write(f"{preset}: {failure}\n")

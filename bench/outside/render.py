@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 import time
 from collections.abc import Sequence
@@ -56,22 +57,26 @@ class Sensor:
         self.lights = tuple(entry["lights"])
         self.focus_mm = 20.0 + 3.0 / 1.49 + gel["thickness_mm"] / 1.41 - 0.4
         self.reflectance = self.print.reflectance()
-        self.still = lru_cache(self._still)
+        self.flat = Skin.flat(self.print.half_mm, self.optics.surface_mm)
+        self.lit = lru_cache(self._lit)
+        self.glints = lru_cache(self._glints)
+        self.at_rest = lru_cache(self._at_rest)
         self.exposure = 1.0
-        rest = self.texture(Skin.flat(self.print.half_mm, self.optics.surface_mm), self.lights, 0)
-        image = self.see(self.optics.left, Skin.flat(self.print.half_mm, self.optics.surface_mm), rest)
+        image = self.at_rest("left", self.lights)
         self.exposure = WHITE_LEVEL / float(np.median(image[image > 0.5 * np.percentile(image, 90)]))
 
     def levels(self, lights: tuple[float, float]) -> dict[str, float]:
         return {"a": lights[0], "b": lights[1]}
 
-    def texture(self, surface: Skin, lights: tuple[float, float], seed: int) -> Array:
-        """What the print radiates."""
-        found = light.traced(self.optics, self.around, surface, self.levels(lights), PHOTONS, seed).on_print
-        shape = self.reflectance.shape[::-1]
-        # Rounding leaves irradiance no lower than a little above zero.
-        smooth = np.maximum(cv2.resize(found, shape, interpolation=cv2.INTER_CUBIC), 0.0)
-        return np.asarray(self.exposure * self.reflectance * smooth / np.pi)
+    def _lit(self, lights: tuple[float, float]) -> light.Light:
+        """Light on print and tray at rest; contacts hardly change that on the tray."""
+        return light.traced(self.optics, self.around, self.flat, self.levels(lights), PHOTONS, 0)
+
+    def texture(self, irradiance: Array) -> Array:
+        """What the print radiates at an exposure of 1."""
+        smooth = cv2.resize(irradiance, self.reflectance.shape[::-1], interpolation=cv2.INTER_CUBIC)
+        # Cubic interpolation may undershoot.
+        return np.asarray(self.reflectance * np.maximum(smooth, 0.0) / np.pi)
 
     def see(self, camera: Camera, surface: Skin, texture: Array, **more: Any) -> Array:
         """The glowing print alone."""
@@ -87,33 +92,39 @@ class Sensor:
         )
         return np.array(mi.render(world, seed=1), dtype=float).squeeze()
 
-    def _still(self, view: str, lights: tuple[float, float]) -> Array:
-        """Tray, mount and reflections."""
-        camera: Camera = getattr(self.optics, view)
-        flat = Skin.flat(self.print.half_mm, self.optics.surface_mm)
-        parts = scene.rings(self.optics, self.around, flat.half_mm)
-        found = light.traced(self.optics, self.around, flat, self.levels(lights), PHOTONS, 0)
-        fronts = scene.glowing(parts, found.on_rings, light.REACH_MM)
-        image = self.see(camera, flat, np.zeros((2, 2)), **fronts)
-        mirror = {
+    def scenery(self, view: str, surface: Skin, texture: Array, lights: tuple[float, float]) -> Array:
+        """Print, tray and mount through the layers, at an exposure of 1."""
+        parts = scene.rings(self.optics, self.around, surface.half_mm)
+        fronts = scene.glowing(parts, self.lit(lights).on_rings, light.REACH_MM)
+        return self.see(getattr(self.optics, view), surface, texture, **fronts)
+
+    def _at_rest(self, view: str, lights: tuple[float, float]) -> Array:
+        return self.scenery(view, self.flat, self.texture(self.lit(lights).on_print), lights)
+
+    def _glints(self, view: str, lights: tuple[float, float]) -> Array:
+        """The lights' reflections in the acrylic's front, at an exposure of 1."""
+        mount = scene.rings(self.optics, self.around, self.print.half_mm)["mount"]
+        world = {
             "type": "scene",
             "integrator": {"type": "sight", "turns": 1},
-            "sensor": scene.sensor(camera, self.focus_mm, SAMPLES),
+            "sensor": scene.sensor(getattr(self.optics, view), self.focus_mm, SAMPLES),
             "front": scene.interfaces(self.optics, "clear", bounces=True)["interface_0"],
             **scene.lights(self.around, self.levels(lights)),
-            **scene.tray({"mount": parts["mount"]}),
+            **scene.tray({"mount": mount}),
         }
-        glints = np.array(mi.render(mi.load_dict(mirror), seed=2), dtype=float).squeeze()
-        return self.exposure * (image + glints)
+        return np.array(mi.render(mi.load_dict(world), seed=2), dtype=float).squeeze()
 
-    def pair(self, surface: Skin, lights: tuple[float, float], seed: int) -> dict[str, npt.NDArray[np.uint8]]:
-        """Both images, clean."""
-        texture = self.texture(surface, lights, seed)
-        images = {}
+    def pair(self, frame: Any, lights: tuple[float, float], seed: int) -> dict[str, npt.NDArray[np.uint8]]:
+        """Both images, clean. All frames at rest under the same light are the same."""
+        images, surface = {}, self.surface(frame)
+        if frame != "rest":
+            found = light.traced(self.optics, self.around, surface, self.levels(lights), PHOTONS, seed)
+            texture = self.texture(found.on_print)
         for view in ("left", "right"):
-            still = self.still(view, lights)
-            image = self.see(getattr(self.optics, view), surface, texture) + still
-            images[view] = np.clip(np.rint(image), 0, 255).astype(np.uint8)
+            at_rest = frame == "rest"
+            image = self.at_rest(view, lights) if at_rest else self.scenery(view, surface, texture, lights)
+            exposed = self.exposure * (image + self.glints(view, lights))
+            images[view] = np.clip(np.rint(exposed), 0, 255).astype(np.uint8)
         return images
 
     def truth(self, surface: Skin, frame: Any) -> dict[str, Array]:
@@ -133,7 +144,7 @@ class Sensor:
         """The print's surface in a frame."""
         half, height = self.print.half_mm, self.optics.surface_mm
         if frame == "rest":
-            return Skin.flat(half, height)
+            return self.flat
         name, stage, x, y = frame
         along = np.linspace(-half, half, 2 * round(half / 0.1) + 1)
         v, u = np.meshgrid(along, along, indexing="ij")
@@ -153,7 +164,7 @@ def render(entry: dict[str, Any], sensors: dict[str, Any]) -> None:
         truths.append(sensor.truth(surface, frame))
         if path_of(entry["name"], k, "right").exists():
             continue
-        for view, image in sensor.pair(surface, tuple(level), seed=k + 1).items():
+        for view, image in sensor.pair(frame, tuple(level), seed=k + 1).items():
             cv2.imwrite(str(path_of(entry["name"], k, view)), image, [cv2.IMWRITE_PNG_COMPRESSION, 9])
         sys.stderr.write(f"{entry['name']} {k}: {time.process_time() - started:.1f} s of CPU time\n")
     stacked = {key: np.stack([t[key] for t in truths]) for key in truths[0]}
@@ -187,7 +198,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     sequences = table()
     DATA.mkdir(parents=True, exist_ok=True)
     # Two threads leave the machine to others.
-    dr.set_thread_count(2)
+    dr.set_thread_count(int(os.environ.get("OUTSIDE_THREADS", "2")))
     for entry in sequences["sequences"]:
         left = missing(entry)
         if not left or (options.names and entry["name"] not in options.names):
