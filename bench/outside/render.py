@@ -198,6 +198,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     sequences = table()
     DATA.mkdir(parents=True, exist_ok=True)
     # Two threads leave the machine to others.
+    # Two threads by default leave the machine to others.
     dr.set_thread_count(int(os.environ.get("OUTSIDE_THREADS", "2")))
     for entry in sequences["sequences"]:
         left = missing(entry)
