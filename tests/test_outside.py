@@ -1,0 +1,157 @@
+"""Path-traced pairs and finite-element contacts (`bench/outside`): they load, are apart by half, and are true."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import gelstereo
+import numpy as np
+import pytest
+from gelstereo._native import parse_toml
+from outside import fields, images
+from outside.images import Condition, Sequence
+from outside.judge import judged, under_glints
+from outside.optics import Optics
+from outside.parts import Part, Posed
+
+HERE = Path(images.__file__).parent
+STORED = images.names()
+CONTACTS = sorted(path.stem for path in fields.DATA.glob("*.npz"))
+
+
+def table(name: str) -> dict[str, Any]:
+    return dict(parse_toml((HERE / name).read_text()))
+
+
+def test_every_stored_pair_loads_with_its_truth() -> None:
+    assert len(STORED) >= 2
+    for name in STORED:
+        sequence = Sequence.load(name)
+        for index in range(len(sequence)):
+            for view in ("left", "right"):
+                assert sequence.clean(index, view).shape == (480, 640)
+        for key, last in (("points_mm", 3), ("left_px", 2), ("right_px", 2), ("normals", 3)):
+            values = sequence.truth[key]
+            assert values.shape == (len(sequence), 625, last)
+            assert np.isfinite(values).all()
+
+
+def test_halves_share_no_gel_part_law_or_print() -> None:
+    contacts = table("contacts.toml")
+    gels, balls = contacts["gels"], contacts["balls"]
+    assert not set(balls["w"]) & set(balls["j"])
+    for key in ("thickness_mm", "poisson_ratio"):
+        work, kept = ({g[key] for g in gels.values() if g["half"] == half} for half in "wj")
+        assert not work & kept
+    entries = list(contacts["laws"].values()) + list(contacts["solids"].values())
+    half = [entry.get("half") or gels[entry["gel"]]["half"] for entry in entries]
+    parts = [json.dumps(entry["part"], sort_keys=True) for entry in entries]
+    assert not {p for p, h in zip(parts, half, strict=True) if h == "w"} & {
+        p for p, h in zip(parts, half, strict=True) if h == "j"
+    }
+    lengths = [entry.get("length_mm") for entry in contacts["laws"].values()]
+    assert len({x for x in lengths if x}) == sum(x is not None for x in lengths)
+    sensors = table("sequences.toml")["sensors"].values()
+    assert len({s["print_seed"] for s in sensors}) == len(sensors)
+    assert all(s["half"] == gels[s["gel"]]["half"] for s in sensors)
+
+
+def test_every_sequence_shows_contacts_of_its_own_half() -> None:
+    checked = 0
+    for name in STORED:
+        sequence = Sequence.load(name)
+        for frame in sequence.about["frames"]:
+            if frame != "rest":
+                assert fields.Field.load(frame[0]).meta["half"] == sequence.half
+                checked += 1
+    assert checked >= 5
+
+
+def test_size_in_the_repository_is_bounded() -> None:
+    sizes = {
+        kind: sum(p.stat().st_size for p in (HERE / "data" / kind).iterdir())
+        for kind in ("images", "contacts")
+    }
+    assert sizes["images"] < 40e6
+    assert sizes["contacts"] < 10e6
+
+
+def test_snells_law_is_the_rigs() -> None:
+    """The truth's own tracing against the library's projection."""
+    for thickness in (2.0, 5.0):
+        optics = Optics(thickness)
+        rig = gelstereo.Rig.from_toml(optics.rig_toml())
+        rng = np.random.default_rng(1)
+        points = rng.uniform([-6, -10, optics.back_mm + 0.5], [14, 10, optics.surface_mm + 0.3], (200, 3))
+        for own, theirs in zip(
+            optics.project(points), rig.project(optics.in_sensor_frame(points)), strict=True
+        ):
+            assert np.abs(own - theirs).max() < 1e-9
+
+
+@pytest.mark.parametrize("half", ["w", "j"])
+def test_rendered_centres_are_the_true_ones(half: str) -> None:
+    """On a clean rest pair of each half, within the outermost markers: within 0.012 px rms, without bias."""
+    sequence = Sequence.load(images.names(half)[0])
+    detector = gelstereo.Detector(gelstereo.Params.preset("exact").replace({"lattice.pitch_mm": 0.85}))
+    # The outermost lie at the print's edge, where the detector itself is off by up to half a pixel.
+    inner = np.zeros((25, 25), dtype=bool)
+    inner[1:-1, 1:-1] = True
+    clear = inner.ravel() & ~under_glints(sequence, 0)
+    assert clear.sum() > 450
+    for view in ("left", "right"):
+        true = sequence.truth[f"{view}_px"][0][clear]
+        found = detector.detect(sequence.clean(0, view)).centres_px
+        far = np.linalg.norm(found[:, None] - true[None], axis=2)
+        error = (found[far.argmin(axis=0)] - true)[far.min(axis=0) < 1.0]
+        assert len(error) == len(true)
+        assert np.sqrt((error**2).mean()) < 0.012
+        assert np.abs(error.mean(axis=0)).max() < 0.002
+
+
+def test_surfaces_lie_on_the_ball_that_presses_them() -> None:
+    """Nodes that carry pressure are within 5 um of the part, and the others outside it."""
+    gels = table("contacts.toml")["gels"]
+    checked = 0
+    for name in CONTACTS:
+        field = fields.Field.load(name)
+        if "r" not in field.arrays:
+            continue
+        thickness = gels[field.meta["gel"]]["thickness_mm"]
+        part = Part.read(field.meta["part"])
+        for stage, (depth, *_) in enumerate(field.stages):
+            r, motion = field.arrays["r"], field.arrays["motion"][stage]
+            places = np.stack((r + motion[:, 0], np.zeros_like(r), thickness + motion[:, 1]), axis=1)
+            middle = np.array([0.0, 0.0, thickness + part.half_mm[0] - depth])
+            gap = Posed(part, middle).distance(places)
+            pressed = field.arrays["pressure"][stage] > 0
+            assert pressed.any()
+            assert np.abs(gap[pressed]).max() < 0.005
+            assert gap[~pressed].min() > -1e-5
+            checked += 1
+    assert checked >= 40
+
+
+def test_noise_is_seeded_and_as_large_as_stated() -> None:
+    sequence = Sequence.load(STORED[0])
+    condition = Condition(read_levels=1.0, shot_levels=2.0)
+    clean = sequence.clean(0, "left").astype(float)
+    first, again, other = (sequence.pair(0, condition, seed)[0] for seed in (1, 1, 2))
+    assert np.array_equal(first, again)
+    grey = (clean > 60) & (clean < 200)
+    sigma = np.sqrt(1.0 + 4.0 * clean / 255 + 1 / 12)[grey]
+    for image in (first, other):
+        assert np.std((image - clean)[grey] / sigma) == pytest.approx(1.0, abs=0.02)
+    assert not np.array_equal(first, other)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("half", ["w", "j"])
+def test_presets_name_markers_right_where_they_see_them(half: str) -> None:
+    sequences = [Sequence.load(name) for name in images.names(half)]
+    for preset in ("fast", "balanced", "exact"):
+        figures = judged(preset, sequences, Condition(), {})
+        assert figures.frames == sum(map(len, sequences))
+        assert figures.wrong == 0
