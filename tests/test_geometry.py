@@ -8,7 +8,7 @@ from __future__ import annotations
 import mpmath
 import numpy as np
 import pytest
-from gelstereo import PoseError, RegisterError, geometry
+from gelstereo import FingerKinematics, PoseError, RegisterError, geometry
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -198,3 +198,23 @@ def test_nearest_refuses_what_has_no_answer() -> None:
         geometry.nearest(np.empty((0, 3)), [[0.0, 0, 0]])
     with pytest.raises(RegisterError, match="row 1 of queries"):
         geometry.nearest(np.eye(3), [[0.0, 0, 0], [np.nan, 0, 0]])
+
+
+@pytest.mark.parametrize(
+    ("fingers", "stroke_mm"),
+    [
+        (FingerKinematics.robotiq_2f85(), (0.9, 85.4)),
+        (FingerKinematics.robotiq_2f140(), (0.0, 140.0)),
+        (FingerKinematics.on_robot_rg2(), (0.0, 110.0)),
+        (FingerKinematics.on_robot_rg6(), (0.0, 160.0)),
+    ],
+    ids=["2F-85", "2F-140", "RG2", "RG6"],
+)
+def test_fingers_open_by_the_makers_stroke_and_advance_while_they_close(
+    fingers: FingerKinematics, stroke_mm: tuple[float, float]
+) -> None:
+    assert fingers.width_range_mm == pytest.approx(stroke_mm, abs=0.1)
+    pads_mm = np.array([fingers.pad_mm(width) for width in np.linspace(*fingers.width_range_mm, 50)])
+    assert pads_mm[:, 0] == pytest.approx(np.linspace(*fingers.width_range_mm, 50) / 2)
+    # Between closed and open the pads come back by more than the gel is thick: a width alone does not place a sensor.
+    assert pads_mm[0, 2] - pads_mm[-1, 2] > 10.0

@@ -25,7 +25,7 @@ import machine
 import pytest
 from gripper_peers.wire import Wire
 from guest.usb.descriptors import Mode
-from outside import Agent, WorldCamera, listen
+from peers import Agent, WorldCamera, listen
 from test_recording_readers import host_binary
 from whole_task.cell import Cell, Outcome, Setting
 from whole_task.judge import assert_at_rest, assert_triggers, assert_true, frames

@@ -68,6 +68,24 @@ impl FingerKinematics {
         Self { inner: core::FingerKinematics::robotiq_2f85() }
     }
 
+    /// The ideal parallelogram of a Robotiq 2F-140; a real gripper wants its own figures.
+    #[classmethod]
+    fn robotiq_2f140(_cls: &Bound<'_, PyType>) -> Self {
+        Self { inner: core::FingerKinematics::robotiq_2f140() }
+    }
+
+    /// The ideal parallelogram of an OnRobot RG2 without fingertips; a real gripper wants its own figures.
+    #[classmethod]
+    fn on_robot_rg2(_cls: &Bound<'_, PyType>) -> Self {
+        Self { inner: core::FingerKinematics::on_robot_rg2() }
+    }
+
+    /// The ideal parallelogram of an OnRobot RG6 without fingertips; a real gripper wants its own figures.
+    #[classmethod]
+    fn on_robot_rg6(_cls: &Bound<'_, PyType>) -> Self {
+        Self { inner: core::FingerKinematics::on_robot_rg6() }
+    }
+
     /// Smallest and largest opening width.
     #[getter]
     fn width_range_mm(&self) -> (f64, f64) {
