@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 OUT ?= out
 HOST := $(CURDIR)/target/release/gelstereo-host
 
-.PHONY: demo test test-rust test-python test-long explore fuzz frontier clean prerequisites
+.PHONY: demo test test-rust test-python test-long long-builds long-realtime explore fuzz frontier clean prerequisites
 
 demo: prerequisites $(BIN)/python
 	$(BIN)/pip install --quiet '.[recording]'
@@ -62,18 +62,25 @@ test-long: prerequisites $(BIN)/python
 	GELSTEREO_KILLS=50 cargo test --quiet --workspace --test all -- faults::
 	GELSTEREO_LONG_FRAMES=12000 cargo test --quiet --workspace --test long_run
 	cargo test --quiet --workspace --test all -- --ignored reference::
-	cargo build --quiet --workspace --bin gelstereo-host --features $(LIVE_FEATURES)
-	cargo build --quiet --manifest-path tests/ros_peer/Cargo.toml --target-dir $(ROS_PEER)
-	$(BIN)/pytest -m long
+	$(MAKE) --jobs 2 long-builds long-realtime
+	$(BIN)/pytest -m "long and not realtime"
 	$(MAKE) fuzz
 	@echo "all long tests passed"
+
+# Builds beside tests that mostly wait for a camera's pace.
+long-builds:
+	nice cargo build --quiet --workspace --bin gelstereo-host --features $(LIVE_FEATURES)
+	nice cargo build --quiet --manifest-path tests/ros_peer/Cargo.toml --target-dir $(ROS_PEER)
+
+long-realtime:
+	$(BIN)/pytest -m "long and realtime"
 
 # Cases that no run has tried yet, of every property test in Rust.
 explore: prerequisites
 	cargo test --workspace --quiet
 
 # So many seconds for each target; a find ends it.
-FUZZ_SECONDS ?= 10
+FUZZ_SECONDS ?= 5
 fuzz: prerequisites
 	cargo fmt --manifest-path fuzz/Cargo.toml --check
 	fuzz/run.sh $(FUZZ_SECONDS)

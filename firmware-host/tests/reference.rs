@@ -445,7 +445,7 @@ fn run_with_any_valid_extreme_stops_and_writes_no_more_than_its_frames() {
             scope.spawn({
                 let stop = &stop;
                 move || {
-                    let _ = ended.recv_timeout(Duration::from_secs(5));
+                    let _ = ended.recv_timeout(Duration::from_secs(2));
                     stop.store(true, Ordering::Relaxed);
                 }
             });

@@ -30,7 +30,7 @@ from test_recording_readers import host_binary
 from whole_task.cell import Cell, Outcome, Setting
 from whole_task.judge import assert_at_rest, assert_triggers, assert_true, frames
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.realtime]
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 OUTSIDE = "10.0.2.2"

@@ -21,7 +21,7 @@ from guest.checks import CHECKS, load_all
 REPOSITORY = Path(__file__).resolve().parents[2]
 EXAMPLES = ["camera_probe", "hid_probe"]
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.realtime]
 load_all()
 
 
