@@ -97,32 +97,26 @@ impl Belief {
     /// [`FusionError`] of the likeliest poses, if no pair can be of one part.
     pub(super) fn fused(&self, look: &Self) -> Result<FusedBelief, FusionError> {
         let mut pairs: Vec<Pair> = Vec::new();
-        let mut first_error = None;
         for before in self.with_odds() {
             for now in look.with_odds() {
-                match fuse_poses(&before.estimate, &now.estimate) {
-                    Ok(fused) => pairs.push(Pair {
-                        fused,
-                        log_odds: before.log_odds + now.log_odds - 0.5 * fused.squared_distance,
-                    }),
-                    Err(error) => first_error = first_error.or(Some(error)),
-                }
+                let Ok(fused) = fuse_poses(&before.estimate, &now.estimate) else { continue };
+                let log_odds = before.log_odds + now.log_odds - 0.5 * fused.squared_distance;
+                pairs.push(Pair { fused, log_odds });
             }
         }
         pairs.sort_by(|a, b| b.log_odds.total_cmp(&a.log_odds));
-        match (pairs.first().copied(), first_error) {
-            (Some(best), _) => {
-                let others = pairs.iter().skip(1).take(MAX_POSES - 1).map(|pair| Other {
-                    estimate: pair.fused.estimate,
-                    log_odds: pair.log_odds - best.log_odds,
-                });
-                let belief = Self { likeliest: best.fused.estimate, others: others.collect() };
-                Ok(FusedBelief { belief, squared_distance: best.fused.squared_distance })
-            }
-            (None, Some(error)) => Err(error),
-            // Each pair is fused or has an error, and there is a pair.
-            (None, None) => Ok(FusedBelief { belief: self.clone(), squared_distance: 0.0 }),
-        }
+        let Some(best) = pairs.first().copied() else {
+            let fused = fuse_poses(&self.likeliest, &look.likeliest)?;
+            let belief = Self::alone(fused.estimate);
+            return Ok(FusedBelief { belief, squared_distance: fused.squared_distance });
+        };
+        let others = pairs
+            .iter()
+            .skip(1)
+            .take(MAX_POSES - 1)
+            .map(|pair| Other { estimate: pair.fused.estimate, log_odds: pair.log_odds - best.log_odds });
+        let belief = Self { likeliest: best.fused.estimate, others: others.collect() };
+        Ok(FusedBelief { belief, squared_distance: best.fused.squared_distance })
     }
 
     fn with_odds(&self) -> impl Iterator<Item = Other> {

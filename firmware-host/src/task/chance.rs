@@ -33,8 +33,7 @@ pub(super) struct Flank {
     half_clearance_mm: f64,
     /// Whether the part is round about the axis. Its facets would count a spin otherwise.
     is_round: bool,
-    /// Turns after which the part looks the same, each about one axis.
-    copies: Vec<Pose>,
+    symmetries: Vec<Symmetry>,
 }
 
 #[derive(Clone, Copy)]
@@ -89,7 +88,7 @@ impl Flank {
             middle_mm: on_axis(tip - 0.5 * depth_mm),
             half_clearance_mm: 0.5 * clearance_mm,
             is_round,
-            copies: symmetries.iter().flat_map(copies).collect(),
+            symmetries,
         }
     }
 
@@ -103,7 +102,10 @@ impl Flank {
             let estimate = share.estimate;
             let information = estimate.in_frame(&estimate.pose.inverse()).information;
             let covariance = joined(&information, sigma_rad, sigma_mm);
-            let off = self.nearest_copy(&(back * estimate.pose));
+            // A copy that looks the same goes in as well.
+            let copy = Symmetry::nearest_copy(&self.symmetries, &(back * estimate.pose), &Pose::IDENTITY);
+            let (omega, v_mm) = copy.log();
+            let off = [omega.x, omega.y, omega.z, v_mm.x, v_mm.y, v_mm.z];
             chance += share.probability * self.chance(&off, &covariance);
             about_likeliest = core::array::from_fn(|i| {
                 core::array::from_fn(|j| {
@@ -117,16 +119,6 @@ impl Flank {
             weakest: self.weakest(&about_likeliest),
             lateral_sigma_mm: self.lateral_sigma_mm(&about_likeliest),
         }
-    }
-
-    /// The motion (ω, v) of the part by which it comes to a pose, or to a copy of it that looks the same: the least
-    /// turn of these.
-    fn nearest_copy(&self, t_part_other: &Pose) -> [f64; 6] {
-        let turned = self.copies.iter().map(|copy| (*t_part_other * *copy).log());
-        let (omega, v_mm) = turned.fold(t_part_other.log(), |least, other| {
-            if other.0.length_squared() < least.0.length_squared() { other } else { least }
-        });
-        [omega.x, omega.y, omega.z, v_mm.x, v_mm.y, v_mm.z]
     }
 
     /// Share of motions about `off`, drawn from a covariance, that fit; both (ω, v) in the part's frame.
@@ -204,13 +196,6 @@ impl Flank {
             })
             .fold(0.0, f64::max)
     }
-}
-
-/// The turns of a symmetry that are finitely many.
-fn copies(symmetry: &Symmetry) -> Vec<Pose> {
-    let order = symmetry.order.unwrap_or(1);
-    let angle_rad = core::f64::consts::TAU / f64::from(order);
-    (1..order).map(|turn| symmetry.turned(f64::from(turn) * angle_rad)).collect()
 }
 
 /// Covariance of a motion in the part's frame: its information joined with what is known without sensing.

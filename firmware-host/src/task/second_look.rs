@@ -1,8 +1,8 @@
 //! Look again at a part that one grasp does not tell well enough, while it stands in its holder.
 //!
 //! The hand opens, rises, turns about the part's axis and closes again. Poses are fused in the base frame by
-//! their information, each with the other poses that explain its contact. The turn is chosen by what is unknown: the one after which the chance of insertion is
-//! the highest, if the next contact tells as much as the last one.
+//! their information, each with the other poses that explain its contact. The turn is chosen by what is unknown:
+//! the one after which the chance of insertion is the highest, if the next contact tells as much as the last one.
 
 use super::belief::{Belief, FusedBelief};
 use super::cell::Cell;

@@ -47,6 +47,12 @@ impl Symmetry {
         Pose { rotation: turn.rotation, translation_mm: self.centre_mm - turn.rotation * self.centre_mm }
     }
 
+    /// Of the poses that show a part with these symmetries alike, the one nearest to another: the least turn away.
+    #[must_use]
+    pub fn nearest_copy(symmetries: &[Self], t_sensor_object: &Pose, other: &Pose) -> Pose {
+        super::copies::nearest(symmetries, t_sensor_object, other)
+    }
+
     /// The axes of a template's exact surface: after a turn, every point of the template lies within `tolerance_mm`
     /// of it.
     ///

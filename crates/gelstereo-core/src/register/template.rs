@@ -1,7 +1,6 @@
 //! The surface of a part as registration sees it.
 
 use super::blocks::{self, Block};
-use super::copies;
 use super::error::TemplateError;
 use super::sample;
 use super::surface::Relief;
@@ -191,7 +190,7 @@ impl Template {
     /// Of the poses that show the part alike, by its symmetries, the one nearest to another: the least turn away.
     #[must_use]
     pub fn nearest_copy(&self, t_sensor_object: &Pose, other: &Pose) -> Pose {
-        copies::nearest(&self.symmetries, t_sensor_object, other)
+        Symmetry::nearest_copy(&self.symmetries, t_sensor_object, other)
     }
 
     /// Points, object frame.

@@ -62,8 +62,8 @@ impl Scene {
     /// SceneError
     ///     Naming the line, if a name is unknown or a value makes no sense.
     #[classmethod]
-    fn from_toml(_cls: &Bound<'_, PyType>, text: &str) -> PyResult<Self> {
-        Self::checked(tree::from_toml(text).map_err(SceneError::new_err)?, PathBuf::new())
+    fn from_toml(cls: &Bound<'_, PyType>, text: &str) -> PyResult<Self> {
+        Self::_from_file(cls, text, PathBuf::new())
     }
 
     /// The scene as TOML text.
@@ -76,8 +76,7 @@ impl Scene {
     fn load(cls: &Bound<'_, PyType>, path: PathBuf) -> PyResult<Self> {
         let folder = path.parent().map(PathBuf::from).unwrap_or_default();
         let text = tree::read(cls.py(), path.clone())?;
-        let scene = Self::from_toml(cls, &text).map_err(|error| tree::in_file(cls.py(), &error, &path))?;
-        Ok(Self { folder, ..scene })
+        Self::_from_file(cls, &text, folder).map_err(|error| tree::in_file(cls.py(), &error, &path))
     }
 
     /// Write the scene to a TOML file.
