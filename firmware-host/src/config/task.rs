@@ -1,10 +1,10 @@
 //! The robot task: poses, speeds and limits.
 
-use super::ConfigError;
 use super::range::{
     CLEARANCE_MM, FAR_MM, FULL_TURN_RAD, LENGTH_MM, PERIODS, SIGMA_MM, SIGMA_RAD, SIGMAS, SPEED_MM_S,
     STAGE_S, TIME_S, check,
 };
+use super::{ConfigError, EdgeConfig};
 use gelstereo_core::frames::FingerKinematics;
 use gelstereo_core::math::{DVec3, Pose, so3};
 use serde::{Deserialize, Serialize};
@@ -162,6 +162,10 @@ pub struct TaskConfig {
     /// lowered again. Needs `clearance_mm`. Valid: 1 to 100. Default: `1`, which is no search. Raise it
     /// where a part that touches the rim does no harm.
     pub max_tries: u32,
+    /// Faces of the cell that the part in the hand may be brought to, where `clearance_mm` is given: `[[task.edges]]`
+    /// for each. Default: none. Set them where a look leaves open what the hole needs, as across a flat face.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub edges: Vec<EdgeConfig>,
 }
 
 impl Default for TaskConfig {
@@ -205,6 +209,7 @@ impl Default for TaskConfig {
             look_sigma_mm: 0.03,
             look_sigma_rad: 0.001,
             max_tries: 1,
+            edges: Vec::new(),
         }
     }
 }
@@ -275,6 +280,7 @@ impl TaskConfig {
         check(can_search, "task.max_tries", tries, "1 without task.clearance_mm")?;
         let turn = self.look_turn_rad;
         check(turn.abs() <= 3.2, "task.look_turn_rad", turn, "-3.2 to 3.2 rad")?;
+        self.edges.iter().try_for_each(|edge| edge.validate(self.stage_timeout_s))?;
         SIGMA_MM.check("task.look_sigma_mm", self.look_sigma_mm)?;
         SIGMA_RAD.check("task.look_sigma_rad", self.look_sigma_rad)
     }

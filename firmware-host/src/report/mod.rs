@@ -27,6 +27,8 @@ pub enum Stage {
     Close,
     /// The part's pose in the hand.
     Localize,
+    /// The part in the hand brought to a face of the cell, to know its place better.
+    Touch,
     /// The part brought above the hole.
     Align,
     /// Lowering until the insertion trigger.
@@ -48,6 +50,7 @@ impl Stage {
             Self::Rest => "rest",
             Self::Close => "close",
             Self::Localize => "localize",
+            Self::Touch => "touch",
             Self::Align => "align",
             Self::Insert => "insert",
             Self::Retreat => "retreat",
@@ -111,6 +114,13 @@ pub enum Outcome {
         /// Depth below the rim where the robot gave up.
         depth_mm: f64,
     },
+    /// Nothing stopped the part on its way to a face of `task.edges`.
+    EdgeNotFelt {
+        /// Which of them, from 0.
+        edge: usize,
+        /// How far the hand went.
+        travel_mm: f64,
+    },
     /// The fingers came to rest before the grasp trigger.
     NotGrasped {
         /// Mean marker motion then.
@@ -171,6 +181,11 @@ impl std::fmt::Display for Outcome {
             Self::NothingFelt { depth_mm } => {
                 write!(f, "nothing felt down to a depth of {depth_mm:.2} mm: no part, or no hole's bottom")
             }
+            Self::EdgeNotFelt { edge, travel_mm } => write!(
+                f,
+                "edge not felt: nothing stopped the part on a way of {travel_mm:.2} mm to face {edge} of task.edges; is it \
+                 where the configuration says?"
+            ),
             Self::NotGrasped { motion_px, width_mm } => write!(
                 f,
                 "not grasped: the fingers rest at {width_mm:.2} mm with a marker motion of {motion_px:.2} px"
@@ -220,8 +235,11 @@ pub struct Localized {
     pub axial_sigma_mm: f64,
     /// What the contact leaves free, in words.
     pub free: Vec<String>,
-    /// Looks at the part; the pose in the gripper is fused from all of them, the rest is of the last one.
+    /// Looks at the part, touches included; the pose in the gripper is fused from all of them, the rest is of the last
+    /// grasp.
     pub looks: u32,
+    /// How many of them were touches of a face of the cell.
+    pub touches: u32,
     /// What is expected of the insertion, where `task.clearance_mm` says how wide the hole is.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub forecast: Option<Forecast>,
