@@ -1,5 +1,5 @@
-//! A wide part whose face covers the gel, and the touch of a known face (simulated: noise 2 grey levels, blur 0.8 px, gel with
-//! shoulder, spread, drag).
+//! A wide part whose face covers the gel, and the touch of a known face (simulated: noise 2 grey levels,
+//! blur 0.8 px, gel with shoulder, spread, drag).
 #![allow(clippy::unwrap_used)]
 
 use crate::quick_world;
@@ -23,8 +23,9 @@ fn wall() -> EdgeConfig {
     }
 }
 
-/// A blade of 6 x 30 x 30 mm, held by its wide faces near its upper edge: the gel, 22 mm wide, sees this edge and the face,
-/// but neither of the sides. The slot is 5 mm deep and 0.2 mm wider than the blade along both of its sides.
+/// A blade of 6 x 30 x 30 mm, held by its wide faces near its upper edge: the gel, 22 mm wide, sees this
+/// edge and the face, but neither of the sides. The slot is 5 mm deep and 0.2 mm wider than the blade along
+/// both of its sides.
 fn blade(seed: u64) -> Config {
     let mut config = quick(seed);
     config.part.shape = Shape::Box { size_mm: [6.0, 30.0, 30.0] };
@@ -35,6 +36,7 @@ fn blade(seed: u64) -> Config {
     let pad_mm = config.mount.kinematics.pad_mm(6.0).unwrap();
     config.task.grasp_pose.position_mm[2] = 15.0 + 8.0 + pad_mm.z;
     config.task.clearance_mm = Some(0.2);
+    config.task.max_looks = 4;
     config
 }
 
@@ -52,7 +54,8 @@ fn inserted(report: &JobReport) -> bool {
     matches!(report.outcome, Outcome::Inserted { .. })
 }
 
-/// No grasp tells where the blade is along its face, and turned by a quarter it does not fit between the fingers.
+/// No grasp tells where the blade is along its face, and turned by a quarter it does not fit between the
+/// fingers.
 #[test]
 fn a_blade_that_covers_the_gel_goes_in_after_it_touched_a_known_face() {
     let mut config = blade(1);
@@ -62,13 +65,12 @@ fn a_blade_that_covers_the_gel_goes_in_after_it_touched_a_known_face() {
     let forecast = report.localized.unwrap().forecast.unwrap();
     assert!(forecast.chance < 0.3 && forecast.weakest.starts_with("slide along"), "{forecast:?}");
 
-    config.task.max_looks = 3;
-    config.task.edges = vec![wall()];
-    let report = run(&config);
+    let report = run(&with_wall(1));
     assert!(inserted(&report), "{}", report.why);
     let localized = report.localized.as_ref().unwrap();
     assert_eq!(localized.touches as usize, touches(&report));
-    assert_eq!(localized.looks, 1 + localized.touches, "it is not grasped a second time");
+    let grasps = report.stages.iter().filter(|stage| stage.stage == Stage::Close).count();
+    assert_eq!(localized.looks, grasps as u32 + localized.touches);
     assert!(localized.touches > 0);
     let truth = report.truth.unwrap();
     assert!(truth.outcome_is_true && truth.tip_error_mm < 0.1, "{truth:?}");
@@ -91,7 +93,7 @@ fn a_round_peg_does_not_touch_a_face_that_is_there() {
 #[test]
 fn a_face_that_is_not_there_ends_the_move_and_the_task() {
     let mut config = with_wall(1);
-    config.simulated.edge_offset_mm = -10.0;
+    config.simulated.edge_offset_mm = Some(-10.0);
     let report = run(&config);
     let Outcome::EdgeNotFelt { edge: 0, travel_mm } = report.outcome else { panic!("{}", report.why) };
     assert!((4.0..8.0).contains(&travel_mm), "{travel_mm} mm");
@@ -99,8 +101,8 @@ fn a_face_that_is_not_there_ends_the_move_and_the_task() {
     assert!(report.truth.unwrap().outcome_is_true);
 }
 
-/// `GELSTEREO_SEEDS=12 cargo test -p gelstereo-host --test all -- edge:: --ignored --nocapture` prints the table of
-/// docs/second-look.md. The wall really stands off by its own sigma and the robot's, at random.
+/// `GELSTEREO_SEEDS=12 cargo test -p gelstereo-host --test all -- edge:: --ignored --nocapture` prints the
+/// table of docs/second-look.md. The wall really stands off by its own sigma and the robot's, at random.
 #[test]
 #[ignore = "takes minutes"]
 fn blades_with_and_without_a_face_over_many_seeds() {
@@ -110,7 +112,7 @@ fn blades_with_and_without_a_face_over_many_seeds() {
         for seed in 1..=seeds {
             let mut config = if name == "with" { with_wall(seed) } else { blade(seed) };
             let sigma_mm = wall().sigma_mm.hypot(wall().robot_sigma_mm);
-            config.simulated.edge_offset_mm = sigma_mm * Stream::new(seed, "wall").normal();
+            config.simulated.edge_offset_mm = Some(sigma_mm * Stream::new(seed, "wall").normal());
             let report = run(&config);
             println!("seed {seed} {name}: {}", report.why);
             assert!(report.truth.as_ref().unwrap().outcome_is_true, "seed {seed}: {}", report.why);
@@ -120,7 +122,8 @@ fn blades_with_and_without_a_face_over_many_seeds() {
     }
 }
 
-/// Cells of the table: attempted, inserted, jammed, median number of touches, seconds of all touches of a task.
+/// Cells of the table: attempted, inserted, jammed, median number of touches, seconds of all touches of a
+/// task.
 fn row(reports: &[JobReport]) -> String {
     let count = |wanted: fn(&JobReport) -> bool| reports.iter().filter(|report| wanted(report)).count();
     let jammed = count(|report| matches!(report.outcome, Outcome::Jammed { .. }));

@@ -5,36 +5,38 @@ use super::range::{FAR_MM, LENGTH_MM, SIGMA_MM, SPEED_MM_S, check};
 use gelstereo_core::math::DVec3;
 use serde::{Deserialize, Serialize};
 
-/// A flat face of a fixture whose place in the robot's base frame is known. The hand brings the part's side, or its end,
-/// slowly to it until the gel shows the contact.
+/// A flat face of a fixture whose place in the robot's base frame is known. The hand brings the part's
+/// side, or its end, slowly to it until the gel shows the contact.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EdgeConfig {
-    /// Middle of the face, base frame. The middle of the part's tip is brought before it: half of the face's size
-    /// touches the part, as far as it stands out of the fingers. Valid: -10000 to 10000 mm. Change it to your cell's.
+    /// Middle of the face, base frame. The middle of the part's tip is brought before it: half of the
+    /// face's size touches the part, as far as it stands out of the fingers. Valid: -10000 to 10000 mm.
+    /// Change it to your cell's.
     pub point_mm: [f64; 3],
-    /// Direction out of the face, base frame, of any length. A face whose normal is horizontal is touched by the
-    /// part's sides, one whose normal is upright by its end. Valid: -1000000 to 1000000. Change it to your cell's.
+    /// Direction out of the face, base frame, of any length. A face whose normal is horizontal is touched
+    /// by the part's sides, one whose normal is upright by its end. Valid: -1000000 to 1000000. Change it
+    /// to your cell's.
     pub normal: [f64; 3],
-    /// Width and height of the face, larger than the side of the part that touches it. Valid: 0.001 to 1000 mm.
-    /// Default: `20` mm. Change it to your fixture's.
+    /// Width and height of the face, larger than the side of the part that touches it. Valid: 0.001 to 1000
+    /// mm. Default: `20` mm. Change it to your fixture's.
     #[serde(default = "default_size_mm")]
     pub size_mm: f64,
     /// How well the face is known along its normal, one standard deviation. Valid: 0.0001 to 100 mm. Default:
     /// `0.02` mm. Change it to how well the face was measured.
     #[serde(default = "default_sigma_mm")]
     pub sigma_mm: f64,
-    /// How well the robot knows its position between the face and the hole, one standard deviation. Valid: 0.0001 to
-    /// 100 mm. Default: `0.02` mm. Change it to your robot's repeatability.
+    /// How well the robot knows its position between the face and the hole, one standard deviation. Valid:
+    /// 0.0001 to 100 mm. Default: `0.02` mm. Change it to your robot's repeatability.
     #[serde(default = "default_sigma_mm")]
     pub robot_sigma_mm: f64,
-    /// The slow move begins this far from where the part is expected to touch, or farther if the part is known to
-    /// less; it ends as far behind. Valid: 0.001 to 1000 mm. Default: `2` mm. Raise it where the part may be farther
-    /// from where it is expected.
+    /// The slow move begins this far from where the part is expected to touch, or farther if the part is
+    /// known to less; it ends as far behind. Valid: 0.001 to 1000 mm. Default: `2` mm. Raise it where the
+    /// part may be farther from where it is expected.
     #[serde(default = "default_approach_mm")]
     pub approach_mm: f64,
-    /// Speed of the slow move. Valid: 0.01 to 10000 mm/s. Default: `1` mm/s. Raise it to save time: the way between
-    /// two frames adds to what is not known of the part.
+    /// Speed of the slow move. Valid: 0.01 to 10000 mm/s. Default: `1` mm/s. Raise it to save time: the way
+    /// between two frames adds to what is not known of the part.
     #[serde(default = "default_speed_mm_s")]
     pub speed_mm_s: f64,
 }

@@ -28,13 +28,16 @@ pub struct SimulatedConfig {
     /// Diameter of the round hole. Valid: 0.1 to 1000 mm. Default: `8.2` mm, 0.2 mm more than the peg's.
     /// Change it with the part's diameter.
     pub hole_diameter_mm: f64,
-    /// Edges of the rectangular hole along the x and y of a part that is a box. Valid: 0.1 to 1000 mm. Default:
-    /// none, and then each is 0.2 mm more than the part's. Change it to try tighter and wider holes.
+    /// Edges of the rectangular hole along the x and y of a part that is a box. Valid: 0.1 to 1000 mm.
+    /// Default: none, and then each is 0.2 mm more than the part's. Change it to try tighter and wider
+    /// holes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub hole_size_mm: Option<[f64; 2]>,
-    /// How far the faces of `task.edges` really stand from where they are configured, along their normals. The
-    /// task does not know it. Valid: -10 to 10 mm. Default: `0` mm. Change it to see what an error of a face does.
-    pub edge_offset_mm: f64,
+    /// How far the faces of `task.edges` really stand from where they are configured, along their normals, which
+    /// the task does not know. Valid: -10 to 10 mm. Default: none, and then they stand where they are
+    /// configured. Set it to see what an error of a face does.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub edge_offset_mm: Option<f64>,
     /// What stands in the holder, if it is not the part that the job expects. Default: none. Set it to try a
     /// wrong part.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -58,7 +61,7 @@ impl Default for SimulatedConfig {
             tilt_rad: 0.05,
             hole_diameter_mm: 8.2,
             hole_size_mm: None,
-            edge_offset_mm: 0.0,
+            edge_offset_mm: None,
             shape: None,
             mount_error: PoseConfig::default(),
             gel: Gel::default(),
@@ -71,7 +74,8 @@ impl Default for SimulatedConfig {
     }
 }
 
-/// A print that differs from what the pipeline expects by a tenth is another print: neighbours are told apart by it.
+/// A print that differs from what the pipeline expects by a tenth is another print: neighbours are told
+/// apart by it.
 const MAX_PITCH_RATIO: f64 = 1.1;
 
 impl SimulatedConfig {
@@ -96,8 +100,9 @@ impl SimulatedConfig {
         for side_mm in self.hole_size_mm.into_iter().flatten() {
             HOLE_MM.check("simulated.hole_size_mm", side_mm)?;
         }
-        let edge_mm = self.edge_offset_mm;
-        check(edge_mm.abs() <= 10.0, "simulated.edge_offset_mm", edge_mm, "-10 to 10 mm")?;
+        if let Some(offset_mm) = self.edge_offset_mm {
+            check(offset_mm.abs() <= 10.0, "simulated.edge_offset_mm", offset_mm, "-10 to 10 mm")?;
+        }
         let (offset_mm, tilt_rad) = (self.offset_mm, self.tilt_rad);
         check((0.0..=10.0).contains(&offset_mm), "simulated.offset_mm", offset_mm, "0 to 10 mm")?;
         check((0.0..=0.5).contains(&tilt_rad), "simulated.tilt_rad", tilt_rad, "0 to 0.5 rad")?;

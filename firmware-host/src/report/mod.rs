@@ -90,7 +90,8 @@ pub struct StageReport {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Outcome {
-    /// The insertion trigger stopped the robot at the depth of the hole, within what is known of the part's place.
+    /// The insertion trigger stopped the robot at the depth of the hole, within what is known of the part's
+    /// place.
     Inserted {
         /// Depth below the rim at the stop, by what is known of the part's place along the axis.
         depth_mm: f64,
@@ -235,8 +236,8 @@ pub struct Localized {
     pub axial_sigma_mm: f64,
     /// What the contact leaves free, in words.
     pub free: Vec<String>,
-    /// Looks at the part, touches included; the pose in the gripper is fused from all of them, the rest is of the last
-    /// grasp.
+    /// Looks at the part, touches included; the pose in the gripper is fused from all of them, the rest is
+    /// of the last grasp.
     pub looks: u32,
     /// How many of them were touches of a face of the cell.
     pub touches: u32,
@@ -245,8 +246,8 @@ pub struct Localized {
     pub forecast: Option<Forecast>,
 }
 
-/// What a simulated job really did. The errors are those of the part's pose in the hand as it was localized, or as it was
-/// expected if it was not localized.
+/// What a simulated job really did. The errors are those of the part's pose in the hand as it was
+/// localized, or as it was expected if it was not localized.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TruthReport {
     /// Error of the part's origin across the axis of insertion, as it was localized.

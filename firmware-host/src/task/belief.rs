@@ -1,7 +1,7 @@
 //! What is known of the part's pose: every pose that explains what was felt, with its odds.
 //!
-//! The poses are the means of a mixture of normal distributions. Of two looks each pair of poses is fused, and counts by
-//! the odds of both and by how well they agree.
+//! The poses are the means of a mixture of normal distributions. Of two looks each pair of poses is fused,
+//! and counts by the odds of both and by how well they agree.
 
 use gelstereo_core::math::{Pose, exp};
 use gelstereo_core::register::{
@@ -91,7 +91,8 @@ impl Belief {
         Self { likeliest: change(&self.likeliest), others: others.collect() }
     }
 
-    /// Joined with another look at the part, in the same frame. Pairs of poses that cannot be of one part are left out.
+    /// Joined with another look at the part, in the same frame. Pairs of poses that cannot be of one part
+    /// are left out.
     ///
     /// # Errors
     /// [`FusionError`] of the likeliest poses, if no pair can be of one part.
@@ -110,8 +111,8 @@ impl Belief {
         }
     }
 
-    /// Joined with a plane that the part touches, of which each pose says by which point. Poses that cannot touch it are
-    /// left out.
+    /// Joined with a plane that the part touches, of which each pose says by which point. Poses that cannot
+    /// touch it are left out.
     ///
     /// # Errors
     /// [`FusionError`] of the likeliest pose, if no pose can touch the plane.

@@ -27,6 +27,16 @@ pub(super) struct Held {
     pub(super) touched: Vec<TouchedSide>,
 }
 
+impl Held {
+    /// The same part after a look that has not been made yet.
+    pub(super) fn expecting(&self, belief: Belief, touched: Option<TouchedSide>) -> Self {
+        let mut expected = self.clone();
+        expected.belief = belief;
+        expected.touched.extend(touched);
+        expected
+    }
+}
+
 /// A side of the part that touched a face.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct TouchedSide {

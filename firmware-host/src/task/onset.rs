@@ -1,8 +1,8 @@
 //! Where on its way a part first touched: the place where the marker motion begins to grow.
 //!
-//! The trigger acts later, when the part has dragged the gel for some tenths of a millimetre. From the first touch on the
-//! motion grows with the way, so that a line through the frames from there to the trigger meets the motion before it at the
-//! place of the touch.
+//! The trigger acts later, when the part has dragged the gel for some tenths of a millimetre. From the
+//! first touch on the motion grows with the way, so that a line through the frames from there to the
+//! trigger meets the motion before it at the place of the touch.
 
 use gelstereo_core::math::sqrt;
 
@@ -26,11 +26,12 @@ pub(super) struct Onset {
 
 /// Frames before the touch that tell its level: fewer, and the part may have touched before the move began.
 const MIN_QUIET: usize = 3;
-/// Share of the motion at the trigger from which a frame belongs to the line. Below, lengths of motions of the markers'
-/// noise add to those of the drag.
+/// Share of the motion at the trigger from which a frame belongs to the line. Below, lengths of motions of
+/// the markers' noise add to those of the drag.
 const RAMP_SHARE: f64 = 0.1;
 
-/// The first touch of a move that a trigger ended, which is the last sample; none if the move was not quiet at first.
+/// The first touch of a move that a trigger ended, which is the last sample; none if the move was not quiet
+/// at first.
 pub(super) fn onset(samples: &[Sample]) -> Option<Onset> {
     let last = samples.last()?;
     let first = samples.first()?;
@@ -82,7 +83,8 @@ mod tests {
     use gelstereo_core::math::random::Stream;
     use proptest::prelude::*;
 
-    /// A hand that goes so far between two frames; the motion grows from `at_mm` on until the trigger of 5 px.
+    /// A hand that goes so far between two frames; the motion grows from `at_mm` on until the trigger of 5
+    /// px.
     fn moved(step_mm: f64, at_mm: f64, slope: f64, noise_px: f64, seed: u64) -> Vec<Sample> {
         let mut stream = Stream::new(seed, "onset");
         let mut samples: Vec<Sample> = Vec::new();
@@ -103,7 +105,8 @@ mod tests {
             step_mm in 0.01..0.05_f64, at_mm in 0.5..2.0_f64, slope in 8.0..20.0_f64, seed in 0..1000_u64,
         ) {
             let found = onset(&moved(step_mm, at_mm, slope, 0.01, seed)).unwrap();
-            // Of few frames the residual is known to a factor of some: 0.002 mm are the noise over the slope, doubled.
+            // Of few frames the residual is known to a factor of some: 0.002 mm are the noise over the
+            // slope, doubled.
             prop_assert!((found.travel_mm - at_mm).abs() < 6.0 * found.sigma_mm + 2e-3, "{found:?} {at_mm}");
             prop_assert!(found.sigma_mm < 5e-3, "{found:?}");
         }

@@ -1,7 +1,7 @@
 //! Take a part that stands in its holder again, with the hand turned about the part's axis.
 //!
-//! The hand opens, rises, turns and closes again. Poses are fused in the base frame by their information, each with the
-//! other poses that explain its contact.
+//! The hand opens, rises, turns and closes again. Poses are fused in the base frame by their information,
+//! each with the other poses that explain its contact.
 
 use super::belief::{Belief, FusedBelief, expected_anyway};
 use super::cell::Cell;
@@ -24,15 +24,19 @@ const MAX_SQUARED_DISTANCE: f64 = 22.458;
 pub(super) struct RegraspPlan {
     pub(super) turn_rad: f64,
     pub(super) chance: f64,
+    /// The hand that holds the part then.
+    pub(super) t_base_gripper: Pose,
+    /// What is known of the part then, gripper frame.
+    pub(super) expected: PoseEstimate,
 }
 
-/// The turn of the hand about the part's axis after which the chance is the highest, if the next contact tells as much as the
-/// last one; the least turn of those alike. Other poses are left out: which of them the next contact tells apart is not
-/// known.
+/// The turn of the hand about the part's axis after which the chance is the highest, if the next contact
+/// tells as much as the last one; the least turn of those alike. Other poses are left out: which of them
+/// the next contact tells apart is not known.
 pub(super) fn best_regrasp(cell: &Cell, flank: &Flank, held: &Held, t_base_gripper: &Pose) -> RegraspPlan {
     let task = &cell.config.task;
     let known = held.belief.likeliest().in_frame(t_base_gripper);
-    let chance = |turn_rad: f64| -> f64 {
+    let plan = |turn_rad: f64| {
         let t_base_gripper = hand_around(cell, &known.pose, turn_rad);
         let before = disturbed(cell, &known, &t_base_gripper);
         // The next contact tells in the turned hand what the last one told in that one.
@@ -41,19 +45,13 @@ pub(super) fn best_regrasp(cell: &Cell, flank: &Flank, held: &Held, t_base_gripp
             core::array::from_fn(|j| before.information[i][j] + turned.information[i][j])
         });
         let together = PoseEstimate { pose: known.pose, information };
-        flank.forecast(&Belief::alone(together), task.part_sigma_rad, task.part_sigma_mm).chance
+        let forecast = flank.forecast(&Belief::alone(together), task.part_sigma_rad, task.part_sigma_mm);
+        let expected = together.in_frame(&t_base_gripper.inverse());
+        RegraspPlan { turn_rad, chance: forecast.chance, t_base_gripper, expected }
     };
-    let mut best = RegraspPlan { turn_rad: 0.0, chance: chance(0.0) };
-    for turn_rad in [task.look_turn_rad, -task.look_turn_rad] {
-        if !fits_between_fingers(cell, turn_rad) {
-            continue;
-        }
-        let chance = chance(turn_rad);
-        if chance > best.chance {
-            best = RegraspPlan { turn_rad, chance };
-        }
-    }
-    best
+    let turns = [task.look_turn_rad, -task.look_turn_rad];
+    let fitting = turns.into_iter().filter(|turn_rad| fits_between_fingers(cell, *turn_rad)).map(plan);
+    fitting.fold(plan(0.0), |best, plan| if plan.chance > best.chance { plan } else { best })
 }
 
 /// Whether the open fingers go around the part after a turn.

@@ -1,8 +1,10 @@
 //! Look again at a part that one grasp does not tell well enough.
 //!
-//! The next look is chosen by what is unknown: of a second grasp of the standing part, the hand turned or not, and of the
-//! touches of known faces with the part in the hand, the one after which the chance of insertion is the highest.
+//! The next look is chosen by what is unknown: of a second grasp of the standing part, the hand turned or
+//! not, and of the touches of known faces with the part in the hand, the one after which the chance of
+//! insertion is the highest.
 
+use super::belief::Belief;
 use super::cell::Cell;
 use super::chance::Flank;
 use super::error::Halt;
@@ -37,7 +39,8 @@ pub(super) fn look_until_known(cell: &mut Cell, first: Held) -> Result<Localizat
             return Ok(Localization::Go(Box::new(held)));
         }
         let t_base_gripper = cell.devices.robot.status()?.t_base_gripper;
-        let next = if looks < task.max_looks { choose(cell, &flank, &held, &t_base_gripper) } else { None };
+        let left = task.max_looks.saturating_sub(looks);
+        let next = choose(cell, &flank, &held, &t_base_gripper, left);
         let found = match next {
             None => {
                 let localized = Box::new(held.localized);
@@ -54,20 +57,36 @@ pub(super) fn look_until_known(cell: &mut Cell, first: Held) -> Result<Localizat
     }
 }
 
-/// The look after which the chance is the highest; none is left of a part that was lifted and touched every face that tells
-/// something. A part that left its holder cannot be grasped again.
-fn choose(cell: &Cell, flank: &Flank, held: &Held, t_base_gripper: &Pose) -> Option<NextLook> {
-    let stands = held.touched.is_empty();
-    let regrasp = stands.then(|| best_regrasp(cell, flank, held, t_base_gripper));
-    let best = touch_plans(cell, flank, held, t_base_gripper)
-        .into_iter()
-        .reduce(|best, plan| if plan.chance > best.chance { plan } else { best });
-    match (regrasp, best) {
-        (Some(regrasp), Some(touch)) if touch.chance > regrasp.chance => {
-            Some(NextLook::Touch(Box::new(touch)))
-        }
-        (Some(regrasp), _) => Some(NextLook::Regrasp(regrasp)),
-        (None, Some(touch)) => Some(NextLook::Touch(Box::new(touch))),
-        (None, None) => None,
+/// The look after which the chance is the highest, of those that are possible.
+///
+/// A part that left its holder cannot be grasped again. A touch of a standing part is chosen for its own sake if it is
+/// enough; otherwise each look is valued by the best touch that may follow it.
+fn choose(cell: &Cell, flank: &Flank, held: &Held, t_base_gripper: &Pose, left: u32) -> Option<NextLook> {
+    if left == 0 {
+        return None;
     }
+    let touch = best_touch(cell, flank, held, t_base_gripper);
+    if !held.touched.is_empty() {
+        return touch.map(|touch| NextLook::Touch(Box::new(touch)));
+    }
+    let regrasp = best_regrasp(cell, flank, held, t_base_gripper);
+    let Some(touch) = touch else { return Some(NextLook::Regrasp(regrasp)) };
+    let is_enough = touch.chance >= cell.config.task.min_chance;
+    let touches = if is_enough || left == 1 {
+        touch.chance > regrasp.chance
+    } else {
+        let held_again = held.expecting(Belief::alone(regrasp.expected), None);
+        let after_regrasp = best_touch(cell, flank, &held_again, &regrasp.t_base_gripper);
+        let held_before_face = held.expecting(touch.expected.clone(), Some(touch.touched));
+        let after_touch = best_touch(cell, flank, &held_before_face, &touch.start);
+        let value =
+            |chance: f64, next: Option<TouchPlan>| next.map_or(chance, |next| chance.max(next.chance));
+        value(touch.chance, after_touch) > value(regrasp.chance, after_regrasp)
+    };
+    Some(if touches { NextLook::Touch(Box::new(touch)) } else { NextLook::Regrasp(regrasp) })
+}
+
+fn best_touch(cell: &Cell, flank: &Flank, held: &Held, t_base_gripper: &Pose) -> Option<TouchPlan> {
+    let plans = touch_plans(cell, flank, held, t_base_gripper).into_iter();
+    plans.reduce(|best, plan| if plan.chance > best.chance { plan } else { best })
 }

@@ -1,8 +1,8 @@
 //! Bring the part in the hand to a face of the cell, and learn from it where the part is.
 //!
-//! The hand carries the part before the face and moves it slowly towards it. What the face holds back drags the gel; the
-//! insertion trigger stops the robot, and the part goes back. The place where the motion began is one linear constraint on the
-//! part's pose, which is fused with what was known.
+//! The hand carries the part before the face and moves it slowly towards it. What the face holds back drags
+//! the gel; the insertion trigger stops the robot, and the part goes back. The place where the motion began
+//! is one linear constraint on the part's pose, which is fused with what was known.
 
 use super::belief::{FusedBelief, expected_anyway};
 use super::cell::{Cell, Trigger};
@@ -29,8 +29,8 @@ pub(super) fn touch(cell: &mut Cell, mut held: Held, plan: &TouchPlan) -> Result
     cell.go(&plan.start, speed_mm_s)?;
     let Some(found) = found else {
         let reason = format!(
-            "the part touched face {} of task.edges before it was moved towards it; is the face where the configuration \
-             says, or is task.edges.approach_mm too short?",
+            "the part touched face {} of task.edges before it was moved towards it; is the face where the \
+             configuration says, or is task.edges.approach_mm too short?",
             plan.touched.edge
         );
         return Ok(Localization::Declined { reason });
@@ -99,9 +99,9 @@ fn fuse(cell: &mut Cell, mut held: Held, plan: &TouchPlan, found: &Onset) -> Res
     match fused {
         Ok(FusedBelief { squared_distance, .. }) if squared_distance > MAX_SQUARED_DISTANCE => {
             let reason = format!(
-                "the part touched face {} of task.edges {:.2} mm from where it was expected: a squared distance of \
-                 {squared_distance:.1}, of which {MAX_SQUARED_DISTANCE} is the limit; is the face where the configuration \
-                 says, and did the part slip in the fingers?",
+                "the part touched face {} of task.edges {:.2} mm from where it was expected: a squared \
+                 distance of {squared_distance:.1}, of which {MAX_SQUARED_DISTANCE} is the limit; is the \
+                 face where the configuration says, and did the part slip in the fingers?",
                 plan.touched.edge,
                 found.travel_mm - expected_mm
             );

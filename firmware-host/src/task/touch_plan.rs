@@ -28,11 +28,13 @@ pub(super) struct TouchPlan {
     /// Points of the part that may touch, part frame.
     pub(super) points_mm: Vec<DVec3>,
     pub(super) chance: f64,
+    /// What is known of the part then, gripper frame.
+    pub(super) expected: Belief,
 }
 
 impl TouchPlan {
-    /// The constraint on a pose in the gripper frame, if the part touched when the hand had gone so far from the start. It is
-    /// a plane of the gripper frame: the hand turns no more on the way.
+    /// The constraint on a pose in the gripper frame, if the part touched when the hand had gone so far
+    /// from the start. It is a plane of the gripper frame: the hand turns no more on the way.
     pub(super) fn contact(
         &self,
         cell: &Cell,
@@ -71,7 +73,9 @@ pub(super) fn touch_plans(cell: &Cell, flank: &Flank, held: &Held, t_base_grippe
         .filter(|(touched, _)| !held.touched.contains(touched))
         .filter_map(|(touched, edge)| {
             let mut plan = posed(cell, flank, held, t_base_gripper, touched, edge)?;
-            plan.chance = expected_chance(cell, flank, held, &plan).ok()?;
+            plan.expected = expected_belief(cell, held, &plan).ok()?;
+            let task = &cell.config.task;
+            plan.chance = flank.forecast(&plan.expected, task.part_sigma_rad, task.part_sigma_mm).chance;
             Some(plan)
         })
         .collect()
@@ -110,8 +114,9 @@ fn posed(
     if points_mm.is_empty() {
         return None;
     }
-    let edge = edge.clone();
-    let mut plan = TouchPlan { touched, edge, start: hand, way, max_travel_mm: 0.0, points_mm, chance: 0.0 };
+    let (edge, expected) = (edge.clone(), held.belief.clone());
+    let mut plan =
+        TouchPlan { touched, edge, start: hand, way, max_travel_mm: 0.0, points_mm, chance: 0.0, expected };
     let point = plan.point(cell, known);
     let edge = &plan.edge;
     let reach_mm = edge.approach_mm.max(REACH_SIGMAS * point.place_sigma_mm);
@@ -129,16 +134,16 @@ fn turn_about_z(from: DVec3, to: DVec3) -> Pose {
     Pose::exp(DVec3::Z * angle, DVec3::ZERO)
 }
 
-/// The chance after a touch where it is expected. The line's own uncertainty is left out: it is known only afterwards.
-fn expected_chance(cell: &Cell, flank: &Flank, held: &Held, plan: &TouchPlan) -> Result<f64, FusionError> {
-    let task = &cell.config.task;
+/// What is known after a touch where it is expected. The line's own uncertainty is left out: it is known only
+/// afterwards.
+fn expected_belief(cell: &Cell, held: &Held, plan: &TouchPlan) -> Result<Belief, FusionError> {
     let known = Belief::alone(*held.belief.likeliest());
     let half_mm = 0.5 * plan.max_travel_mm;
-    let fused = known.touching(|estimate| plan.contact(cell, estimate, half_mm, 0.0))?;
-    Ok(flank.forecast(&fused.belief, task.part_sigma_rad, task.part_sigma_mm).chance)
+    Ok(known.touching(|estimate| plan.contact(cell, estimate, half_mm, 0.0))?.belief)
 }
 
-/// The robot's position is that of up to a period before or after the image: ± the way between two frames, any of it alike.
+/// The robot's position is that of up to a period before or after the image: ± the way between two frames,
+/// any of it alike.
 fn frame_way_sigma_mm(cell: &Cell, edge: &EdgeConfig) -> f64 {
     let config = cell.config;
     let period_s = 1.0 / config.source.frame_rate_hz(config.simulated.frame_rate_hz);

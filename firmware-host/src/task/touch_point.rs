@@ -1,8 +1,9 @@
 //! Which point of a part touches a face that it is brought to.
 //!
-//! The part's foremost point depends on how it leans, which is known to some extent alone. The mean of the foremost points of
-//! the poses that are believed is the best linear description of the foremost distance (Stein's lemma: the mean gradient
-//! of a function of normal variables is its regression); what the line leaves is noise.
+//! The part's foremost point depends on how it leans, which is known to some extent alone. The mean of the
+//! foremost points of the poses that are believed is the best linear description of the foremost distance
+//! (Stein's lemma: the mean gradient of a function of normal variables is its regression); what the line
+//! leaves is noise.
 
 use super::chance::joined;
 use gelstereo_core::math::linalg::eigen;
@@ -26,8 +27,9 @@ pub(super) struct TouchPoint {
     pub(super) place_sigma_mm: f64,
 }
 
-/// Of a part that may touch with these points of its own frame, and is moved along the unit direction `way` of the outer
-/// frame. `sigma_rad` and `sigma_mm` are what is known of the part without sensing. There is at least one point.
+/// Of a part that may touch with these points of its own frame, and is moved along the unit direction `way`
+/// of the outer frame. `sigma_rad` and `sigma_mm` are what is known of the part without sensing. There is
+/// at least one point.
 pub(super) fn touch_point(
     points_mm: &[DVec3],
     known: &PoseEstimate,

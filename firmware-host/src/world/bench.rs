@@ -1,8 +1,9 @@
 //! A peg in its holder, the simulated sensor, a hole, and the faces of the cell that a part may touch.
 //!
-//! The peg stands loosely in its holder until the robot moves with the peg between the fingers: a finger that touches
-//! it alone pushes it along, and two that yield alike press it from both sides alike. From then on it is rigid in the
-//! hand, but for the gel: what holds the peg back while the hand moves on, a hole or a face, drags the gel's surface along.
+//! The peg stands loosely in its holder until the robot moves with the peg between the fingers: a finger
+//! that touches it alone pushes it along, and two that yield alike press it from both sides alike. From
+//! then on it is rigid in the hand, but for the gel: what holds the peg back while the hand moves on, a
+//! hole or a face, drags the gel's surface along.
 
 use super::fixture::Fixture;
 use super::hole::{Fit, Hole, Mouth};
@@ -100,7 +101,8 @@ impl Bench {
             mouth: mouth(config, &peg),
             depth_mm: task.insertion_depth_mm,
         };
-        let fixtures = task.edges.iter().map(|edge| Fixture::of(edge, simulated.edge_offset_mm));
+        let fixtures =
+            task.edges.iter().map(|edge| Fixture::of(edge, simulated.edge_offset_mm.unwrap_or(0.0)));
         let hold = match place {
             Place::Holder => Hold::Holder { t_base_object: misplaced(config, &peg) },
             Place::Goal => Hold::Hole { t_base_object: placed(config, &hole, &peg) },
@@ -178,7 +180,8 @@ impl Bench {
         }
     }
 
-    /// The fingers push a peg that stands in its holder along the closing direction, until both press it alike.
+    /// The fingers push a peg that stands in its holder along the closing direction, until both press it
+    /// alike.
     fn push(&mut self, hand: &Hand) {
         let Hold::Holder { t_base_object } = &mut self.hold else { return };
         let closing = hand.t_base_gripper.transform_vector(DVec3::X);
@@ -263,7 +266,8 @@ fn misplaced(config: &Config, peg: &Peg) -> Pose {
 /// Poses that are tried within the clearance; one of ten fits.
 const MAX_TRIES: usize = 1000;
 
-/// Where somebody placed the part in the hole: at the bottom, with any offset and tilt that the clearance allows.
+/// Where somebody placed the part in the hole: at the bottom, with any offset and tilt that the clearance
+/// allows.
 fn placed(config: &Config, hole: &Hole, peg: &Peg) -> Pose {
     let goal = config.task.goal_pose.pose();
     let Room { room_mm, spin_rad } = room(&hole.mouth, peg);

@@ -26,8 +26,9 @@ impl Fixture {
         Self { middle_mm, normal, sides: edge.sides(), size_mm: edge.size_mm }
     }
 
-    /// How far the part is behind the face; 0 where it does not reach it. The extreme points of a prism before a face
-    /// are on the prism's long edges: the face is to be larger than the side of the part that touches it.
+    /// How far the part is behind the face; 0 where it does not reach it. The extreme points of a prism
+    /// before a face are on the prism's long edges: the face is to be larger than the side of the part that
+    /// touches it.
     #[must_use]
     pub fn penetration_mm(&self, peg: &Peg, t_base_object: &Pose) -> f64 {
         let length_mm = peg.axis * (2.0 * peg.half_length_mm);
@@ -43,7 +44,8 @@ impl Fixture {
         if deepest < self.size_mm { deepest } else { 0.0 }
     }
 
-    /// Depth of a line, given from the face's middle, where it lies before the face; none if it lies beside it.
+    /// Depth of a line, given from the face's middle, where it lies before the face; none if it lies beside
+    /// it.
     fn deepest_of_line(&self, from: DVec3, to: DVec3) -> Option<f64> {
         let (mut begin, mut end) = (0.0_f64, 1.0_f64);
         for side in self.sides {
@@ -94,8 +96,8 @@ mod tests {
         }
     }
 
-    /// A part that leans towards the wall touches the top edge of the block, 10 mm above its tip; one that leans away
-    /// touches with its tip.
+    /// A part that leans towards the wall touches the top edge of the block, 10 mm above its tip; one that
+    /// leans away touches with its tip.
     #[test]
     fn a_part_that_leans_touches_with_its_tip_or_at_the_top_edge() {
         let shape = Shape::Box { size_mm: [6.0, 30.0, 30.0] };

@@ -47,8 +47,8 @@ pub struct Fit {
 }
 
 impl Hole {
-    /// Where the peg is, and how far it can go along the hole's axis without turning or shifting. It fits while both
-    /// the tip and the section at the rim stay within the hole.
+    /// Where the peg is, and how far it can go along the hole's axis without turning or shifting. It fits
+    /// while both the tip and the section at the rim stay within the hole.
     #[must_use]
     pub fn fit(&self, peg: &Peg, t_base_object: &Pose) -> Fit {
         let axis = t_base_object.transform_vector(peg.axis);
@@ -102,8 +102,9 @@ struct Walls {
 }
 
 impl Walls {
-    /// Depth of the tip's lowest corner at which a prism leaves the room between the walls. Where the corner q is h below
-    /// the rim, the long edge from it passes the rim at q - h t, with t the tilt's tangent.
+    /// Depth of the tip's lowest corner at which a prism leaves the room between the walls. Where the
+    /// corner q is h below the rim, the long edge from it passes the rim at q - h t, with t the tilt's
+    /// tangent.
     fn limit_mm(&self, corners: &[DVec3], slope: DVec3, inwards: DVec3, lowest_mm: f64) -> f64 {
         let leaves = corners.iter().map(|corner| {
             let (at, along) = (self.normal.dot(*corner), self.normal.dot(slope));
@@ -122,9 +123,9 @@ fn leaves_walls(e: f64, t: f64, room: f64) -> f64 {
     if t == 0.0 { f64::INFINITY } else { (e + room * t.signum()) / t }
 }
 
-/// Largest h with |e - h t| <= room, given |e| <= room. At depth h the axis of a round peg passes the rim at e - h t from the
-/// hole's axis, with e the tip's offset and t the tilt's tangent; its section there is an ellipse of half width
-/// r / cos(tilt).
+/// Largest h with |e - h t| <= room, given |e| <= room. At depth h the axis of a round peg passes the rim
+/// at e - h t from the hole's axis, with e the tip's offset and t the tilt's tangent; its section there is
+/// an ellipse of half width r / cos(tilt).
 fn leaves_disc(e: DVec3, t: DVec3, room: f64) -> f64 {
     let a = t.length_squared();
     if a == 0.0 {
@@ -219,7 +220,8 @@ mod tests {
         let (sine, cosine) = (gelstereo_core::math::sin(lean), gelstereo_core::math::cos(lean));
         for sign in [1.0, -1.0] {
             let fit = SLOT.fit(&BLADE, &blade(0.0, 0.0, DVec3::Y * (sign * lean), 1.0));
-            // The corner that is the lowest by 3 sin α leans away from the wall; the other one meets it first.
+            // The corner that is the lowest by 3 sin α leans away from the wall; the other one meets it
+            // first.
             let higher = 3.1 - 3.0 * cosine;
             let lower = higher * cosine / sine;
             assert!(fit.limit_mm >= lower - 1e-9 && fit.limit_mm <= lower + 6.0 * sine + 1e-9, "{fit:?}");

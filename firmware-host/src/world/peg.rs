@@ -51,8 +51,8 @@ impl Peg {
         matches!(self.section, Section::Round { .. })
     }
 
-    /// How far the section reaches from the middle along a unit direction of the part's frame that lies across
-    /// the axis.
+    /// How far the section reaches from the middle along a unit direction of the part's frame that lies
+    /// across the axis.
     #[must_use]
     pub fn half_width_mm(&self, direction: DVec3) -> f64 {
         match self.section {

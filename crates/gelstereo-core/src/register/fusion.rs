@@ -1,5 +1,5 @@
-//! Fusion of two estimates of one pose, each with its information (Barfoot and Furgale 2014), and of an estimate
-//! with a plane that a point of the part touches.
+//! Fusion of two estimates of one pose, each with its information (Barfoot and Furgale 2014), and of an
+//! estimate with a plane that a point of the part touches.
 //!
 //! An estimate says that the true pose is exp(e) T with e normal, of zero mean and information Λ. The fused
 //! pose is the one with the least e₁ᵀ Λ₁ e₁ + e₂ᵀ Λ₂ e₂, by Gauss-Newton on SE(3). Either information may be
@@ -36,8 +36,9 @@ pub struct FusedPose {
     /// The fused pose, with its information. Along what neither source knows it is the first one's.
     pub estimate: PoseEstimate,
     /// Least sum of eᵀ Λ e: how far the sources contradict each other. Of two estimates that know all six
-    /// directions and are right, it is distributed as chi-squared with six degrees of freedom. Of an estimate that
-    /// knows the direction that a plane contact constrains, it is so with one degree of freedom.
+    /// directions and are right, it is distributed as chi-squared with six degrees of freedom. Of an
+    /// estimate that knows the direction that a plane contact constrains, it is so with one degree of
+    /// freedom.
     pub squared_distance: f64,
 }
 
@@ -276,7 +277,8 @@ impl Normal {
         normal
     }
 
-    /// A left perturbation (ω, v) moves the point q = T p by ω x q + v, and its distance by (q x n) · ω + n · v.
+    /// A left perturbation (ω, v) moves the point q = T p by ω x q + v, and its distance by (q x n) · ω + n
+    /// · v.
     fn add_plane(&mut self, pose: &Pose, contact: &PlaneContact) {
         let turn = pose.transform_point(contact.point_mm).cross(contact.normal);
         let n = contact.normal;
