@@ -129,7 +129,12 @@ fn row(reports: &[JobReport]) -> String {
     let jammed = count(|report| matches!(report.outcome, Outcome::Jammed { .. }));
     let attempted = count(|report| report.stages.iter().any(|stage| stage.stage == Stage::Insert));
     let seconds = |report: &JobReport| -> f64 {
-        report.stages.iter().filter(|stage| stage.stage == Stage::Touch).map(|stage| stage.source_s).sum()
+        report
+            .stages
+            .iter()
+            .filter(|stage| stage.stage == Stage::Touch)
+            .map(|stage| stage.source_s)
+            .fold(0.0, |sum, s| sum + s)
     };
     let mut times_s: Vec<f64> = reports.iter().map(seconds).collect();
     times_s.sort_by(f64::total_cmp);

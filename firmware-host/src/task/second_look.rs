@@ -16,7 +16,7 @@ use gelstereo_core::math::Pose;
 
 /// The next look.
 enum NextLook {
-    Regrasp(RegraspPlan),
+    Regrasp(Box<RegraspPlan>),
     Touch(Box<TouchPlan>),
 }
 
@@ -70,7 +70,7 @@ fn choose(cell: &Cell, flank: &Flank, held: &Held, t_base_gripper: &Pose, left: 
         return touch.map(|touch| NextLook::Touch(Box::new(touch)));
     }
     let regrasp = best_regrasp(cell, flank, held, t_base_gripper);
-    let Some(touch) = touch else { return Some(NextLook::Regrasp(regrasp)) };
+    let Some(touch) = touch else { return Some(NextLook::Regrasp(Box::new(regrasp))) };
     let is_enough = touch.chance >= cell.config.task.min_chance;
     let touches = if is_enough || left == 1 {
         touch.chance > regrasp.chance
@@ -83,7 +83,7 @@ fn choose(cell: &Cell, flank: &Flank, held: &Held, t_base_gripper: &Pose, left: 
             |chance: f64, next: Option<TouchPlan>| next.map_or(chance, |next| chance.max(next.chance));
         value(touch.chance, after_touch) > value(regrasp.chance, after_regrasp)
     };
-    Some(if touches { NextLook::Touch(Box::new(touch)) } else { NextLook::Regrasp(regrasp) })
+    Some(if touches { NextLook::Touch(Box::new(touch)) } else { NextLook::Regrasp(Box::new(regrasp)) })
 }
 
 fn best_touch(cell: &Cell, flank: &Flank, held: &Held, t_base_gripper: &Pose) -> Option<TouchPlan> {
