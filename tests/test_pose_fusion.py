@@ -8,7 +8,7 @@ import pytest
 from gelstereo import RegisterError, geometry
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import stats
+from scipy import optimize, stats
 
 seeds = st.integers(0, 2**31)
 #: Turns are known to mrad, shifts to 0.1 mm.
@@ -115,3 +115,66 @@ def test_what_is_no_estimate_is_refused() -> None:
     turned = np.asarray(geometry.se3_exp([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
     with pytest.raises(RegisterError, match=r"differ by 1\.000 rad"):
         geometry.fuse_poses(good, known, turned, known)
+
+
+def distance_mm(pose: np.ndarray, point_mm: np.ndarray, normal: np.ndarray, offset_mm: float) -> float:
+    return float(normal @ (pose[:3, :3] @ point_mm + pose[:3, 3]) - offset_mm)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=seeds, knows=st.integers(3, 9))
+def test_a_touched_plane_gives_the_least_distance_of_all_poses(seed: int, knows: int) -> None:
+    """Against a general minimizer, which knows nothing of the fusion's steps."""
+    random = np.random.default_rng(seed)
+    [(first, known), _] = estimates(random, knows, 1.0)
+    point_mm, normal = 10.0 * random.normal(size=3), random.normal(size=3)
+    normal /= np.linalg.norm(normal)
+    sigma_mm = random.uniform(0.02, 0.2)
+    offset_mm = distance_mm(first, point_mm, normal, 0.0) + 0.3 * random.normal()
+
+    def residuals(twist: np.ndarray) -> np.ndarray:
+        scaled = twist / SCALE
+        moved = np.asarray(geometry.se3_exp(scaled)) @ first
+        return np.append(root @ scaled, distance_mm(moved, point_mm, normal, offset_mm) / sigma_mm)
+
+    values, vectors = np.linalg.eigh(known)
+    root = np.sqrt(values.clip(0.0))[:, None] * vectors.T
+    solved = optimize.least_squares(residuals, np.zeros(6), xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    pose, information, squared = geometry.fuse_plane(first, known, point_mm, normal, offset_mm, sigma_mm)
+    assert squared == pytest.approx(2.0 * solved.cost, rel=1e-6, abs=1e-9)
+    # Along what neither knows there are many poses at the least distance: all of them are as far from the plane.
+    best = np.asarray(geometry.se3_exp(solved.x / SCALE)) @ first
+    assert distance_mm(pose, point_mm, normal, offset_mm) == pytest.approx(
+        distance_mm(best, point_mm, normal, offset_mm), abs=1e-6
+    )
+    there = pose[:3, :3] @ point_mm + pose[:3, 3]
+    row = np.append(np.cross(there, normal), normal) / sigma_mm
+    # The plane adds information along its own direction alone.
+    step = np.linalg.norm(np.asarray(geometry.se3_log(pose @ np.linalg.inv(first))) * SCALE)
+    expected = known + np.outer(row, row)
+    scale = np.sqrt(np.diag(expected))
+    assert np.abs((information - expected) / np.outer(scale, scale)).max() < 1e-6 + 1e-2 * step
+
+
+def test_a_touched_plane_is_as_far_as_it_says() -> None:
+    random = np.random.default_rng(6)
+    distances = []
+    for _ in range(2000):
+        truth = np.asarray(geometry.se3_exp(random.normal(size=6) * [1, 1, 1, 20, 20, 20]))
+        rows = random.normal(size=(9, 6)) * SCALE
+        known = rows.T @ rows
+        error = np.linalg.solve(np.linalg.cholesky(known).T, random.normal(size=6))
+        found = np.asarray(geometry.se3_exp(-error)) @ truth
+        point_mm, normal = 10.0 * random.normal(size=3), random.normal(size=3)
+        normal /= np.linalg.norm(normal)
+        offset_mm = distance_mm(truth, point_mm, normal, 0.0) + 0.05 * random.normal()
+        distances.append(geometry.fuse_plane(found, known, point_mm, normal, offset_mm, 0.05)[2])
+    assert stats.kstest(distances, stats.chi2(1).cdf).pvalue > 1e-4
+
+
+def test_what_is_no_plane_is_refused() -> None:
+    good, known, along = np.eye(4), np.eye(6), [0.0, 1.0, 0.0]
+    with pytest.raises(RegisterError, match="sigma_mm of the plane contact is 0; valid is above 0"):
+        geometry.fuse_plane(good, known, [0, 0, 0], along, 1.0, 0.0)
+    with pytest.raises(RegisterError, match="the length of normal of the plane contact is 2"):
+        geometry.fuse_plane(good, known, [0, 0, 0], [0.0, 2.0, 0.0], 1.0, 0.1)

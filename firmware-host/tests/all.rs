@@ -6,6 +6,7 @@ mod camera;
 mod codec_grippers;
 mod config;
 mod doctor;
+mod edge;
 mod faults;
 mod folder;
 mod frame_stream;

@@ -100,6 +100,7 @@ fn report_of(text: &str) -> JobReport {
             axial_sigma_mm: 0.0,
             free: vec![text.to_owned()],
             looks: 1,
+            touches: 0,
             forecast: None,
         }),
         truth: Some(TruthReport {

@@ -74,6 +74,7 @@ __all__ = [
     "decode_camera_frame",
     "disc_bias",
     "foresight_sort",
+    "fuse_plane",
     "fuse_poses",
     "hid_udev_rule",
     "list_cameras",
@@ -805,6 +806,14 @@ def se3_log(pose: npt.ArrayLike) -> _Floats: ...
 def rigid_fit(
     source: npt.ArrayLike, target: npt.ArrayLike, weights: npt.ArrayLike | None = None
 ) -> _Floats: ...
+def fuse_plane(
+    pose: npt.ArrayLike,
+    information: npt.ArrayLike,
+    point_mm: npt.ArrayLike,
+    normal: npt.ArrayLike,
+    offset_mm: float,
+    sigma_mm: float,
+) -> tuple[_Floats, _Floats, float]: ...
 def fuse_poses(
     first: npt.ArrayLike,
     first_information: npt.ArrayLike,

@@ -4,6 +4,7 @@ Quaternions are (x, y, z, w). Twists are (ωx ωy ωz vx vy vz), radians then mi
 """
 
 from gelstereo._native import (
+    fuse_plane,
     fuse_poses,
     nearest,
     rigid_fit,
@@ -18,6 +19,7 @@ from gelstereo._native import (
 )
 
 __all__ = [
+    "fuse_plane",
     "fuse_poses",
     "nearest",
     "rigid_fit",

@@ -2,7 +2,7 @@
 
 use gelstereo_core::math::linalg::{Symmetric, eigen};
 use gelstereo_core::math::{DVec3, Pose};
-use gelstereo_core::register::{FusionError, PoseEstimate, fuse_poses};
+use gelstereo_core::register::{FusionError, PlaneContact, PoseEstimate, fuse_plane, fuse_poses};
 use proptest::prelude::*;
 
 fn vector(max: f64) -> impl Strategy<Value = DVec3> {
@@ -197,4 +197,95 @@ fn what_is_no_estimate_is_refused_by_name() {
     let turned = PoseEstimate { pose: Pose::exp(DVec3::Z * 1.5, DVec3::ZERO), information };
     let error = fuse_poses(&good, &turned).expect_err("a quarter turn is another copy of the part");
     assert!(error.to_string().contains("1.500 rad") && error.to_string().contains("copies"), "{error}");
+}
+
+fn plane() -> impl Strategy<Value = PlaneContact> {
+    (vector(20.0), vector(1.0), -3.0..3.0f64, 0.01..0.3f64).prop_filter_map(
+        "a direction",
+        |(point_mm, direction, offset_mm, sigma_mm)| {
+            let normal = direction.try_normalize()?;
+            Some(PlaneContact { point_mm, normal, offset_mm, sigma_mm })
+        },
+    )
+}
+
+/// The plane moved so that the point of the part is so far from it.
+fn at_distance(contact: PlaneContact, pose: &Pose, distance_mm: f64) -> PlaneContact {
+    let along = contact.normal.dot(pose.transform_point(contact.point_mm));
+    PlaneContact { offset_mm: along - distance_mm, ..contact }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 200, ..ProptestConfig::default() })]
+
+    /// In one dimension: two measurements of a distance that differ by δ are δ² / (σ₁² + σ₂²) apart.
+    #[test]
+    fn a_plane_weighs_against_what_was_known(
+        a in estimates([10, 0]), contact in plane(), distance_mm in -0.02..0.02f64,
+    ) {
+        let mut a = a[0];
+        (0..6).for_each(|i| a.information[i][i] += if i < 3 { 1e6 } else { 1e2 });
+        let contact = at_distance(contact, &a.pose, distance_mm);
+        let found = fuse_plane(&a, &contact).expect("valid");
+        let turn = a.pose.transform_point(contact.point_mm).cross(contact.normal);
+        let row: Vec<f64> = turn.to_array().into_iter().chain(contact.normal.to_array()).collect();
+        let covariance = inverse(&a.information);
+        let known: f64 = (0..6).map(|i| (0..6).map(|j| row[i] * covariance[i][j] * row[j]).sum::<f64>()).sum();
+        let sum = known + contact.sigma_mm * contact.sigma_mm;
+        let expected = distance_mm * distance_mm / sum;
+        // The turns are below 1e-3 rad: what is not linear is a thousandth.
+        prop_assert!((found.squared_distance - expected).abs() < 1e-2 * expected + 1e-12);
+        let left = contact.normal.dot(found.estimate.pose.transform_point(contact.point_mm)) - contact.offset_mm;
+        let weighed = distance_mm * contact.sigma_mm * contact.sigma_mm / sum;
+        prop_assert!((left - weighed).abs() < 1e-2 * distance_mm.abs() + 1e-9, "{left} against {weighed}");
+    }
+
+    /// A plane is known along one direction: what is free across it stays where it was.
+    #[test]
+    fn a_plane_moves_a_free_part_along_its_normal_alone(
+        pose in pose(3.0, 50.0), contact in plane(), distance_mm in -2.0..2.0f64,
+    ) {
+        let turns = core::array::from_fn(|i| core::array::from_fn(|j| if i == j && i < 3 { 1e8 } else { 0.0 }));
+        let centre = pose.transform_point(contact.point_mm);
+        let about = PoseEstimate { pose: Pose::from_translation_mm(-centre) * pose, information: turns };
+        let known = about.in_frame(&Pose::from_translation_mm(centre));
+        let contact = at_distance(contact, &pose, distance_mm);
+        let found = fuse_plane(&known, &contact).expect("valid");
+        let moved = found.estimate.pose.transform_point(contact.point_mm) - centre;
+        prop_assert!((moved + contact.normal * distance_mm).length() < 1e-6, "{moved}");
+        prop_assert!(found.squared_distance < 1e-9);
+    }
+
+    #[test]
+    fn a_plane_does_not_depend_on_the_frame(
+        a in estimates([10, 0]), contact in plane(), distance_mm in -0.5..0.5f64, t_c_a in pose(3.0, 30.0),
+    ) {
+        let contact = at_distance(contact, &a[0].pose, distance_mm);
+        let normal = t_c_a.transform_vector(contact.normal);
+        let offset_mm = contact.offset_mm + normal.dot(t_c_a.translation_mm);
+        let there = fuse_plane(&a[0].in_frame(&t_c_a), &PlaneContact { normal, offset_mm, ..contact });
+        let here = fuse_plane(&a[0], &contact).expect("valid").estimate.in_frame(&t_c_a);
+        let there = there.expect("valid").estimate;
+        prop_assert!(apart(&here.pose, &there.pose) < 1e-7);
+        prop_assert!(close(&here.information, &there.information, 1e-6));
+    }
+}
+
+#[test]
+fn what_is_no_plane_is_refused_by_name() {
+    let known = PoseEstimate { pose: Pose::IDENTITY, information: [[0.0; 6]; 6] };
+    let good = PlaneContact { point_mm: DVec3::ZERO, normal: DVec3::Y, offset_mm: 1.0, sigma_mm: 0.1 };
+    let cases = [
+        (PlaneContact { normal: DVec3::Y * 2.0, ..good }, "the length of normal"),
+        (PlaneContact { sigma_mm: 0.0, ..good }, "sigma_mm"),
+        (PlaneContact { sigma_mm: f64::NAN, ..good }, "sigma_mm"),
+        (PlaneContact { offset_mm: f64::INFINITY, ..good }, "offset_mm"),
+        (PlaneContact { point_mm: DVec3::X * f64::NAN, ..good }, "a component of point_mm"),
+    ];
+    for (bad, name) in cases {
+        let error = fuse_plane(&known, &bad).expect_err("not valid").to_string();
+        assert!(error.starts_with(name), "{error}");
+    }
+    let found = fuse_plane(&known, &good).expect("valid").estimate.pose;
+    assert!((found.translation_mm - DVec3::Y).length() < 1e-12, "nothing else was known");
 }

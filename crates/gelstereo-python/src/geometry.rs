@@ -3,7 +3,7 @@
 use crate::arrays::{self, Array1, Matrix, Numbers};
 use crate::errors::{PoseError, RegisterError, raise};
 use gelstereo_core::math::{DMat3, DQuat, DVec3, Pose, so3, sqrt};
-use gelstereo_core::register::{self, PoseEstimate, Tree};
+use gelstereo_core::register::{self, FusedPose, PlaneContact, PoseEstimate, Tree};
 use pyo3::prelude::*;
 
 fn vector(object: &Bound<'_, PyAny>, name: &'static str) -> PyResult<DVec3> {
@@ -151,15 +151,73 @@ pub fn fuse_poses(
     second: &Bound<'_, PyAny>,
     second_information: &Bound<'_, PyAny>,
 ) -> PyResult<(Matrix, Matrix, f64)> {
-    let estimate = |pose, pose_name, information, information_name| {
-        Ok::<_, PyErr>(PoseEstimate {
-            pose: arrays::pose(pose, pose_name)?,
-            information: Numbers::new(information, information_name)?.matrix::<6, 6>()?,
-        })
-    };
     let first = estimate(first, "first", first_information, "first_information")?;
     let second = estimate(second, "second", second_information, "second_information")?;
-    let fused = register::fuse_poses(&first, &second).map_err(raise)?;
+    fused_parts(py, &register::fuse_poses(&first, &second).map_err(raise)?)
+}
+
+/// Fuses an estimate of a pose with a plane that a point of the part touches.
+///
+/// Parameters
+/// ----------
+/// pose : (4, 4) array_like
+///     Maps coordinates of frame b to frame a, mm.
+/// information : (6, 6) array_like
+///     As for :func:`fuse_poses`.
+/// point_mm : (3,) array_like
+///     The point, frame b.
+/// normal : (3,) array_like
+///     Unit normal of the plane, frame a.
+/// offset_mm : float
+///     Distance of the plane from the origin of frame a along the normal.
+/// sigma_mm : float
+///     Standard deviation of the point's distance from the plane.
+///
+/// Returns
+/// -------
+/// pose : (4, 4) float64
+///     The fused pose. Along what neither source knows it is the given one.
+/// information : (6, 6) float64
+///     Of the fused pose.
+/// squared_distance : float
+///     How far the plane contradicts the estimate. If both are right, and the estimate knows the constrained
+///     direction, it is distributed as chi-squared with one degree of freedom.
+///
+/// Raises
+/// ------
+/// PoseError
+///     If the matrix is no rigid motion.
+/// RegisterError
+///     If the information is not symmetric and positive semidefinite, or a number of the plane is not valid.
+#[pyfunction]
+pub fn fuse_plane(
+    py: Python<'_>,
+    pose: &Bound<'_, PyAny>,
+    information: &Bound<'_, PyAny>,
+    point_mm: &Bound<'_, PyAny>,
+    normal: &Bound<'_, PyAny>,
+    offset_mm: f64,
+    sigma_mm: f64,
+) -> PyResult<(Matrix, Matrix, f64)> {
+    let estimate = estimate(pose, "pose", information, "information")?;
+    let (point_mm, normal) = (vector(point_mm, "point_mm")?, vector(normal, "normal")?);
+    let contact = PlaneContact { point_mm, normal, offset_mm, sigma_mm };
+    fused_parts(py, &register::fuse_plane(&estimate, &contact).map_err(raise)?)
+}
+
+fn estimate(
+    pose: &Bound<'_, PyAny>,
+    pose_name: &'static str,
+    information: &Bound<'_, PyAny>,
+    information_name: &'static str,
+) -> PyResult<PoseEstimate> {
+    Ok(PoseEstimate {
+        pose: arrays::pose(pose, pose_name)?,
+        information: Numbers::new(information, information_name)?.matrix::<6, 6>()?,
+    })
+}
+
+fn fused_parts(py: Python<'_>, fused: &FusedPose) -> PyResult<(Matrix, Matrix, f64)> {
     let pose = arrays::pose_matrix(py, &fused.estimate.pose)?;
     Ok((pose, arrays::matrix(py, fused.estimate.information)?, fused.squared_distance))
 }

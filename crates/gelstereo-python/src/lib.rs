@@ -52,8 +52,8 @@ mod _native {
     use crate::frames::{FingerKinematics, SensorMount, adjusted_gripper};
     #[pymodule_export]
     use crate::geometry::{
-        fuse_poses, nearest, rigid_fit, se3_exp, se3_log, so3_exp, so3_from_matrix, so3_left_jacobian,
-        so3_left_jacobian_inverse, so3_log,
+        fuse_plane, fuse_poses, nearest, rigid_fit, se3_exp, se3_log, so3_exp, so3_from_matrix,
+        so3_left_jacobian, so3_left_jacobian_inverse, so3_log,
     };
     #[pymodule_export]
     use crate::gripper::{GripperDriver, GripperStatus};

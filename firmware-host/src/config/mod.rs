@@ -3,6 +3,7 @@
 //!
 //! Settings of the pipeline are [`Params`]; a file names a preset and states only what differs from it.
 
+mod edge;
 mod error;
 mod gripper;
 mod light;
@@ -16,6 +17,7 @@ mod simulated;
 mod source;
 mod task;
 
+pub use edge::EdgeConfig;
 pub use error::ConfigError;
 pub use light::{CameraHidConfig, LightConfig, StreamModeConfig};
 pub use recording::{ImageFormat, RecordingConfig, RecordingMode};

@@ -28,6 +28,16 @@ pub struct SimulatedConfig {
     /// Diameter of the round hole. Valid: 0.1 to 1000 mm. Default: `8.2` mm, 0.2 mm more than the peg's.
     /// Change it with the part's diameter.
     pub hole_diameter_mm: f64,
+    /// Edges of the rectangular hole along the x and y of a part that is a box. Valid: 0.1 to 1000 mm.
+    /// Default: none, and then each is 0.2 mm more than the part's. Change it to try tighter and wider
+    /// holes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub hole_size_mm: Option<[f64; 2]>,
+    /// How far the faces of `task.edges` really stand from where they are configured, along their normals, which
+    /// the task does not know. Valid: -10 to 10 mm. Default: none, and then they stand where they are
+    /// configured. Set it to see what an error of a face does.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub edge_offset_mm: Option<f64>,
     /// What stands in the holder, if it is not the part that the job expects. Default: none. Set it to try a
     /// wrong part.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -50,6 +60,8 @@ impl Default for SimulatedConfig {
             offset_mm: 1.0,
             tilt_rad: 0.05,
             hole_diameter_mm: 8.2,
+            hole_size_mm: None,
+            edge_offset_mm: None,
             shape: None,
             mount_error: PoseConfig::default(),
             gel: Gel::default(),
@@ -62,7 +74,8 @@ impl Default for SimulatedConfig {
     }
 }
 
-/// A print that differs from what the pipeline expects by a tenth is another print: neighbours are told apart by it.
+/// A print that differs from what the pipeline expects by a tenth is another print: neighbours are told
+/// apart by it.
 const MAX_PITCH_RATIO: f64 = 1.1;
 
 impl SimulatedConfig {
@@ -84,6 +97,12 @@ impl SimulatedConfig {
         check_seed("simulated.seed", self.seed)?;
         RATE_HZ.check("simulated.frame_rate_hz", self.frame_rate_hz)?;
         HOLE_MM.check("simulated.hole_diameter_mm", self.hole_diameter_mm)?;
+        for side_mm in self.hole_size_mm.into_iter().flatten() {
+            HOLE_MM.check("simulated.hole_size_mm", side_mm)?;
+        }
+        if let Some(offset_mm) = self.edge_offset_mm {
+            check(offset_mm.abs() <= 10.0, "simulated.edge_offset_mm", offset_mm, "-10 to 10 mm")?;
+        }
         let (offset_mm, tilt_rad) = (self.offset_mm, self.tilt_rad);
         check((0.0..=10.0).contains(&offset_mm), "simulated.offset_mm", offset_mm, "0 to 10 mm")?;
         check((0.0..=0.5).contains(&tilt_rad), "simulated.tilt_rad", tilt_rad, "0 to 0.5 rad")?;

@@ -63,27 +63,22 @@ impl SourceConfig {
     /// Whether the moves are so slow that a camera that is well never looks silent.
     pub(super) fn validate_blind_travel(&self, task: &TaskConfig) -> Result<(), ConfigError> {
         let Self::Camera(camera) = self else { return Ok(()) };
-        let limits = [
-            ("task.max_blind_travel_mm", task.max_blind_travel_mm, "closing", task.closing_speed_mm_s),
-            ("task.max_blind_travel_mm", task.max_blind_travel_mm, "insertion", task.insertion_speed_mm_s),
-            (
-                "task.max_blind_free_travel_mm",
-                task.max_blind_free_travel_mm,
-                "opening",
-                task.opening_speed_mm_s,
-            ),
-            ("task.max_blind_free_travel_mm", task.max_blind_free_travel_mm, "move", task.move_speed_mm_s),
+        let felt = ("task.max_blind_travel_mm", task.max_blind_travel_mm);
+        let free = ("task.max_blind_free_travel_mm", task.max_blind_free_travel_mm);
+        let speeds = [
+            (felt, "task.closing_speed_mm_s", task.closing_speed_mm_s),
+            (felt, "task.insertion_speed_mm_s", task.insertion_speed_mm_s),
+            (free, "task.opening_speed_mm_s", task.opening_speed_mm_s),
+            (free, "task.move_speed_mm_s", task.move_speed_mm_s),
         ];
-        for (name, travel_mm, motion, speed_mm_s) in limits {
+        let touches = task.edges.iter().map(|edge| (felt, "task.edges.speed_mm_s", edge.speed_mm_s));
+        for ((name, travel_mm), speed, speed_mm_s) in speeds.into_iter().chain(touches) {
             let waits_s = travel_mm / speed_mm_s;
             if waits_s < MIN_WAIT_PERIODS / camera.frame_rate_hz {
                 return Err(ConfigError::Contradiction {
                     name,
                     found: format!("{travel_mm} mm, {:.0} ms at {speed_mm_s} mm/s", waits_s * 1e3),
-                    other: format!(
-                        "task.{motion}_speed_mm_s allows no two periods of {} Hz within it",
-                        camera.frame_rate_hz
-                    ),
+                    other: format!("{speed} allows no two periods of {} Hz within it", camera.frame_rate_hz),
                     advice: "lower the speed, or raise the travel",
                 });
             }

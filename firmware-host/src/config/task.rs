@@ -1,10 +1,10 @@
 //! The robot task: poses, speeds and limits.
 
-use super::ConfigError;
 use super::range::{
     CLEARANCE_MM, FAR_MM, FULL_TURN_RAD, LENGTH_MM, PERIODS, SIGMA_MM, SIGMA_RAD, SIGMAS, SPEED_MM_S,
     STAGE_S, TIME_S, check,
 };
+use super::{ConfigError, EdgeConfig};
 use gelstereo_core::frames::FingerKinematics;
 use gelstereo_core::math::{DVec3, Pose, so3};
 use serde::{Deserialize, Serialize};
@@ -64,9 +64,9 @@ pub struct TaskConfig {
     /// Where the part is when it is inserted (`t_base_object`): the template pose of the hole. Change it to
     /// your cell's.
     pub goal_pose: PoseConfig,
-    /// File with the taught goal, in place of `goal_pose`; `gelstereo-host teach` writes it. A relative path
-    /// starts at the configuration's folder. Default: none. Set it where the pose of the hole, or the sensor's
-    /// mount, is not known to a tenth of a millimetre.
+    /// File with the taught goal, in place of `goal_pose`; `gelstereo-host teach` writes it. A relative
+    /// path starts at the configuration's folder. Default: none. Set it where the pose of the hole, or the
+    /// sensor's mount, is not known to a tenth of a millimetre.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub taught: Option<PathBuf>,
     /// Grasp trigger in standard deviations of the mean marker motion at rest above its median, in place of
@@ -106,8 +106,8 @@ pub struct TaskConfig {
     pub closing_force: f64,
     /// Speed of free moves. Valid: 0.01 to 10000 mm/s. Default: `400` mm/s. Lower it while you set up a cell.
     pub move_speed_mm_s: f64,
-    /// Speed of the insertion. Valid: 0.01 to 10000 mm/s. Default: `10` mm/s. Lower it for tight fits: the part
-    /// goes on for one frame after the gel feels the hole's bottom.
+    /// Speed of the insertion. Valid: 0.01 to 10000 mm/s. Default: `10` mm/s. Lower it for tight fits: the
+    /// part goes on for one frame after the gel feels the hole's bottom.
     pub insertion_speed_mm_s: f64,
     /// How long to wait for a stereo pair while nothing moves. Valid: 0.001 to 3600 s. Default: `2` s. Raise
     /// it for a slow camera.
@@ -116,16 +116,16 @@ pub struct TaskConfig {
     /// default is 150 ms. Valid: 0.001 to 1000 mm, and two periods of the camera at the speeds of closing and
     /// insertion. Default: `3` mm. Lower it for stiff gels and hard parts.
     pub max_blind_travel_mm: f64,
-    /// The same for moves on free ways: opening, lifting, aligning. At 400 mm/s the default is 300 ms. Valid:
-    /// 0.001 to 1000 mm, and two periods of the camera at the speeds of opening and moving. Default: `120` mm.
-    /// Lower it where the way may be blocked.
+    /// The same for moves on free ways: opening, lifting, aligning. At 400 mm/s the default is 300 ms.
+    /// Valid: 0.001 to 1000 mm, and two periods of the camera at the speeds of opening and moving. Default:
+    /// `120` mm. Lower it where the way may be blocked.
     pub max_blind_free_travel_mm: f64,
     /// Everything is stopped when a result comes so many periods of a live source after its image while
     /// something moves. Valid: 1 to 1000. Default: `3`. Raise it on a slow computer, together with slower
     /// moves.
     pub max_late_periods: f64,
-    /// Everything is stopped when gripper or robot leave a status request unanswered for so long. Valid: 0.001
-    /// to 3600 s. Default: `0.5` s. Raise it for a slow controller.
+    /// Everything is stopped when gripper or robot leave a status request unanswered for so long. Valid:
+    /// 0.001 to 3600 s. Default: `0.5` s. Raise it for a slow controller.
     pub device_timeout_s: f64,
     /// The job breaks off when one stage takes longer, on the frame source's clock. No stage may be planned
     /// to take longer. Valid: 0.1 to 3600 s. Default: `120` s. Raise it for long or slow moves; the recording
@@ -162,6 +162,11 @@ pub struct TaskConfig {
     /// lowered again. Needs `clearance_mm`. Valid: 1 to 100. Default: `1`, which is no search. Raise it
     /// where a part that touches the rim does no harm.
     pub max_tries: u32,
+    /// Faces of the cell that the part in the hand may be brought to, where `clearance_mm` is given:
+    /// `[[task.edges]]` for each. Default: none. Set them where a look leaves open what the hole needs, as
+    /// across a flat face.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub edges: Vec<EdgeConfig>,
 }
 
 impl Default for TaskConfig {
@@ -205,6 +210,7 @@ impl Default for TaskConfig {
             look_sigma_mm: 0.03,
             look_sigma_rad: 0.001,
             max_tries: 1,
+            edges: Vec::new(),
         }
     }
 }
@@ -275,6 +281,7 @@ impl TaskConfig {
         check(can_search, "task.max_tries", tries, "1 without task.clearance_mm")?;
         let turn = self.look_turn_rad;
         check(turn.abs() <= 3.2, "task.look_turn_rad", turn, "-3.2 to 3.2 rad")?;
+        self.edges.iter().try_for_each(|edge| edge.validate(self.stage_timeout_s))?;
         SIGMA_MM.check("task.look_sigma_mm", self.look_sigma_mm)?;
         SIGMA_RAD.check("task.look_sigma_rad", self.look_sigma_rad)
     }

@@ -27,6 +27,8 @@ pub enum Stage {
     Close,
     /// The part's pose in the hand.
     Localize,
+    /// The part in the hand brought to a face of the cell, to know its place better.
+    Touch,
     /// The part brought above the hole.
     Align,
     /// Lowering until the insertion trigger.
@@ -48,6 +50,7 @@ impl Stage {
             Self::Rest => "rest",
             Self::Close => "close",
             Self::Localize => "localize",
+            Self::Touch => "touch",
             Self::Align => "align",
             Self::Insert => "insert",
             Self::Retreat => "retreat",
@@ -87,7 +90,8 @@ pub struct StageReport {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Outcome {
-    /// The insertion trigger stopped the robot at the depth of the hole, within what is known of the part's place.
+    /// The insertion trigger stopped the robot at the depth of the hole, within what is known of the part's
+    /// place.
     Inserted {
         /// Depth below the rim at the stop, by what is known of the part's place along the axis.
         depth_mm: f64,
@@ -110,6 +114,13 @@ pub enum Outcome {
     NothingFelt {
         /// Depth below the rim where the robot gave up.
         depth_mm: f64,
+    },
+    /// Nothing stopped the part on its way to a face of `task.edges`.
+    EdgeNotFelt {
+        /// Which of them, from 0.
+        edge: usize,
+        /// How far the hand went.
+        travel_mm: f64,
     },
     /// The fingers came to rest before the grasp trigger.
     NotGrasped {
@@ -171,6 +182,11 @@ impl std::fmt::Display for Outcome {
             Self::NothingFelt { depth_mm } => {
                 write!(f, "nothing felt down to a depth of {depth_mm:.2} mm: no part, or no hole's bottom")
             }
+            Self::EdgeNotFelt { edge, travel_mm } => write!(
+                f,
+                "edge not felt: nothing stopped the part on a way of {travel_mm:.2} mm to face {edge} of task.edges; is it \
+                 where the configuration says?"
+            ),
             Self::NotGrasped { motion_px, width_mm } => write!(
                 f,
                 "not grasped: the fingers rest at {width_mm:.2} mm with a marker motion of {motion_px:.2} px"
@@ -220,15 +236,18 @@ pub struct Localized {
     pub axial_sigma_mm: f64,
     /// What the contact leaves free, in words.
     pub free: Vec<String>,
-    /// Looks at the part; the pose in the gripper is fused from all of them, the rest is of the last one.
+    /// Looks at the part, touches included; the pose in the gripper is fused from all of them, the rest is
+    /// of the last grasp.
     pub looks: u32,
+    /// How many of them were touches of a face of the cell.
+    pub touches: u32,
     /// What is expected of the insertion, where `task.clearance_mm` says how wide the hole is.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub forecast: Option<Forecast>,
 }
 
-/// What a simulated job really did. The errors are those of the part's pose in the hand as it was localized, or as it was
-/// expected if it was not localized.
+/// What a simulated job really did. The errors are those of the part's pose in the hand as it was
+/// localized, or as it was expected if it was not localized.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TruthReport {
     /// Error of the part's origin across the axis of insertion, as it was localized.

@@ -1,11 +1,11 @@
 //! What is known of the part's pose: every pose that explains what was felt, with its odds.
 //!
-//! The poses are the means of a mixture of normal distributions. Of two looks each pair of poses is fused, and counts by
-//! the odds of both and by how well they agree.
+//! The poses are the means of a mixture of normal distributions. Of two looks each pair of poses is fused,
+//! and counts by the odds of both and by how well they agree.
 
 use gelstereo_core::math::{Pose, exp};
 use gelstereo_core::register::{
-    Alternatives, FusedPose, FusionError, PoseEstimate, Registration, fuse_poses,
+    Alternatives, FusedPose, FusionError, PlaneContact, PoseEstimate, Registration, fuse_plane, fuse_poses,
 };
 
 /// As many poses are kept as a registration has: its own and its alternatives.
@@ -91,7 +91,8 @@ impl Belief {
         Self { likeliest: change(&self.likeliest), others: others.collect() }
     }
 
-    /// Joined with another look at the part, in the same frame. Pairs of poses that cannot be of one part are left out.
+    /// Joined with another look at the part, in the same frame. Pairs of poses that cannot be of one part
+    /// are left out.
     ///
     /// # Errors
     /// [`FusionError`] of the likeliest poses, if no pair can be of one part.
@@ -104,19 +105,29 @@ impl Belief {
                 pairs.push(Pair { fused, log_odds });
             }
         }
-        pairs.sort_by(|a, b| b.log_odds.total_cmp(&a.log_odds));
-        let Some(best) = pairs.first().copied() else {
-            let fused = fuse_poses(&self.likeliest, &look.likeliest)?;
-            let belief = Self::alone(fused.estimate);
-            return Ok(FusedBelief { belief, squared_distance: fused.squared_distance });
-        };
-        let others = pairs
-            .iter()
-            .skip(1)
-            .take(MAX_POSES - 1)
-            .map(|pair| Other { estimate: pair.fused.estimate, log_odds: pair.log_odds - best.log_odds });
-        let belief = Self { likeliest: best.fused.estimate, others: others.collect() };
-        Ok(FusedBelief { belief, squared_distance: best.fused.squared_distance })
+        match FusedBelief::of(pairs) {
+            Some(fused) => Ok(fused),
+            None => fuse_poses(&self.likeliest, &look.likeliest).map(FusedBelief::alone),
+        }
+    }
+
+    /// Joined with a plane that the part touches, of which each pose says by which point. Poses that cannot
+    /// touch it are left out.
+    ///
+    /// # Errors
+    /// [`FusionError`] of the likeliest pose, if no pose can touch the plane.
+    pub(super) fn touching(
+        &self,
+        contact: impl Fn(&PoseEstimate) -> PlaneContact,
+    ) -> Result<FusedBelief, FusionError> {
+        let pairs = self.with_odds().filter_map(|one| {
+            let fused = fuse_plane(&one.estimate, &contact(&one.estimate)).ok()?;
+            Some(Pair { fused, log_odds: one.log_odds - 0.5 * fused.squared_distance })
+        });
+        match FusedBelief::of(pairs.collect()) {
+            Some(fused) => Ok(fused),
+            None => fuse_plane(&self.likeliest, &contact(&self.likeliest)).map(FusedBelief::alone),
+        }
     }
 
     fn with_odds(&self) -> impl Iterator<Item = Other> {
@@ -125,6 +136,38 @@ impl Belief {
     }
 }
 
+impl FusedBelief {
+    /// Of the poses that two sources agree on; none of no pose.
+    fn of(mut pairs: Vec<Pair>) -> Option<Self> {
+        pairs.sort_by(|a, b| b.log_odds.total_cmp(&a.log_odds));
+        let best = pairs.first()?;
+        let others = pairs
+            .iter()
+            .skip(1)
+            .take(MAX_POSES - 1)
+            .map(|pair| Other { estimate: pair.fused.estimate, log_odds: pair.log_odds - best.log_odds });
+        let belief = Belief { likeliest: best.fused.estimate, others: others.collect() };
+        Some(Self { belief, squared_distance: best.fused.squared_distance })
+    }
+
+    const fn alone(fused: FusedPose) -> Self {
+        Self { belief: Belief::alone(fused.estimate), squared_distance: fused.squared_distance }
+    }
+}
+
+/// Joins an estimate with what is known of the part without sensing. Two contacts that leave the slide along
+/// an axis free, and see this axis 1e-4 rad apart, would otherwise settle their difference across it by a
+/// slide of centimetres.
+pub(super) fn expected_anyway(estimate: &PoseEstimate, sigma_rad: f64, sigma_mm: f64) -> PoseEstimate {
+    let mut joined = estimate.in_frame(&estimate.pose.inverse());
+    for (i, row) in joined.information.iter_mut().enumerate() {
+        let sigma = if i < 3 { sigma_rad } else { sigma_mm };
+        row[i] += 1.0 / (sigma * sigma);
+    }
+    joined.in_frame(&estimate.pose)
+}
+
+/// A pose that two sources agree on.
 #[derive(Clone, Copy)]
 struct Pair {
     fused: FusedPose,

@@ -92,6 +92,11 @@ impl Flank {
         }
     }
 
+    /// Middle of the tip, part frame.
+    pub(super) const fn tip_mm(&self) -> DVec3 {
+        self.tip_mm
+    }
+
     /// What to expect of a part that is believed so and inserted by its likeliest pose. `sigma_rad` and `sigma_mm`
     /// are what is known of it without sensing.
     pub(super) fn forecast(&self, belief: &Belief, sigma_rad: f64, sigma_mm: f64) -> Forecast {
@@ -199,7 +204,7 @@ impl Flank {
 }
 
 /// Covariance of a motion in the part's frame: its information joined with what is known without sensing.
-fn joined(information: &Symmetric<6>, sigma_rad: f64, sigma_mm: f64) -> Symmetric<6> {
+pub(super) fn joined(information: &Symmetric<6>, sigma_rad: f64, sigma_mm: f64) -> Symmetric<6> {
     let sigma = |i: usize| if i < 3 { sigma_rad } else { sigma_mm };
     // In units of the prior no eigenvalue is below 1.
     let scaled: Symmetric<6> = core::array::from_fn(|i| {

@@ -23,6 +23,49 @@ pub(super) struct Held {
     pub(super) contact: PoseEstimate,
     /// Its evidence.
     pub(super) localized: Localized,
+    /// Faces that it was brought to; it is out of its holder if there is one.
+    pub(super) touched: Vec<TouchedSide>,
+}
+
+impl Held {
+    /// The same part after a look that has not been made yet.
+    pub(super) fn expecting(&self, belief: Belief, touched: Option<TouchedSide>) -> Self {
+        let mut expected = self.clone();
+        expected.belief = belief;
+        expected.touched.extend(touched);
+        expected
+    }
+}
+
+/// A side of the part that touched a face.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct TouchedSide {
+    /// Which of `task.edges`.
+    pub(super) edge: usize,
+    pub(super) side: Side,
+}
+
+/// A side of the part in the hand that no finger covers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Side {
+    /// Towards +y of the gripper.
+    Left,
+    /// Towards -y of the gripper.
+    Right,
+    /// The end that is inserted.
+    End,
+}
+
+impl Side {
+    pub(super) const ALL: [Self; 3] = [Self::Left, Self::Right, Self::End];
+
+    pub(super) const fn name(self) -> &'static str {
+        match self {
+            Self::Left => "left side",
+            Self::Right => "right side",
+            Self::End => "end",
+        }
+    }
 }
 
 /// What a localization allows.
@@ -75,7 +118,7 @@ pub(super) fn localize(cell: &mut Cell, expected_t_gripper_object: &Pose) -> Res
     ]);
     let belief = Belief::of(&found).in_frame(&t_gripper_sensor);
     let contact = *belief.likeliest();
-    Ok(Localization::Go(Box::new(Held { t_gripper_object, belief, contact, localized })))
+    Ok(Localization::Go(Box::new(Held { t_gripper_object, belief, contact, localized, touched: Vec::new() })))
 }
 
 /// Puts a registration's evidence together, and records the pose with its covariance.
@@ -105,6 +148,7 @@ fn evidence(cell: &mut Cell, found: &Registration, t_gripper_object: &Pose) -> L
         axial_sigma_mm: sigma_along(&covariance, axis.to_array()),
         free: found.free.iter().map(ToString::to_string).collect(),
         looks: 1,
+        touches: 0,
         forecast: None,
     }
 }

@@ -13,11 +13,16 @@ mod latency;
 mod localize;
 mod log;
 mod noise;
+mod onset;
 mod prepare;
+mod regrasp;
 mod retreat;
 mod search;
 mod second_look;
 mod teach;
+mod touch;
+mod touch_plan;
+mod touch_point;
 mod watch;
 
 pub use devices::Devices;

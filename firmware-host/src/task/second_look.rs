@@ -1,25 +1,24 @@
-//! Look again at a part that one grasp does not tell well enough, while it stands in its holder.
+//! Look again at a part that one grasp does not tell well enough.
 //!
-//! The hand opens, rises, turns about the part's axis and closes again. Poses are fused in the base frame by
-//! their information, each with the other poses that explain its contact. The turn is chosen by what is unknown:
-//! the one after which the chance of insertion is the highest, if the next contact tells as much as the last one.
+//! The next look is chosen by what is unknown: of a second grasp of the standing part, the hand turned or
+//! not, and of the touches of known faces with the part in the hand, the one after which the chance of
+//! insertion is the highest.
 
-use super::belief::{Belief, FusedBelief};
+use super::belief::Belief;
 use super::cell::Cell;
 use super::chance::Flank;
 use super::error::Halt;
-use super::grasp::grasp;
-use super::localize::{Held, Localization, localize};
-use super::log::figure;
-use super::prepare::rest;
-use super::watch::Guard;
-use crate::report::{Forecast, Stage};
-use gelstereo_core::math::{DVec3, Pose};
-use gelstereo_core::register::PoseEstimate;
+use super::localize::{Held, Localization};
+use super::regrasp::{RegraspPlan, best_regrasp, look_again};
+use super::touch::touch;
+use super::touch_plan::{TouchPlan, touch_plans};
+use gelstereo_core::math::Pose;
 
-/// 99.9 % of chi-squared with six degrees of freedom: two looks at a part that stood still seldom differ by
-/// more.
-const MAX_SQUARED_DISTANCE: f64 = 22.458;
+/// The next look.
+enum NextLook {
+    Regrasp(Box<RegraspPlan>),
+    Touch(Box<TouchPlan>),
+}
 
 /// Looks until the chance of insertion is high enough, `task.max_looks` times at most. Without
 /// `task.clearance_mm` one look is enough.
@@ -39,15 +38,18 @@ pub(super) fn look_until_known(cell: &mut Cell, first: Held) -> Result<Localizat
         if forecast.chance >= task.min_chance {
             return Ok(Localization::Go(Box::new(held)));
         }
-        if looks >= task.max_looks {
-            return Ok(Localization::TooUncertain { localized: Box::new(held.localized), forecast });
-        }
         let t_base_gripper = cell.devices.robot.status()?.t_base_gripper;
-        let known = held.belief.in_frame(&t_base_gripper);
-        let likeliest = *known.likeliest();
-        let turn_rad = best_turn(cell, &flank, &likeliest, &held.contact);
-        regrasp(cell, &likeliest.pose, turn_rad)?;
-        held = match fused_look(cell, &known)? {
+        let left = task.max_looks.saturating_sub(looks);
+        let next = choose(cell, &flank, &held, &t_base_gripper, left);
+        let found = match next {
+            None => {
+                let localized = Box::new(held.localized);
+                return Ok(Localization::TooUncertain { localized, forecast });
+            }
+            Some(NextLook::Regrasp(plan)) => look_again(cell, &held, &plan)?,
+            Some(NextLook::Touch(plan)) => touch(cell, held, &plan)?,
+        };
+        held = match found {
             Localization::Go(held) => *held,
             other => return Ok(other),
         };
@@ -55,116 +57,36 @@ pub(super) fn look_until_known(cell: &mut Cell, first: Held) -> Result<Localizat
     }
 }
 
-/// The turn of the hand about the part's axis after which the chance is the highest; the least one of those
-/// alike. `known` is in the base frame, the last `contact` in the gripper's. Other poses are left out: which of them the
-/// next contact tells apart is not known.
-fn best_turn(cell: &Cell, flank: &Flank, known: &PoseEstimate, contact: &PoseEstimate) -> f64 {
-    let task = &cell.config.task;
-    let expected = |turn_rad: f64| -> Forecast {
-        let t_base_gripper = hand_around(cell, &known.pose, turn_rad);
-        let before = disturbed(cell, known, &t_base_gripper);
-        // The next contact tells in the turned hand what the last one told in that one.
-        let turned = contact.in_frame(&t_base_gripper);
-        let information = core::array::from_fn(|i| {
-            core::array::from_fn(|j| before.information[i][j] + turned.information[i][j])
-        });
-        let together = PoseEstimate { pose: known.pose, information };
-        flank.forecast(&Belief::alone(together), task.part_sigma_rad, task.part_sigma_mm)
+/// The look after which the chance is the highest, of those that are possible.
+///
+/// A part that left its holder cannot be grasped again. A touch of a standing part is chosen for its own sake if it is
+/// enough; otherwise each look is valued by the best touch that may follow it.
+fn choose(cell: &Cell, flank: &Flank, held: &Held, t_base_gripper: &Pose, left: u32) -> Option<NextLook> {
+    if left == 0 {
+        return None;
+    }
+    let touch = best_touch(cell, flank, held, t_base_gripper);
+    if !held.touched.is_empty() {
+        return touch.map(|touch| NextLook::Touch(Box::new(touch)));
+    }
+    let regrasp = best_regrasp(cell, flank, held, t_base_gripper);
+    let Some(touch) = touch else { return Some(NextLook::Regrasp(Box::new(regrasp))) };
+    let is_enough = touch.chance >= cell.config.task.min_chance;
+    let touches = if is_enough || left == 1 {
+        touch.chance > regrasp.chance
+    } else {
+        let held_again = held.expecting(Belief::alone(regrasp.expected), None);
+        let after_regrasp = best_touch(cell, flank, &held_again, &regrasp.t_base_gripper);
+        let held_before_face = held.expecting(touch.expected.clone(), Some(touch.touched));
+        let after_touch = best_touch(cell, flank, &held_before_face, &touch.start);
+        let value =
+            |chance: f64, next: Option<TouchPlan>| next.map_or(chance, |next| chance.max(next.chance));
+        value(touch.chance, after_touch) > value(regrasp.chance, after_regrasp)
     };
-    let mut best = (0.0, expected(0.0).chance);
-    for turn_rad in [task.look_turn_rad, -task.look_turn_rad] {
-        let chance = expected(turn_rad).chance;
-        if chance > best.1 {
-            best = (turn_rad, chance);
-        }
-    }
-    best.0
+    Some(if touches { NextLook::Touch(Box::new(touch)) } else { NextLook::Regrasp(Box::new(regrasp)) })
 }
 
-/// Pose of the gripper, `t_base_gripper`, that holds the part as is expected, but turned about the part's
-/// axis.
-fn hand_around(cell: &Cell, t_base_object: &Pose, turn_rad: f64) -> Pose {
-    let turn = Pose::exp(cell.config.insertion_axis() * turn_rad, DVec3::ZERO);
-    *t_base_object * turn * cell.config.expected_t_gripper_object().inverse()
-}
-
-/// What is known of a part once the fingers have closed on it again, base frame: they push it along the
-/// gripper's x.
-fn disturbed(cell: &Cell, known: &PoseEstimate, t_base_gripper: &Pose) -> PoseEstimate {
-    let task = &cell.config.task;
-    let held = known.in_frame(&t_base_gripper.inverse());
-    let shifts_mm =
-        DVec3::new(task.part_sigma_mm.max(task.look_sigma_mm), task.look_sigma_mm, task.look_sigma_mm);
-    let turns_rad = DVec3::splat(task.look_sigma_rad);
-    held.disturbed(held.pose.translation_mm, turns_rad, shifts_mm).in_frame(t_base_gripper)
-}
-
-/// Lets go of the standing part, and takes it again with the hand turned about its axis.
-fn regrasp(cell: &mut Cell, t_base_object: &Pose, turn_rad: f64) -> Result<(), Halt> {
-    cell.log.begin(Stage::Open);
-    let task = &cell.config.task;
-    cell.move_gripper(task.open_width_mm, task.opening_speed_mm_s, Guard::Free)?;
-    wait(cell)?;
-    let lift = Pose::from_translation_mm(DVec3::Z * task.lift_mm);
-    let from = cell.devices.robot.status()?.t_base_gripper;
-    let to = hand_around(cell, t_base_object, turn_rad);
-    for waypoint in [lift * from, lift * to, to] {
-        cell.move_robot(&waypoint, task.move_speed_mm_s, Guard::Free)?;
-        wait(cell)?;
-    }
-    let width_mm = cell.devices.gripper.status()?.width_mm;
-    cell.log.end(vec![figure("width_mm", width_mm), figure("turn_rad", turn_rad)]);
-    rest(cell)?;
-    grasp(cell)
-}
-
-/// Lets frames go until nothing moves.
-fn wait(cell: &mut Cell) -> Result<(), Halt> {
-    while cell.moves()? {
-        cell.skip_pair()?;
-    }
-    Ok(())
-}
-
-/// Joins an estimate with what is known of the part without sensing. Two contacts that leave the slide along
-/// an axis free, and see this axis 1e-4 rad apart, would otherwise settle their difference across it by a
-/// slide of centimetres.
-fn expected_anyway(cell: &Cell, estimate: &PoseEstimate) -> PoseEstimate {
-    let task = &cell.config.task;
-    let mut joined = estimate.in_frame(&estimate.pose.inverse());
-    for (i, row) in joined.information.iter_mut().enumerate() {
-        let sigma = if i < 3 { task.part_sigma_rad } else { task.part_sigma_mm };
-        row[i] += 1.0 / (sigma * sigma);
-    }
-    joined.in_frame(&estimate.pose)
-}
-
-/// Localizes the part in the hand, and fuses that with what was known of it in the base frame.
-fn fused_look(cell: &mut Cell, known: &Belief) -> Result<Localization, Halt> {
-    let t_base_gripper = cell.devices.robot.status()?.t_base_gripper;
-    let guess = t_base_gripper.inverse() * known.likeliest().pose;
-    let mut held = match localize(cell, &guess)? {
-        Localization::Go(held) => held,
-        other => return Ok(other),
-    };
-    let before = known.map(|one| {
-        let held = disturbed(cell, one, &t_base_gripper).in_frame(&t_base_gripper.inverse());
-        expected_anyway(cell, &held)
-    });
-    match before.fused(&held.belief) {
-        Ok(FusedBelief { squared_distance, .. }) if squared_distance > MAX_SQUARED_DISTANCE => {
-            let reason = format!(
-                "two looks at the part contradict each other: a squared distance of {squared_distance:.1}, \
-                 of which {MAX_SQUARED_DISTANCE} is the limit; did the part move in its holder?"
-            );
-            Ok(Localization::Declined { reason })
-        }
-        Ok(FusedBelief { belief, .. }) => {
-            held.t_gripper_object = belief.likeliest().pose;
-            held.localized.t_gripper_object = held.t_gripper_object.to_rows();
-            held.belief = belief;
-            Ok(Localization::Go(held))
-        }
-        Err(error) => Ok(Localization::Declined { reason: error.to_string() }),
-    }
+fn best_touch(cell: &Cell, flank: &Flank, held: &Held, t_base_gripper: &Pose) -> Option<TouchPlan> {
+    let plans = touch_plans(cell, flank, held, t_base_gripper).into_iter();
+    plans.reduce(|best, plan| if plan.chance > best.chance { plan } else { best })
 }

@@ -1,10 +1,13 @@
-//! A peg in its holder, the simulated sensor, and a hole.
+//! A peg in its holder, the simulated sensor, a hole, and the faces of the cell that a part may touch.
 //!
-//! The peg stands loosely in its holder until the robot moves with the peg between the fingers: a finger that touches
-//! it alone pushes it along, and two that yield alike press it from both sides alike. From then on it is rigid in the
-//! hand, but for the gel: what holds the peg back while the hand moves on drags the gel's surface along.
+//! The peg stands loosely in its holder until the robot moves with the peg between the fingers: a finger
+//! that touches it alone pushes it along, and two that yield alike press it from both sides alike. From
+//! then on it is rigid in the hand, but for the gel: what holds the peg back while the hand moves on, a
+//! hole or a face, drags the gel's surface along.
 
-use super::hole::{Fit, Hole, Peg};
+use super::fixture::Fixture;
+use super::hole::{Fit, Hole, Mouth};
+use super::peg::{Peg, Section};
 use super::{Hand, WorldError};
 use crate::config::Config;
 use crate::source::StereoPair;
@@ -41,6 +44,8 @@ pub enum Place {
     Goal,
 }
 
+/// A rectangular hole of which no size is given is so much wider than the part.
+const CLEARANCE_MM: f64 = 0.2;
 /// The gripper stalls when the gel is pressed to this share of its thickness.
 const STALL_SHARE: f64 = 0.75;
 
@@ -51,6 +56,7 @@ pub struct Bench {
     size_px: [(usize, usize); 2],
     peg: Peg,
     hole: Hole,
+    fixtures: Vec<Fixture>,
     stall_mm: f64,
     hold: Hold,
     /// Where the part's origin was in the sensor frame when it first touched the gel.
@@ -82,7 +88,7 @@ impl Bench {
     pub fn new(config: &Config, place: Place) -> Result<Self, WorldError> {
         let (simulated, task) = (&config.simulated, &config.task);
         let shape = simulated.shape.as_ref().unwrap_or(&config.part.shape).clone();
-        let peg = peg(&shape, config.insertion_axis()).ok_or(WorldError::NotRound)?;
+        let peg = Peg::of(&shape, config.insertion_axis()).ok_or(WorldError::NoPeg)?;
         let rig = config.rig.clone().unwrap_or_else(Scene::default_rig);
         let size_px = [&rig.left, &rig.right].map(|camera| (camera.width_px, camera.height_px));
         let scene = simulated.scene(rig, shape);
@@ -92,11 +98,13 @@ impl Bench {
         let hole = Hole {
             rim_mm: bottom_mm - inwards * task.insertion_depth_mm,
             inwards,
-            diameter_mm: simulated.hole_diameter_mm,
+            mouth: mouth(config, &peg),
             depth_mm: task.insertion_depth_mm,
         };
+        let fixtures =
+            task.edges.iter().map(|edge| Fixture::of(edge, simulated.edge_offset_mm.unwrap_or(0.0)));
         let hold = match place {
-            Place::Holder => Hold::Holder { t_base_object: misplaced(config) },
+            Place::Holder => Hold::Holder { t_base_object: misplaced(config, &peg) },
             Place::Goal => Hold::Hole { t_base_object: placed(config, &hole, &peg) },
         };
         Ok(Self {
@@ -104,6 +112,7 @@ impl Bench {
             size_px,
             peg,
             hole,
+            fixtures: fixtures.collect(),
             stall_mm: STALL_SHARE * simulated.gel.thickness_mm,
             hold,
             touch_mm: None,
@@ -171,12 +180,14 @@ impl Bench {
         }
     }
 
-    /// The fingers push a peg that stands in its holder along the closing direction, until both press it alike.
+    /// The fingers push a peg that stands in its holder along the closing direction, until both press it
+    /// alike.
     fn push(&mut self, hand: &Hand) {
         let Hold::Holder { t_base_object } = &mut self.hold else { return };
         let closing = hand.t_base_gripper.transform_vector(DVec3::X);
         let x_mm = (t_base_object.translation_mm - hand.t_base_gripper.translation_mm).dot(closing);
-        let room_mm = (0.5 * hand.width_mm - self.peg.radius_mm).max(0.0);
+        let half_mm = self.peg.half_width_mm(t_base_object.inverse().transform_vector(closing));
+        let room_mm = (0.5 * hand.width_mm - half_mm).max(0.0);
         let shift_mm = closing * (x_mm.clamp(-room_mm, room_mm) - x_mm);
         *t_base_object = Pose::from_translation_mm(shift_mm) * *t_base_object;
     }
@@ -184,7 +195,8 @@ impl Bench {
     /// Fingers that no longer reach the peg leave it where it is.
     fn release(&mut self, hand: &Hand) {
         let Hold::Hand { t_gripper_object } = self.hold else { return };
-        if 0.5 * hand.width_mm > self.peg.radius_mm {
+        let half_mm = self.peg.half_width_mm(t_gripper_object.inverse().transform_vector(DVec3::X));
+        if 0.5 * hand.width_mm > half_mm {
             let (t_base_object, _) = self.t_base_object(hand);
             self.hold = Hold::Released { t_base_object, t_gripper_object };
             self.touch_mm = None;
@@ -201,37 +213,52 @@ impl Bench {
         }
     }
 
-    /// Part in the base frame: a peg in the hand goes no deeper than the hole lets it.
+    /// Part in the base frame: a peg in the hand goes no deeper than the hole lets it, and not behind a face.
     fn t_base_object(&self, hand: &Hand) -> (Pose, Fit) {
         let free = self.t_base_object_free(hand);
         let fit = self.hole.fit(&self.peg, &free);
-        let excess_mm = match self.hold {
-            Hold::Holder { .. } | Hold::Hole { .. } | Hold::Released { .. } => 0.0,
-            Hold::Hand { .. } => (fit.depth_mm - fit.limit_mm).max(0.0),
-        };
-        (Pose::from_translation_mm(-self.hole.inwards * excess_mm) * free, fit)
+        if !matches!(self.hold, Hold::Hand { .. }) {
+            return (free, fit);
+        }
+        let excess_mm = (fit.depth_mm - fit.limit_mm).max(0.0);
+        let held = Pose::from_translation_mm(-self.hole.inwards * excess_mm) * free;
+        let held = self.fixtures.iter().fold(held, |held, fixture| {
+            let shift_mm = fixture.normal * fixture.penetration_mm(&self.peg, &held);
+            Pose::from_translation_mm(shift_mm) * held
+        });
+        (held, fit)
     }
 }
 
-/// The round peg that a shape is, with its tip towards `axis`.
-fn peg(shape: &Shape, axis: DVec3) -> Option<Peg> {
-    match *shape {
-        Shape::Cylinder { radius_mm, length_mm } if axis.z.abs() > 1.0 - 1e-9 => {
-            Some(Peg { radius_mm, half_length_mm: 0.5 * length_mm, axis })
+/// The hole's outline: that of the peg, with its walls along the part's sides at the goal.
+fn mouth(config: &Config, peg: &Peg) -> Mouth {
+    let simulated = &config.simulated;
+    match peg.section {
+        Section::Round { .. } => Mouth::Round { diameter_mm: simulated.hole_diameter_mm },
+        Section::Rectangle { half_mm } => {
+            let expected = match config.part.shape {
+                Shape::Box { size_mm: [x, y, _] } => [x, y],
+                _ => half_mm.map(|half| 2.0 * half),
+            };
+            let goal = config.task.goal_pose.pose();
+            Mouth::Rectangle {
+                normals: [DVec3::X, DVec3::Y].map(|side| goal.transform_vector(side)),
+                size_mm: simulated.hole_size_mm.unwrap_or(expected.map(|side| side + CLEARANCE_MM)),
+            }
         }
-        _ => None,
     }
 }
 
 /// Where the part really stands: off by a random offset, tilt and spin.
-fn misplaced(config: &Config) -> Pose {
+fn misplaced(config: &Config, peg: &Peg) -> Pose {
     let simulated = &config.simulated;
     let mut stream = Stream::new(simulated.seed, "part in its holder");
     let mut within = |most: f64| (2.0 * stream.uniform() - 1.0) * most;
     let mut vector = |most: f64| DVec3::new(within(most), within(most), within(most));
     let offset_mm = vector(simulated.offset_mm);
     let tilt = vector(simulated.tilt_rad);
-    let spin = config.insertion_axis() * within(core::f64::consts::PI);
+    // The holder of a part with corners holds these too: the tilt has its spin.
+    let spin = config.insertion_axis() * within(if peg.is_round() { core::f64::consts::PI } else { 0.0 });
     let off = Pose { rotation: so3::exp(tilt) * so3::exp(spin), translation_mm: offset_mm };
     config.task.part_pose.pose() * off
 }
@@ -239,16 +266,17 @@ fn misplaced(config: &Config) -> Pose {
 /// Poses that are tried within the clearance; one of ten fits.
 const MAX_TRIES: usize = 1000;
 
-/// Where somebody placed the part in the hole: at the bottom, with any offset and tilt that the clearance allows.
+/// Where somebody placed the part in the hole: at the bottom, with any offset and tilt that the clearance
+/// allows.
 fn placed(config: &Config, hole: &Hole, peg: &Peg) -> Pose {
     let goal = config.task.goal_pose.pose();
-    let room_mm = (0.5 * hole.diameter_mm - peg.radius_mm).max(0.0);
+    let Room { room_mm, spin_rad } = room(&hole.mouth, peg);
     let mut stream = Stream::new(config.simulated.seed, "part in its goal");
     let mut within = |most: f64| (2.0 * stream.uniform() - 1.0) * most;
     let candidates = (0..MAX_TRIES).map(|_| {
         let tilt = DVec3::new(within(1.0), within(1.0), 0.0) * (room_mm / hole.depth_mm);
         let offset_mm = DVec3::new(within(room_mm), within(room_mm), 0.0);
-        let spin = peg.axis * within(core::f64::consts::PI);
+        let spin = peg.axis * within(spin_rad);
         let turn = so3::exp(tilt) * so3::exp(spin);
         // The tip stays at the bottom and is offset; the rest of the part leans.
         let tip_mm = peg.axis * peg.half_length_mm;
@@ -256,4 +284,25 @@ fn placed(config: &Config, hole: &Hole, peg: &Peg) -> Pose {
     });
     let fits = |pose: &Pose| hole.fit(peg, pose).limit_mm >= hole.depth_mm;
     candidates.into_iter().find(fits).unwrap_or(goal)
+}
+
+/// How far a part can be off in its hole.
+struct Room {
+    /// To each side.
+    room_mm: f64,
+    /// About its axis.
+    spin_rad: f64,
+}
+
+fn room(mouth: &Mouth, peg: &Peg) -> Room {
+    match (*mouth, peg.section) {
+        (Mouth::Round { diameter_mm }, Section::Round { radius_mm }) => {
+            Room { room_mm: (0.5 * diameter_mm - radius_mm).max(0.0), spin_rad: core::f64::consts::PI }
+        }
+        (Mouth::Rectangle { size_mm, .. }, Section::Rectangle { half_mm: [x, y] }) => {
+            let room_mm = (0.5 * size_mm[0] - x).min(0.5 * size_mm[1] - y).max(0.0);
+            Room { room_mm, spin_rad: room_mm / x.max(y) }
+        }
+        _ => Room { room_mm: 0.0, spin_rad: 0.0 },
+    }
 }

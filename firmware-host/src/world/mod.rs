@@ -5,12 +5,16 @@
 
 mod bench;
 mod devices;
+mod fixture;
 mod hole;
+mod peg;
 mod rehearsal;
 
 pub use bench::{Bench, BenchTruth, Place};
 pub use devices::{PacedSource, SimulatedCamera, SimulatedGripper, SimulatedRobot, TimedSource};
-pub use hole::{Fit, Hole, Peg};
+pub use fixture::Fixture;
+pub use hole::{Fit, Hole, Mouth};
+pub use peg::{Peg, Section};
 pub use rehearsal::Rehearsal;
 
 use crate::config::{Config, SourceConfig};
@@ -31,8 +35,8 @@ pub enum WorldError {
     Part(PartError),
     /// The gripper cannot open so wide.
     Width(WidthError),
-    /// The simulated hole is round: it takes a cylinder along the axis of insertion.
-    NotRound,
+    /// What stands in the holder is no peg that the simulated hole takes.
+    NoPeg,
 }
 
 impl std::fmt::Display for WorldError {
@@ -41,10 +45,11 @@ impl std::fmt::Display for WorldError {
             Self::Scene(error) => write!(f, "simulated sensor: {error}"),
             Self::Part(error) => error.fmt(f),
             Self::Width(error) => error.fmt(f),
-            Self::NotRound => write!(
+            Self::NoPeg => write!(
                 f,
-                "the simulated hole is round: part.shape (or simulated.shape) must be {{ kind = \"cylinder\", .. }} \
-                 and task.insertion_axis [0, 0, 1] or [0, 0, -1]"
+                "the simulated hole takes round and rectangular pegs: part.shape (or simulated.shape) must be \
+                 {{ kind = \"cylinder\", .. }} or {{ kind = \"box\", .. }}, and task.insertion_axis [0, 0, 1] or \
+                 [0, 0, -1]"
             ),
         }
     }

@@ -1,4 +1,5 @@
-//! Fusion of two estimates of one pose, each with its information (Barfoot and Furgale 2014).
+//! Fusion of two estimates of one pose, each with its information (Barfoot and Furgale 2014), and of an
+//! estimate with a plane that a point of the part touches.
 //!
 //! An estimate says that the true pose is exp(e) T with e normal, of zero mean and information Λ. The fused
 //! pose is the one with the least e₁ᵀ Λ₁ e₁ + e₂ᵀ Λ₂ e₂, by Gauss-Newton on SE(3). Either information may be
@@ -16,13 +17,28 @@ pub struct PoseEstimate {
     pub information: Symmetric<6>,
 }
 
-/// What two estimates say together.
+/// A plane that a point of the part touches: normal · (T point) = offset, known to one standard deviation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlaneContact {
+    /// The point, frame b, mm.
+    pub point_mm: DVec3,
+    /// Unit normal of the plane, frame a.
+    pub normal: DVec3,
+    /// Distance of the plane from the origin of frame a along the normal, mm.
+    pub offset_mm: f64,
+    /// Standard deviation of the point's distance from the plane, mm.
+    pub sigma_mm: f64,
+}
+
+/// What two sources say together of one pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FusedPose {
-    /// The fused pose, with its information. Along what neither estimate knows it is the first one's.
+    /// The fused pose, with its information. Along what neither source knows it is the first one's.
     pub estimate: PoseEstimate,
-    /// Least sum of eᵀ Λ e: how far the estimates contradict each other. Of two estimates that know all six
-    /// directions and are right, it is distributed as chi-squared with six degrees of freedom.
+    /// Least sum of eᵀ Λ e: how far the sources contradict each other. Of two estimates that know all six
+    /// directions and are right, it is distributed as chi-squared with six degrees of freedom. Of an
+    /// estimate that knows the direction that a plane contact constrains, it is so with one degree of
+    /// freedom.
     pub squared_distance: f64,
 }
 
@@ -38,6 +54,15 @@ pub enum FusionError {
     Information {
         /// Which estimate, 0 or 1.
         index: usize,
+    },
+    /// A number of a plane contact is not valid.
+    Plane {
+        /// Which number.
+        name: &'static str,
+        /// Its value.
+        found: f64,
+        /// What is valid, in words.
+        valid: &'static str,
     },
     /// The poses differ by more than two looks at one part can.
     Apart {
@@ -79,6 +104,9 @@ impl core::fmt::Display for FusionError {
                 "the information of estimate {index} is not symmetric and positive semidefinite; give the inverse of a \
                  covariance, or a registration's information"
             ),
+            Self::Plane { name, found, valid } => {
+                write!(f, "{name} of the plane contact is {found}; valid is {valid}")
+            }
             Self::Apart { turn_rad } => write!(
                 f,
                 "the poses differ by {turn_rad:.3} rad; valid is up to {MAX_TURN_RAD} rad: are they of one part, and of \
@@ -136,10 +164,29 @@ pub fn fuse_poses(first: &PoseEstimate, second: &PoseEstimate) -> Result<FusedPo
     if !(turn_rad <= MAX_TURN_RAD) {
         return Err(FusionError::Apart { turn_rad });
     }
-    let mut pose = first.pose;
+    settled(first.pose, |pose| Normal::at(pose, &estimates))
+}
+
+/// Fuses an estimate with a plane that a point of the part touches.
+///
+/// # Errors
+/// [`FusionError`].
+pub fn fuse_plane(estimate: &PoseEstimate, contact: &PlaneContact) -> Result<FusedPose, FusionError> {
+    check(0, estimate)?;
+    contact.check()?;
+    settled(estimate.pose, |pose| {
+        let mut normal = Normal::at(pose, &[estimate]);
+        normal.add_plane(pose, contact);
+        normal
+    })
+}
+
+/// Gauss-Newton from a pose to where the normal equations are at rest.
+fn settled(first: Pose, normal_at: impl Fn(&Pose) -> Normal) -> Result<FusedPose, FusionError> {
+    let mut pose = first;
     let (mut step_rad, mut step_mm) = (0.0, 0.0);
     for _ in 0..MAX_STEPS {
-        let normal = Normal::at(&pose, &estimates);
+        let normal = normal_at(&pose);
         let step = normal.step();
         let (omega, v) = (DVec3::new(step[0], step[1], step[2]), DVec3::new(step[3], step[4], step[5]));
         pose = Pose::exp(omega, v) * pose;
@@ -153,11 +200,37 @@ pub fn fuse_poses(first: &PoseEstimate, second: &PoseEstimate) -> Result<FusedPo
     if !(step_rad <= MAX_REST_RAD && step_mm <= MAX_REST_MM) {
         return Err(FusionError::NotConverged { step_rad, step_mm });
     }
-    let normal = Normal::at(&pose, &estimates);
+    let normal = normal_at(&pose);
     Ok(FusedPose {
         estimate: PoseEstimate { pose, information: normal.information },
         squared_distance: normal.squared_distance,
     })
+}
+
+impl PlaneContact {
+    /// The point's distance from the plane at a pose, mm.
+    fn distance_mm(&self, pose: &Pose) -> f64 {
+        self.normal.dot(pose.transform_point(self.point_mm)) - self.offset_mm
+    }
+
+    fn check(&self) -> Result<(), FusionError> {
+        let refuse = |name, found, valid| Err(FusionError::Plane { name, found, valid });
+        let length = self.normal.length();
+        // The negated forms refuse a NaN too.
+        if !((length - 1.0).abs() <= 1e-6) {
+            return refuse("the length of normal", length, "1");
+        }
+        if !(self.sigma_mm > 0.0 && self.sigma_mm.is_finite()) {
+            return refuse("sigma_mm", self.sigma_mm, "above 0 and finite");
+        }
+        if !self.offset_mm.is_finite() {
+            return refuse("offset_mm", self.offset_mm, "finite");
+        }
+        match self.point_mm.to_array().into_iter().find(|x| !x.is_finite()) {
+            Some(found) => refuse("a component of point_mm", found, "finite"),
+            None => Ok(()),
+        }
+    }
 }
 
 fn check(index: usize, estimate: &PoseEstimate) -> Result<(), FusionError> {
@@ -186,7 +259,7 @@ struct Normal {
 }
 
 impl Normal {
-    fn at(pose: &Pose, estimates: &[&PoseEstimate; 2]) -> Self {
+    fn at(pose: &Pose, estimates: &[&PoseEstimate]) -> Self {
         let mut normal = Self { information: [[0.0; 6]; 6], gradient: [0.0; 6], squared_distance: 0.0 };
         for estimate in estimates {
             let (omega, v) = (*pose * estimate.pose.inverse()).log();
@@ -202,6 +275,20 @@ impl Normal {
             }
         }
         normal
+    }
+
+    /// A left perturbation (ω, v) moves the point q = T p by ω x q + v, and its distance by (q x n) · ω + n
+    /// · v.
+    fn add_plane(&mut self, pose: &Pose, contact: &PlaneContact) {
+        let turn = pose.transform_point(contact.point_mm).cross(contact.normal);
+        let n = contact.normal;
+        let row = [turn.x, turn.y, turn.z, n.x, n.y, n.z].map(|x| x / contact.sigma_mm);
+        let error = contact.distance_mm(pose) / contact.sigma_mm;
+        for i in 0..6 {
+            self.gradient[i] += row[i] * error;
+            (0..6).for_each(|j| self.information[i][j] += row[i] * row[j]);
+        }
+        self.squared_distance += error * error;
     }
 
     /// The least step to the minimum of the quadratic, by eigenvectors of the scaled information.
