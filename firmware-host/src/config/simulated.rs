@@ -74,8 +74,8 @@ impl Default for SimulatedConfig {
     }
 }
 
-/// A print that differs from what the pipeline expects by a tenth is another print: neighbours are told
-/// apart by it.
+/// Largest ratio of the simulated pitch to the configured one. A print that differs by more is another print, and
+/// the pipeline could mistake a marker for its neighbour.
 const MAX_PITCH_RATIO: f64 = 1.1;
 
 impl SimulatedConfig {
