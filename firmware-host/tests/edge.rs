@@ -36,13 +36,21 @@ fn blade(seed: u64) -> Config {
     let pad_mm = config.mount.kinematics.pad_mm(6.0).unwrap();
     config.task.grasp_pose.position_mm[2] = 15.0 + 8.0 + pad_mm.z;
     config.task.clearance_mm = Some(0.2);
-    config.task.max_looks = 4;
+    config.task.max_looks = 5;
     config
 }
 
 fn with_wall(seed: u64) -> Config {
     let mut config = blade(seed);
     config.task.edges = vec![wall()];
+    config
+}
+
+/// A level face 40 mm wide, on which the blade's end can be put down.
+fn with_wall_and_floor(seed: u64) -> Config {
+    let mut config = with_wall(seed);
+    let floor = EdgeConfig { point_mm: [520.0, 0.0, 20.0], normal: [0.0, 0.0, 1.0], size_mm: 40.0, ..wall() };
+    config.task.edges.push(floor);
     config
 }
 
@@ -76,6 +84,19 @@ fn a_blade_that_covers_the_gel_goes_in_after_it_touched_a_known_face() {
     assert!(truth.outcome_is_true && truth.tip_error_mm < 0.1, "{truth:?}");
 }
 
+/// Only the left and the right side can be brought to the wall, each once: the third touch is the end's.
+#[test]
+fn the_end_touches_a_level_face_where_both_sides_do_not_tell_enough() {
+    let report = run(&with_wall(10));
+    assert!(matches!(report.outcome, Outcome::Declined { .. }), "{}", report.why);
+    assert_eq!(touches(&report), 2);
+    let report = run(&with_wall_and_floor(10));
+    assert!(inserted(&report), "{}", report.why);
+    assert_eq!(touches(&report), 3);
+    let truth = report.truth.unwrap();
+    assert!(truth.outcome_is_true && truth.tip_error_mm < 0.1, "{truth:?}");
+}
+
 /// What a second grasp tells of a round peg, a touch does not tell as well.
 #[test]
 fn a_round_peg_does_not_touch_a_face_that_is_there() {
@@ -102,15 +123,19 @@ fn a_face_that_is_not_there_ends_the_move_and_the_task() {
 }
 
 /// `GELSTEREO_SEEDS=12 cargo test -p gelstereo-host --test all -- edge:: --ignored --nocapture` prints the
-/// table of docs/second-look.md. The wall really stands off by its own sigma and the robot's, at random.
+/// table of docs/second-look.md. Both faces really stand off by their own sigma and the robot's, at random.
 #[test]
 #[ignore = "takes minutes"]
-fn blades_with_and_without_a_face_over_many_seeds() {
+fn blades_with_and_without_faces_over_many_seeds() {
     let seeds: u64 = std::env::var("GELSTEREO_SEEDS").map_or(12, |text| text.parse().unwrap());
-    for name in ["without", "with"] {
+    for name in ["none", "wall", "wall and floor"] {
         let mut reports = Vec::new();
         for seed in 1..=seeds {
-            let mut config = if name == "with" { with_wall(seed) } else { blade(seed) };
+            let mut config = match name {
+                "none" => blade(seed),
+                "wall" => with_wall(seed),
+                _ => with_wall_and_floor(seed),
+            };
             let sigma_mm = wall().sigma_mm.hypot(wall().robot_sigma_mm);
             config.simulated.edge_offset_mm = Some(sigma_mm * Stream::new(seed, "wall").normal());
             let report = run(&config);
