@@ -6,9 +6,15 @@ use crate::quick_world;
 
 use gelstereo_core::math::random::Stream;
 use gelstereo_host::config::{Config, EdgeConfig, PoseConfig};
-use gelstereo_host::report::{JobReport, Outcome, Stage};
+use gelstereo_host::replay::replay;
+use gelstereo_host::report::{JobReport, Outcome, Stage, StageReport};
+use gelstereo_host::robot::Robot;
+use gelstereo_host::run::{Setup, run_with};
+use gelstereo_host::world::SimulatedRobot;
 use gelstereo_sim::Shape;
 use quick_world::{quick, run};
+use std::rc::Rc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// A face 20 mm wide beside the holder, which looks along -y.
 fn wall() -> EdgeConfig {
@@ -95,6 +101,35 @@ fn the_end_touches_a_level_face_where_both_sides_do_not_tell_enough() {
     assert_eq!(touches(&report), 3);
     let truth = report.truth.unwrap();
     assert!(truth.outcome_is_true && truth.tip_error_mm < 0.1, "{truth:?}");
+}
+
+#[test]
+fn a_recording_with_a_touch_gives_the_same_bits_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = with_wall(1);
+    config.recording.path = folder.path().join("touch.mcap");
+    let report = gelstereo_host::run::run(&config, &AtomicBool::new(false), &mut |_| {}).unwrap();
+    assert!(touches(&report) > 0, "{}", report.why);
+    let again = replay(&[&config.recording.path], None, &mut |_| {}).unwrap();
+    assert_eq!((again.differing, again.truncated), (0, false), "{again}");
+}
+
+#[test]
+fn an_interrupted_touch_stops_the_robot() {
+    let config = with_wall(1);
+    let stages = run(&config).stages;
+    let before = stages.iter().position(|stage| stage.stage == Stage::Touch).unwrap();
+    let setup = Setup::new(&config).unwrap();
+    let world = Rc::clone(&setup.world);
+    let (stop, mut ended) = (AtomicBool::new(false), 0);
+    let mut interrupt = |_: &StageReport| {
+        ended += 1;
+        stop.store(ended == before, Ordering::Relaxed);
+    };
+    let report = run_with(&config, setup, None, &stop, &mut interrupt).unwrap();
+    assert_eq!(report.outcome, Outcome::Interrupted { stage: Stage::Touch });
+    let mut robot = SimulatedRobot(world);
+    assert!(!robot.status().unwrap().moving);
 }
 
 /// What a second grasp tells of a round peg, a touch does not tell as well.
