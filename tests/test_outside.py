@@ -13,6 +13,7 @@ from gelstereo._native import parse_toml
 from outside import fields, images
 from outside.images import Condition, Sequence
 from outside.judge import judged, under_glints
+from outside.judge_contacts import RULES, judge
 from outside.optics import Optics
 from outside.parts import Part, Posed
 
@@ -155,3 +156,13 @@ def test_presets_name_markers_right_where_they_see_them(half: str) -> None:
         figures = judged(preset, sequences, Condition(), {})
         assert figures.frames == sum(map(len, sequences))
         assert figures.wrong == 0
+
+
+def test_row_36_one_rule_for_gels_by_finite_elements() -> None:
+    """Contacts for work: the adaptive rule has at least 0.85 on each law, and the best mean."""
+    scores = judge(0.005, "w", RULES)
+    assert len(scores) == 5
+    mean_f1 = {rule: np.mean([np.mean(by_rule[rule].f1) for by_rule in scores.values()]) for rule in RULES}
+    adaptive = RULES[0]
+    assert min(np.mean(by_rule[adaptive].f1) for by_rule in scores.values()) >= 0.85
+    assert all(mean_f1[adaptive] > mean_f1[rule] + 0.05 for rule in RULES[1:])

@@ -70,6 +70,7 @@ __all__ = [
     "TriangulateError",
     "ViewEvidence",
     "__version__",
+    "adaptive_saliency",
     "adjusted_gripper",
     "decode_camera_frame",
     "disc_bias",
@@ -307,6 +308,15 @@ def pressure_saliency(
     cols: int,
     decay_mm: float,
 ) -> tuple[npt.NDArray[np.bool_], _Floats]: ...
+def adaptive_saliency(
+    rest: RestSurface,
+    indentation_mm: npt.ArrayLike,
+    variance_mm2: npt.ArrayLike,
+    *,
+    rows: int,
+    cols: int,
+    max_decay_mm: float,
+) -> tuple[npt.NDArray[np.bool_], tuple[Literal["pressure", "share"], float] | None]: ...
 
 @final
 class DenseSurface:
@@ -382,6 +392,8 @@ class Pipeline:
     def rest(self) -> RestSurface | None: ...
     @property
     def decay_mm(self) -> tuple[float, float] | None: ...
+    @property
+    def contact_rule(self) -> tuple[Literal["pressure", "share"], float] | None: ...
     def reset(self) -> None: ...
     def rest_record(self) -> RestRecord | None: ...
     def resume(self, record: RestRecord) -> None: ...

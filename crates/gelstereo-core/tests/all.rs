@@ -12,6 +12,7 @@ mod alternatives;
 mod anchor;
 mod camera;
 mod contact;
+mod contact_adaptive;
 mod dense_surface;
 mod detect;
 mod disc;

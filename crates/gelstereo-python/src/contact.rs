@@ -120,10 +120,77 @@ pub fn pressure_saliency(
     let heights = Numbers::new(indentation_mm, "indentation_mm")?;
     let variances = Numbers::new(variance_mm2, "variance_mm2")?;
     let heights = heights.list()?;
-    let state: Vec<MarkerState> =
-        heights.iter().map(|h| if h.is_nan() { MarkerState::Lost } else { MarkerState::Seen }).collect();
+    let state = measured(heights);
     let mut pressure = core::Pressure::new(&rest.inner, rows.0, cols.0, decay_mm).map_err(raise)?;
     let mut salient = Vec::new();
     pressure.run(heights, variances.list()?.iter().copied(), &state, &mut salient).map_err(raise)?;
     Ok((arrays::list(py, salient), arrays::list(py, pressure.pressure_mm().to_vec())))
+}
+
+/// Which markers touch something, for a gel whose law is not known.
+///
+/// Several rules propose a contact: pressure for five decay lengths from 0.2 to 1 times the given one, and shares of
+/// the deepest indentation from 0.05 to 0.6. The gel is concave under a part and convex beside it, so the candidate is
+/// taken whose border parts the two best.
+///
+/// Parameters
+/// ----------
+/// rest : RestSurface
+///     Of rows * cols markers, row by row.
+/// indentation_mm : (rows * cols,) array_like
+///     NaN for a marker that was not measured.
+/// variance_mm2 : (rows * cols,) array_like
+///     Variances of the indentations.
+/// rows, cols : int
+/// max_decay_mm : float
+///     Longest length tried over which the surface comes back to rest beside a contact.
+///
+/// Returns
+/// -------
+/// salient : (rows * cols,) bool
+/// rule : tuple of str and float, or None
+///     ("pressure", decay_mm) or ("share", share of the deepest indentation); None when nothing touches the gel.
+///
+/// Raises
+/// ------
+/// ContactError
+///     If a list has not rows * cols entries, or a variance is negative or not finite.
+#[pyfunction]
+#[pyo3(signature = (rest, indentation_mm, variance_mm2, *, rows, cols, max_decay_mm))]
+pub fn adaptive_saliency(
+    py: Python<'_>,
+    rest: &RestSurface,
+    indentation_mm: &Bound<'_, PyAny>,
+    variance_mm2: &Bound<'_, PyAny>,
+    rows: Count,
+    cols: Count,
+    max_decay_mm: f64,
+) -> PyResult<(Array1<bool>, Option<RuleName>)> {
+    let heights = Numbers::new(indentation_mm, "indentation_mm")?;
+    let variances = Numbers::new(variance_mm2, "variance_mm2")?;
+    let heights = heights.list()?;
+    let state = measured(heights);
+    let mut adaptive =
+        core::AdaptiveSaliency::new(&rest.inner, rows.0, cols.0, max_decay_mm).map_err(raise)?;
+    let mut salient = Vec::new();
+    let found =
+        adaptive.run(heights, variances.list()?.iter().copied(), &state, &mut salient).map_err(raise)?;
+    Ok((arrays::list(py, salient), found.map(rule_name)))
+}
+
+/// A marker's state by its height: NaN stands for one that was not measured.
+fn measured(heights_mm: &[f64]) -> Vec<MarkerState> {
+    let state = |h: &f64| if h.is_nan() { MarkerState::Lost } else { MarkerState::Seen };
+    heights_mm.iter().map(state).collect()
+}
+
+/// A rule's name and its setting.
+pub type RuleName = (&'static str, f64);
+
+/// A rule by its name and its setting.
+pub fn rule_name(rule: core::ContactRule) -> RuleName {
+    match rule {
+        core::ContactRule::Pressure { decay_mm } => ("pressure", decay_mm),
+        core::ContactRule::Share { share } => ("share", share),
+    }
 }

@@ -39,7 +39,7 @@ mod _native {
     #[pymodule_export]
     use crate::codec::{Blink1Command, TaraAssembly, TaraRequest, hid_udev_rule};
     #[pymodule_export]
-    use crate::contact::{RestSurface, pressure_saliency};
+    use crate::contact::{RestSurface, adaptive_saliency, pressure_saliency};
     #[pymodule_export]
     use crate::detect::{Detector, Markers};
     #[pymodule_export]

@@ -1,7 +1,7 @@
 //! The sensing pipeline.
 
 use crate::arrays::{self, Array1, Image, Matrix};
-use crate::contact::RestSurface;
+use crate::contact::{RestSurface, RuleName, rule_name};
 use crate::errors::raise;
 use crate::params::Params;
 use crate::pickle;
@@ -241,6 +241,13 @@ impl Pipeline {
     #[getter]
     fn decay_mm(&self, py: Python<'_>) -> Option<(f64, f64)> {
         py.detach(|| self.lock().decay()).map(|decay| (decay.decay_mm, decay.sigma_mm))
+    }
+
+    /// The rule by which the last frame's contact was found with `contact.saliency = "adaptive"`: ("pressure", decay length in
+    /// mm) or ("share", share of the deepest indentation). None without that setting, and when nothing touched the gel.
+    #[getter]
+    fn contact_rule(&self, py: Python<'_>) -> Option<RuleName> {
+        py.detach(|| self.lock().contact_rule()).map(rule_name)
     }
 
     /// Forget tracks, rest surface and reference: the next frame is the rest frame.

@@ -55,8 +55,10 @@ fn row_35_sensing_allocates_nothing_after_the_first_frames() {
         for method in [LabelMethod::Foresight, LabelMethod::Temporal, LabelMethod::Lattice] {
             let mut params = Params::preset(preset).unwrap();
             (params.label.method, params.detect.search) = (method, search);
-            if method == LabelMethod::Temporal {
-                params.contact.saliency = Saliency::Pressure;
+            match method {
+                LabelMethod::Temporal => params.contact.saliency = Saliency::Pressure,
+                LabelMethod::Foresight => params.contact.saliency = Saliency::Adaptive,
+                LabelMethod::Lattice => {}
             }
             let held_before = HELD.get();
             PEAK.set(held_before);

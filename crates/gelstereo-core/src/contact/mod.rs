@@ -1,5 +1,6 @@
 //! What touches the gel: rest surface, saliency (Eq. 4, or by pressure), mean marker motion and the stop triggers.
 
+mod adaptive;
 mod decay;
 mod kriging;
 mod pressure;
@@ -8,6 +9,7 @@ mod rule;
 mod slips;
 mod stencils;
 
+pub use adaptive::{AdaptiveSaliency, ContactRule};
 pub use decay::{Decay, DecayFit};
 pub use pressure::Pressure;
 pub use quick::QuickPressure;

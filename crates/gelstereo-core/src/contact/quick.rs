@@ -129,6 +129,26 @@ impl QuickPressure {
         Ok(quick)
     }
 
+    /// The decay length it was made for.
+    #[must_use]
+    pub const fn decay_mm(&self) -> f64 {
+        self.stencils.decay_mm
+    }
+
+    pub(super) const fn stencils(&self) -> &Stencils {
+        &self.stencils
+    }
+
+    /// Mean variance of the pressures for heights of variance 1.
+    pub(super) fn mean_noise(&self) -> f64 {
+        self.noise.iter().sum::<f64>() / self.noise.len().max(1) as f64
+    }
+
+    /// Pressures of the last run, and whether the heights behind them were all seen.
+    pub(super) fn measured(&self) -> (&[f64], &[bool]) {
+        (&self.pressure_mm, &self.valid)
+    }
+
     /// Makes all room: the first contact may come late.
     fn reserve(&mut self, markers: usize) {
         let Self { pressure_mm, score, evidence, valid, asked, next, regions, .. } = self;

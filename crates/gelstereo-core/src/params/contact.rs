@@ -15,6 +15,10 @@ pub enum Saliency {
     /// The same by fewer neighbours, with all heights taken as equally noisy:
     /// [`QuickPressure`](crate::contact::QuickPressure).
     PressureQuick,
+    /// By pressure for several decay lengths up to `decay_mm`, and by several shares of the deepest indentation: the
+    /// candidate whose border parts concave from convex gel best:
+    /// [`AdaptiveSaliency`](crate::contact::AdaptiveSaliency).
+    Adaptive,
 }
 
 /// Saliency and the stop triggers.

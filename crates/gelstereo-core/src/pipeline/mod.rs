@@ -11,7 +11,9 @@ pub use error::{PipelineError, View};
 pub use frame::{Frame, LabelSource, Searched, Touch, ViewEvidence};
 pub use rest_record::{RestRecord, RestRecordError, RestView};
 
-use crate::contact::{self, Decay, DecayFit, LabelSlips, Pressure, QuickPressure, RestSurface};
+use crate::contact::{
+    self, AdaptiveSaliency, ContactRule, Decay, DecayFit, LabelSlips, Pressure, QuickPressure, RestSurface,
+};
 use crate::image::GrayView;
 use crate::label::LatticeFinder;
 use crate::math::linalg::Symmetric;
@@ -34,6 +36,8 @@ pub struct Pipeline {
     rest: Option<RestSurface>,
     pressure: Pressure,
     quick_pressure: QuickPressure,
+    adaptive: AdaptiveSaliency,
+    contact_rule: Option<ContactRule>,
     decay: DecayFit,
     rest_variance_mm2: Vec<f64>,
     reference_px: Vec<DVec2>,
@@ -63,6 +67,8 @@ impl Pipeline {
             rest: None,
             pressure: Pressure::default(),
             quick_pressure: QuickPressure::default(),
+            adaptive: AdaptiveSaliency::default(),
+            contact_rule: None,
             decay: DecayFit::default(),
             rest_variance_mm2: Vec::new(),
             reference_px: Vec::new(),
@@ -100,10 +106,18 @@ impl Pipeline {
         self.decay.decay()
     }
 
+    /// The rule by which the last frame's contact was found with `contact.saliency = adaptive`; `None` without it, and when
+    /// nothing touched the gel.
+    #[must_use]
+    pub const fn contact_rule(&self) -> Option<ContactRule> {
+        self.contact_rule
+    }
+
     /// Forgets tracks, rest surface and reference: the next frame is the rest frame.
     pub fn reset(&mut self) {
         self.rest = None;
         self.decay.start(0);
+        self.contact_rule = None;
         self.frames = 0;
         self.resumes = false;
         self.left.forget();
@@ -239,6 +253,10 @@ impl Pipeline {
                 let quick = QuickPressure::new(&rest, rows, cols, decay_mm);
                 self.quick_pressure = quick.map_err(PipelineError::Contact)?;
             }
+            Saliency::Adaptive => {
+                let adaptive = AdaptiveSaliency::new(&rest, rows, cols, decay_mm);
+                self.adaptive = adaptive.map_err(PipelineError::Contact)?;
+            }
         }
         let lattice = (self.left.cols, self.left.pitch_px);
         self.slips.learn(&self.triangulator, &rest, [centres(left), centres(right)], lattice);
@@ -326,6 +344,10 @@ impl Pipeline {
             }
             (Saliency::PressureQuick, Some(rest)) => {
                 self.quick_pressure.run(heights_mm, variances(rest.normal()), state, salient)
+            }
+            (Saliency::Adaptive, Some(rest)) => {
+                let found = self.adaptive.run(heights_mm, variances(rest.normal()), state, salient);
+                found.map(|rule| self.contact_rule = rule)
             }
             _ => {
                 contact::saliency(heights_mm, state, settings.saliency_mm, salient);
