@@ -51,6 +51,7 @@ mod register_scans;
 mod register_surface;
 mod rigid_fit;
 mod solid;
+mod stop;
 mod symmetric_copies;
 mod template_kept;
 mod threshold;

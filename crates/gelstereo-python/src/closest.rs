@@ -2,6 +2,7 @@
 
 use crate::arrays::{self, Array1, Matrix, Numbers};
 use crate::errors::{TemplateError, raise};
+use crate::interrupt::stoppable;
 use crate::template::triangle_mesh;
 use gelstereo_core::math::DVec3;
 use gelstereo_core::register as core;
@@ -177,8 +178,8 @@ pub fn turned_outward(
     triangles: &Bound<'_, PyAny>,
 ) -> PyResult<(Py<PyArray2<i64>>, usize, bool, Surface)> {
     let mesh = triangle_mesh(vertices_mm, triangles)?;
-    let (mesh, turned) = py.detach(|| mesh.turned_outward());
-    let solid = py.detach(|| Solid::new(&mesh)).map_err(raise)?;
+    let (mesh, turned) = stoppable(py, |stop| mesh.turned_outward_unless(stop))?.map_err(raise)?;
+    let solid = stoppable(py, |stop| Solid::new_unless(&mesh, stop))?.map_err(raise)?;
     let shape = (mesh.triangles().len(), 3);
     let names = mesh.triangles().iter().flatten().map(|&i| i64::from(i)).collect();
     let surface = Surface { inner: *solid.report() };

@@ -6,7 +6,7 @@
 use gelstereo_core as core;
 use pyo3::PyErr;
 use pyo3::create_exception;
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::{PyKeyboardInterrupt, PyValueError};
 
 create_exception!(
     gelstereo,
@@ -69,6 +69,7 @@ stage_errors! {
     core::surface::MeshError => MeshError,
     core::surface::DenseSurfaceError => MeshError,
     core::surface::SolidError => MeshError,
+    core::stop::Stopped => PyKeyboardInterrupt,
     core::register::TemplateError => TemplateError,
     core::register::TemplateBytesError => TemplateError,
     core::register::FusionError => RegisterError,

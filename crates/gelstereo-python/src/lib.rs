@@ -13,6 +13,7 @@ mod errors;
 mod frames;
 mod geometry;
 mod gripper;
+mod interrupt;
 mod label;
 mod layer;
 mod params;

@@ -3,6 +3,7 @@
 use crate::arrays::{self, Array1, Count, Matrix, Numbers};
 use crate::closest::{self, Closest, Surface, Symmetry};
 use crate::errors::{MeshError, ShapeError, TemplateError, raise};
+use crate::interrupt::stoppable;
 use crate::pickle;
 use crate::tree;
 use gelstereo_core::math::{DVec3, sqrt};
@@ -91,7 +92,9 @@ impl Template {
     ) -> PyResult<Self> {
         let mesh = triangle_mesh(vertices_mm, triangles)?;
         let seed = seed.0 as u64;
-        let inner = cls.py().detach(|| core::Template::from_mesh(&mesh, spacing_mm, seed)).map_err(raise)?;
+        let made =
+            stoppable(cls.py(), |stop| core::Template::from_mesh_unless(&mesh, spacing_mm, seed, stop))?;
+        let inner = made.map_err(raise)?;
         Ok(Self { inner })
     }
 
@@ -250,7 +253,9 @@ impl Template {
     #[pyo3(signature = (*, cell_mm=core::Template::DEFAULT_CELL_MM, reach_mm=core::Template::DEFAULT_REACH_MM), text_signature = "($self, *, cell_mm=0.4, reach_mm=4.0)")]
     fn with_grid(&self, py: Python<'_>, cell_mm: f64, reach_mm: f64) -> PyResult<Self> {
         self.solid()?;
-        let inner = py.detach(|| self.inner.clone().without_field().with_field(cell_mm, reach_mm));
+        let bare = self.inner.clone().without_field();
+        let made = stoppable(py, |stop| bare.with_field_unless(cell_mm, reach_mm, stop))?;
+        let inner = made.map_err(raise)?;
         if inner.field().is_none() {
             return Err(TemplateError::new_err(format!(
                 "a grid with cells of {cell_mm} mm and a reach of {reach_mm} mm; valid is a positive width, and a \
@@ -323,10 +328,12 @@ impl Template {
         if declared.is_none() {
             self.solid()?;
         }
-        let inner = py.detach(|| {
-            let all = declared.unwrap_or_else(|| core::Symmetry::of(&self.inner, tolerance_mm));
-            self.inner.clone().with_symmetries(all)
-        });
+        let all = match declared {
+            Some(declared) => declared,
+            None => stoppable(py, |stop| core::Symmetry::of_unless(&self.inner, tolerance_mm, stop))?
+                .map_err(raise)?,
+        };
+        let inner = py.detach(|| self.inner.clone().with_symmetries(all));
         Ok(Self { inner })
     }
 

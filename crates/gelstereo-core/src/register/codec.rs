@@ -14,6 +14,7 @@ use super::symmetry::Symmetry;
 use super::template::Template;
 use crate::digest::Digest;
 use crate::math::DVec3;
+use crate::stop::NEVER;
 use crate::surface::{MeshError, Solid, TriangleMesh};
 use alloc::vec::Vec;
 
@@ -132,7 +133,8 @@ impl Template {
         let template = Self::with_unit_normals(points_mm, normals, spacing_mm);
         let mut template = template.map_err(TemplateBytesError::Template)?;
         if flags & SURFACE != 0 {
-            template = template.with_solid(read.solid()?);
+            let exact = template.with_solid(read.solid()?, NEVER);
+            template = exact.map_err(|stopped| TemplateBytesError::Template(stopped.into()))?;
         } else if flags & SURFELS != 0 {
             template = template.with_surfels();
         }

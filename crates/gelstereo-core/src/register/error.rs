@@ -2,6 +2,7 @@
 
 use super::template::{LEAST_POINTS, MOST_POINTS, REACH_MM};
 use crate::params::ParamsError;
+use crate::stop::Stopped;
 use crate::surface::SolidError;
 
 /// Why points or a mesh are no template.
@@ -47,6 +48,8 @@ pub enum TemplateError {
         /// Largest extent of the points along an axis.
         extent_mm: f64,
     },
+    /// The caller stopped the work ([`crate::stop`]).
+    Stopped,
 }
 
 impl core::fmt::Display for TemplateError {
@@ -71,6 +74,7 @@ impl core::fmt::Display for TemplateError {
                 write!(f, "normal {index} has length zero; every point needs an outward normal")
             }
             Self::Solid(error) => error.fmt(f),
+            Self::Stopped => Stopped.fmt(f),
             Self::Spacing { found_mm, extent_mm } => write!(
                 f,
                 "the spacing is {found_mm} mm for points that extend over {extent_mm} mm; valid is a positive \
@@ -82,6 +86,21 @@ impl core::fmt::Display for TemplateError {
 }
 
 impl core::error::Error for TemplateError {}
+
+impl From<Stopped> for TemplateError {
+    fn from(Stopped: Stopped) -> Self {
+        Self::Stopped
+    }
+}
+
+impl From<SolidError> for TemplateError {
+    fn from(error: SolidError) -> Self {
+        match error {
+            SolidError::Stopped => Self::Stopped,
+            error => Self::Solid(error),
+        }
+    }
+}
 
 /// Why a registration has no answer.
 #[derive(Clone, Debug, PartialEq)]

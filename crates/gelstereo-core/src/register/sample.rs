@@ -4,6 +4,7 @@ use super::error::TemplateError;
 use super::template::{LEAST_POINTS, MOST_POINTS};
 use crate::math::random::Stream;
 use crate::math::{DVec3, floor, sqrt};
+use crate::stop::{Stop, ask};
 use crate::surface::{TriangleMesh, area_vector};
 use alloc::vec::Vec;
 
@@ -18,6 +19,7 @@ pub(super) fn evenly(
     mesh: &TriangleMesh,
     spacing_mm: f64,
     seed: u64,
+    stop: Stop<'_>,
 ) -> Result<(Vec<DVec3>, Vec<DVec3>), TemplateError> {
     let cumulative_mm2 = cumulative_areas(mesh);
     let area_mm2 = cumulative_mm2.last().copied().unwrap_or(0.0);
@@ -34,7 +36,8 @@ pub(super) fn evenly(
     }
     let mut random = Stream::new(seed, "template");
     let mut darts = Darts::new(LEAST_DISTANCE * spacing_mm, expected as usize);
-    for _ in 0..(expected * DARTS_PER_POINT) as usize {
+    for dart in 0..(expected * DARTS_PER_POINT) as usize {
+        ask(stop, dart)?;
         // Every dart draws three numbers whether it lands or not.
         let (pick, u, v) = (random.uniform() * area_mm2, random.uniform(), random.uniform());
         let triangle = cumulative_mm2.partition_point(|&sum| sum <= pick).min(cumulative_mm2.len() - 1);

@@ -3,6 +3,7 @@
 use super::template::Template;
 use crate::math::linalg::eigen;
 use crate::math::{DVec3, Pose, sqrt};
+use crate::stop::{NEVER, Stop, Stopped, ask};
 use crate::surface::{Solid, area_vector};
 use alloc::vec::Vec;
 use core::f64::consts::{PI, TAU};
@@ -62,7 +63,15 @@ impl Symmetry {
     /// finer than the tolerance. None without an exact surface.
     #[must_use]
     pub fn of(template: &Template, tolerance_mm: f64) -> Vec<Self> {
-        let Some(solid) = template.solid() else { return Vec::new() };
+        Self::of_unless(template, tolerance_mm, NEVER).unwrap_or_default()
+    }
+
+    /// As [`Self::of`], unless it is stopped.
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    pub fn of_unless(template: &Template, tolerance_mm: f64, stop: Stop<'_>) -> Result<Vec<Self>, Stopped> {
+        let Some(solid) = template.solid() else { return Ok(Vec::new()) };
         let (centre_mm, moment) = moments(solid);
         let found = eigen(&moment);
         let trace: f64 = found.values.iter().sum();
@@ -72,10 +81,10 @@ impl Symmetry {
         };
         let all_alike = found.values[2] - found.values[0] <= 1e-3 * trace;
         let mut candidates = Vec::new();
-        add_normals(&mut candidates, &largest_normals(solid), all_alike);
+        add_normals(&mut candidates, &largest_normals(solid, stop)?, all_alike);
         // Last, as they may come close to an axis by chance where the moments leave a choice.
         candidates.extend(found.vectors.iter().map(|&v| upright(DVec3::from_array(v))));
-        let part = Part { solid, points_mm: template.points_mm(), tolerance_mm };
+        let part = Part { solid, points_mm: template.points_mm(), tolerance_mm, stop };
         let mut axes: Vec<Self> = Vec::new();
         for axis in candidates.into_iter().filter(|&a| is_eigenvector(a)) {
             let is_known =
@@ -87,23 +96,23 @@ impl Symmetry {
             // Axes across a continuous one are alike: after the first, only another continuous one, of a ball, counts.
             let has = |is_round: bool| axes.iter().any(|a| a.order.is_none() == is_round);
             let order = if has(true) && has(false) {
-                part.is_round(candidate).then_some(None)
+                part.is_round(candidate)?.then_some(None)
             } else {
-                part.order(candidate)
+                part.order(candidate)?
             };
             axes.extend(order.map(|order| Self { order, ..candidate }));
         }
         if axes.iter().filter(|a| a.order.is_none()).count() > 1 {
             let every = [DVec3::X, DVec3::Y, DVec3::Z];
-            return every.map(|axis| Self { axis, centre_mm, order: None }).to_vec();
+            return Ok(every.map(|axis| Self { axis, centre_mm, order: None }).to_vec());
         }
         if let Some(round) = axes.iter().find(|a| a.order.is_none()).copied() {
             let across = axes.iter().find(|a| a.order.is_some()).copied();
-            return [Some(round), across].into_iter().flatten().collect();
+            return Ok([Some(round), across].into_iter().flatten().collect());
         }
         // By order; the sort keeps the candidates' order of equals.
         axes.sort_by_key(|axis| core::cmp::Reverse(axis.order));
-        axes
+        Ok(axes)
     }
 }
 
@@ -111,37 +120,57 @@ struct Part<'a> {
     solid: &'a Solid,
     points_mm: &'a [DVec3],
     tolerance_mm: f64,
+    stop: Stop<'a>,
 }
 
 impl Part<'_> {
     /// How often the part looks the same around an axis, if more than once.
-    fn order(&self, axis: Symmetry) -> Option<Option<u32>> {
-        if self.is_round(axis) {
-            return Some(None);
+    fn order(&self, axis: Symmetry) -> Result<Option<Option<u32>>, Stopped> {
+        if self.is_round(axis)? {
+            return Ok(Some(None));
         }
         // Every turn: one by 1/17 leaves sixteen facets nearly where they were, its eighth multiple does not.
         let looks_the_same = |n: u32| {
             let step = TAU / f64::from(n);
-            (1..=n / 2).all(|k| self.holds(&axis.turned(f64::from(k) * step)))
+            self.hold((1..=n / 2).map(|k| axis.turned(f64::from(k) * step)))
         };
-        (2..=MOST_TURNS).rev().find(|&n| looks_the_same(n)).map(Some)
+        for n in (2..=MOST_TURNS).rev() {
+            if looks_the_same(n)? {
+                return Ok(Some(Some(n)));
+            }
+        }
+        Ok(None)
     }
 
     /// Whether the part looks the same after any turn around an axis.
     ///
     /// Squares, as 34 of the turns by the golden section itself come back to within 1/75 of one: of any facets up to 128 one
     /// of these turns is a quarter of a facet off or more, where a facet is off by 3/4 of its depth.
-    fn is_round(&self, axis: Symmetry) -> bool {
-        (1..=8).all(|k| self.holds(&axis.turned(f64::from(k * k) * GOLDEN * TAU)))
+    fn is_round(&self, axis: Symmetry) -> Result<bool, Stopped> {
+        self.hold((1..=8).map(|k| axis.turned(f64::from(k * k) * GOLDEN * TAU)))
     }
 
-    fn holds(&self, turn: &Pose) -> bool {
-        let near = |p: &DVec3| {
-            let turned = turn.transform_point(*p);
-            self.solid.closest_within(turned, self.tolerance_mm, None).is_some()
-        };
+    /// Whether the part looks the same after each of these turns: some points first, which most wrong turns fail.
+    fn hold(&self, turns: impl Iterator<Item = Pose>) -> Result<bool, Stopped> {
         let stride = self.points_mm.len().div_ceil(FIRST_POINTS);
-        self.points_mm.iter().step_by(stride).all(near) && self.points_mm.iter().all(near)
+        for turn in turns {
+            if !(self.holds(&turn, stride)? && self.holds(&turn, 1)?) {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+
+    /// Whether every so many points lie on the surface after a turn.
+    fn holds(&self, turn: &Pose, stride: usize) -> Result<bool, Stopped> {
+        for (step, p) in self.points_mm.iter().step_by(stride).enumerate() {
+            ask(self.stop, step)?;
+            let turned = turn.transform_point(*p);
+            if self.solid.closest_within(turned, self.tolerance_mm, None).is_none() {
+                return Ok(false);
+            }
+        }
+        Ok(true)
     }
 }
 
@@ -173,9 +202,10 @@ fn moments(solid: &Solid) -> (DVec3, [[f64; 3]; 3]) {
 }
 
 /// Different directions of the largest faces, whichever way they look.
-fn largest_normals(solid: &Solid) -> Vec<DVec3> {
+fn largest_normals(solid: &Solid, stop: Stop<'_>) -> Result<Vec<DVec3>, Stopped> {
     let mut faces: Vec<(f64, DVec3)> = Vec::new();
     for (triangle, corners) in solid.triangles().iter().enumerate() {
+        ask(stop, triangle)?;
         let normal = solid.face_normal(triangle as u32);
         if normal == DVec3::ZERO {
             continue;
@@ -190,7 +220,7 @@ fn largest_normals(solid: &Solid) -> Vec<DVec3> {
     }
     faces.sort_by(|a, b| b.0.total_cmp(&a.0));
     faces.truncate(MOST_NORMALS);
-    faces.into_iter().map(|(_, normal)| normal).collect()
+    Ok(faces.into_iter().map(|(_, normal)| normal).collect())
 }
 
 /// Normals, and sums of two and, if asked for, three of them.

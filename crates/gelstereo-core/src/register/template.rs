@@ -9,6 +9,7 @@ use super::symmetry::Symmetry;
 use super::tree::Tree;
 use crate::digest::Digest;
 use crate::math::{DVec3, Pose, sqrt};
+use crate::stop::{NEVER, Stop, Stopped, ask};
 use crate::surface::{Field, Solid, TriangleMesh};
 use alloc::vec::Vec;
 
@@ -55,7 +56,7 @@ impl Template {
     /// [`TemplateError`].
     pub fn new(points_mm: &[DVec3], normals: &[DVec3], spacing_mm: f64) -> Result<Self, TemplateError> {
         check(points_mm, normals, spacing_mm)?;
-        Ok(Self::build(points_mm.to_vec(), unit(normals)?, spacing_mm))
+        Ok(Self::build(points_mm.to_vec(), unit(normals)?, spacing_mm, NEVER)?)
     }
 
     /// As [`Self::new`], of normals that were normalised before and keep their bits.
@@ -67,15 +68,20 @@ impl Template {
         check(&points_mm, &normals, spacing_mm)?;
         match normals.iter().position(|n| (n.length_squared() - 1.0).abs() > 1e-9) {
             Some(index) => Err(TemplateError::ZeroNormal { index }),
-            None => Ok(Self::build(points_mm, normals, spacing_mm)),
+            None => Ok(Self::build(points_mm, normals, spacing_mm, NEVER)?),
         }
     }
 
-    fn build(points_mm: Vec<DVec3>, normals: Vec<DVec3>, spacing_mm: f64) -> Self {
+    fn build(
+        points_mm: Vec<DVec3>,
+        normals: Vec<DVec3>,
+        spacing_mm: f64,
+        stop: Stop<'_>,
+    ) -> Result<Self, Stopped> {
         let tree = Tree::new(&points_mm);
-        let curvatures_per_mm = curvatures(&points_mm, &normals, &tree, spacing_mm);
+        let curvatures_per_mm = curvatures(&points_mm, &normals, &tree, spacing_mm, stop)?;
         let blocks = blocks::blocks(&points_mm, &normals, &tree);
-        Self {
+        Ok(Self {
             points_mm,
             normals,
             curvatures_per_mm,
@@ -88,7 +94,7 @@ impl Template {
             symmetries: Vec::new(),
             alike: Vec::new(),
             is_exact: false,
-        }
+        })
     }
 
     /// With every point taken for a small square in its tangent plane, so that the surface rungs of registration work on a
@@ -110,11 +116,11 @@ impl Template {
     }
 
     /// With the exact surface, and none that was made of the points.
-    pub(super) fn with_solid(self, solid: Solid) -> Self {
-        let relief = Some(Relief::new(&solid));
+    pub(super) fn with_solid(self, solid: Solid, stop: Stop<'_>) -> Result<Self, Stopped> {
+        let relief = Some(Relief::new(&solid, stop)?);
         let mut exact = Self { solid: Some(solid), relief, field: None, is_exact: true, ..self };
-        exact.alike = Symmetry::of(&exact, ALIKE_MM);
-        exact
+        exact.alike = Symmetry::of_unless(&exact, ALIKE_MM, stop)?;
+        Ok(exact)
     }
 
     /// Spacing for a part that a hand holds: a quarter of the lattice's pitch, rounded. Default of all who sample one.
@@ -133,11 +139,24 @@ impl Template {
     /// [`TemplateError::TooFew`] or [`TemplateError::TooMany`] when the spacing does not suit the mesh's area,
     /// [`TemplateError::Spacing`] when it is not positive, [`TemplateError::Solid`] when the triangles are no surface.
     pub fn from_mesh(mesh: &TriangleMesh, spacing_mm: f64, seed: u64) -> Result<Self, TemplateError> {
-        let (points_mm, normals) = sample::evenly(mesh, spacing_mm, seed)?;
-        let solid = Solid::new(mesh).map_err(TemplateError::Solid)?;
+        Self::from_mesh_unless(mesh, spacing_mm, seed, NEVER)
+    }
+
+    /// As [`Self::from_mesh`], unless it is stopped.
+    ///
+    /// # Errors
+    /// As [`Self::from_mesh`], and [`TemplateError::Stopped`].
+    pub fn from_mesh_unless(
+        mesh: &TriangleMesh,
+        spacing_mm: f64,
+        seed: u64,
+        stop: Stop<'_>,
+    ) -> Result<Self, TemplateError> {
+        let (points_mm, normals) = sample::evenly(mesh, spacing_mm, seed, stop)?;
+        let solid = Solid::new_unless(mesh, stop)?;
         check(&points_mm, &normals, spacing_mm)?;
-        let bare = Self::build(points_mm, unit(&normals)?, spacing_mm).with_solid(solid);
-        Ok(bare.with_field(Self::DEFAULT_CELL_MM, Self::DEFAULT_REACH_MM))
+        let bare = Self::build(points_mm, unit(&normals)?, spacing_mm, stop)?.with_solid(solid, stop)?;
+        Ok(bare.with_field_unless(Self::DEFAULT_CELL_MM, Self::DEFAULT_REACH_MM, stop)?)
     }
 
     /// The exact surface, for a template that was made from a mesh.
@@ -153,6 +172,17 @@ impl Template {
         self.field =
             self.solid.as_ref().and_then(|solid| Field::new(solid, cell_mm, reach_mm)).or(self.field);
         self
+    }
+
+    /// As [`Self::with_field`], unless it is stopped.
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    pub fn with_field_unless(mut self, cell_mm: f64, reach_mm: f64, stop: Stop<'_>) -> Result<Self, Stopped> {
+        if let Some(solid) = &self.solid {
+            self.field = Field::new_unless(solid, cell_mm, reach_mm, stop)?.or(self.field);
+        }
+        Ok(self)
     }
 
     /// Without the grid.
@@ -308,12 +338,19 @@ fn unit(normals: &[DVec3]) -> Result<Vec<DVec3>, TemplateError> {
 }
 
 /// Largest difference of normals per distance in the neighbourhood of two spacings, about a dozen points.
-fn curvatures(points_mm: &[DVec3], normals: &[DVec3], tree: &Tree, spacing_mm: f64) -> Vec<f64> {
+fn curvatures(
+    points_mm: &[DVec3],
+    normals: &[DVec3],
+    tree: &Tree,
+    spacing_mm: f64,
+    stop: Stop<'_>,
+) -> Result<Vec<f64>, Stopped> {
     let radius = 2.0 * spacing_mm;
     // Samples closer than half a spacing do not place an edge any better than the sampling does.
     let least = 0.25 * spacing_mm * spacing_mm;
     let mut out = Vec::with_capacity(points_mm.len());
-    for (&point, &normal) in points_mm.iter().zip(normals) {
+    for (step, (&point, &normal)) in points_mm.iter().zip(normals).enumerate() {
+        ask(stop, step)?;
         let mut largest = 0.0_f64;
         tree.within(point, radius * radius, &mut |k, distance_squared| {
             // The far side of a thin plate is no neighbour along the surface; a right angle is.
@@ -323,5 +360,5 @@ fn curvatures(points_mm: &[DVec3], normals: &[DVec3], tree: &Tree, spacing_mm: f
         });
         out.push(sqrt(largest));
     }
-    out
+    Ok(out)
 }

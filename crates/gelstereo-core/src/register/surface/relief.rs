@@ -4,6 +4,7 @@
 //! by the part.
 
 use crate::math::{DVec3, abs, sqrt};
+use crate::stop::{Stop, Stopped, ask};
 use crate::surface::{Closest, Solid};
 use alloc::vec::Vec;
 
@@ -28,11 +29,12 @@ pub(super) struct Slope {
 }
 
 impl Relief {
-    pub fn new(solid: &Solid) -> Self {
+    pub fn new(solid: &Solid, stop: Stop<'_>) -> Result<Self, Stopped> {
         let (places, triangles) = (solid.vertices_mm(), solid.triangles());
         let around = Around::new(places.len(), triangles);
         let mut out = Self { corners: Vec::new(), curvatures_per_mm: Vec::new() };
         for (k, triangle) in triangles.iter().enumerate() {
+            ask(stop, k)?;
             let own = solid.face_normal(k as u32);
             let corner = |v: u32| {
                 let mut sum = DVec3::ZERO;
@@ -54,7 +56,7 @@ impl Relief {
             out.curvatures_per_mm.push(sqrt(turn.fold(0.0, f64::max)));
             out.corners.push(normals);
         }
-        out
+        Ok(out)
     }
 
     /// Of samples that stand for two triangles each.

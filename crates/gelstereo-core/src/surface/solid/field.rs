@@ -3,6 +3,7 @@
 use super::Solid;
 use crate::digest::Digest;
 use crate::math::{DVec3, ceil, round};
+use crate::stop::{NEVER, Stop, Stopped, ask};
 use alloc::vec::Vec;
 
 /// Cells along a block's side.
@@ -58,16 +59,29 @@ impl Field {
     /// them.
     #[must_use]
     pub fn new(solid: &Solid, cell_mm: f64, reach_mm: f64) -> Option<Self> {
+        Self::new_unless(solid, cell_mm, reach_mm, NEVER).ok().flatten()
+    }
+
+    /// As [`Self::new`], unless it is stopped.
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    pub fn new_unless(
+        solid: &Solid,
+        cell_mm: f64,
+        reach_mm: f64,
+        stop: Stop<'_>,
+    ) -> Result<Option<Self>, Stopped> {
         let sound = cell_mm > 0.0 && reach_mm >= 2.0 * cell_mm && reach_mm <= 1000.0 * cell_mm;
         if !(sound && reach_mm.is_finite()) {
-            return None;
+            return Ok(None);
         }
         let (mut cell_mm, mut reach_mm) = (cell_mm, reach_mm);
         loop {
-            if let Some((mut field, count)) = Self::laid_out(solid, cell_mm, reach_mm) {
-                field.fill(solid, count);
+            if let Some((mut field, count)) = Self::laid_out(solid, cell_mm, reach_mm, stop)? {
+                field.fill(solid, count, stop)?;
                 field.forget_jumps();
-                return Some(field);
+                return Ok(Some(field));
             }
             cell_mm *= WIDER;
             // So that the same field is made of its own numbers.
@@ -124,19 +138,25 @@ impl Field {
     }
 
     /// The grid without values, and the number of its blocks; `None` if it is too large.
-    fn laid_out(solid: &Solid, cell_mm: f64, reach_mm: f64) -> Option<(Self, usize)> {
+    fn laid_out(
+        solid: &Solid,
+        cell_mm: f64,
+        reach_mm: f64,
+        stop: Stop<'_>,
+    ) -> Result<Option<(Self, usize)>, Stopped> {
         let (low_mm, high_mm) = solid.bounds_mm();
         let (low_mm, high_mm) = (low_mm - reach_mm, high_mm + reach_mm);
         let side_mm = CELLS as f64 * cell_mm;
         let sides = ((high_mm - low_mm) / side_mm).to_array().map(|n| ceil(n).max(1.0));
         if sides.iter().product::<f64>() > MOST_PLACES {
-            return None;
+            return Ok(None);
         }
         let sides = sides.map(|n| n as usize);
         let half_diagonal_mm = 0.5 * DVec3::splat(side_mm).length();
         let mut block_at = alloc::vec![NONE; sides.iter().product()];
         let (mut count, mut near) = (0, None);
         for (place, block) in block_at.iter_mut().enumerate() {
+            ask(stop, place)?;
             let middle = corner(place, sides) * side_mm + low_mm + 0.5 * side_mm;
             // Whatever in the block is within reach of the surface brings its middle within this.
             if let Some(found) = solid.closest_within(middle, reach_mm + half_diagonal_mm, near) {
@@ -144,7 +164,7 @@ impl Field {
                 *block = count as u32;
                 count += 1;
                 if count * BLOCK > MOST_NODES {
-                    return None;
+                    return Ok(None);
                 }
             }
         }
@@ -154,15 +174,16 @@ impl Field {
         let values = Vec::new();
         let field =
             Self { low_mm, cell_mm, reach_mm, step_mm, slope, per_cell, sides, cells, block_at, values };
-        Some((field, count))
+        Ok(Some((field, count)))
     }
 
-    fn fill(&mut self, solid: &Solid, count: usize) {
+    fn fill(&mut self, solid: &Solid, count: usize, stop: Stop<'_>) -> Result<(), Stopped> {
         self.values = Vec::with_capacity(count * BLOCK);
         let mut near = None;
         for (place, _) in self.block_at.iter().enumerate().filter(|&(_, &block)| block != NONE) {
             let corner = corner(place, self.sides) * CELLS as f64;
             for k in 0..BLOCK {
+                ask(stop, self.values.len())?;
                 let node = [k % NODES, k / NODES % NODES, k / (NODES * NODES)];
                 let value = self.known(place, node).unwrap_or_else(|| {
                     let p_mm =
@@ -174,6 +195,7 @@ impl Field {
                 self.values.push(value);
             }
         }
+        Ok(())
     }
 
     /// The value of a node that a block before has too.

@@ -15,6 +15,7 @@ pub use turn::Turned;
 use super::TriangleMesh;
 use crate::digest::Digest;
 use crate::math::{DVec3, sqrt};
+use crate::stop::{NEVER, Stop, Stopped, ask};
 use alloc::vec::Vec;
 use face::{Edge, Face, Found, Site};
 use tree::{Boxes, Item};
@@ -96,6 +97,14 @@ impl Solid {
     /// # Errors
     /// [`SolidError`].
     pub fn new(mesh: &TriangleMesh) -> Result<Self, SolidError> {
+        Self::new_unless(mesh, NEVER)
+    }
+
+    /// As [`Self::new`], unless it is stopped.
+    ///
+    /// # Errors
+    /// [`SolidError`].
+    pub fn new_unless(mesh: &TriangleMesh, stop: Stop<'_>) -> Result<Self, SolidError> {
         if mesh.triangles().len() > MOST_TRIANGLES {
             return Err(SolidError::TooMany { found: mesh.triangles().len() });
         }
@@ -103,17 +112,21 @@ impl Solid {
         if let Some(vertex) = mesh.vertices_mm().iter().position(too_far) {
             return Err(SolidError::TooFar { vertex });
         }
-        let welded = Welded::new(mesh);
-        let normals = normals::normals(&welded);
+        let welded = Welded::new(mesh, stop)?;
+        let normals = normals::normals(&welded, stop)?;
         let mut items = items(&welded);
         if items.is_empty() {
             return Err(SolidError::Empty);
         }
-        let boxes = Boxes::new(&mut items);
+        let boxes = Boxes::new(&mut items, stop)?;
         let faces: Vec<Face> = items
             .iter()
-            .map(|item| Face::new(&welded, item.triangle as usize, normals.faces[item.triangle as usize]))
-            .collect();
+            .enumerate()
+            .map(|(place, item)| {
+                ask(stop, place)?;
+                Ok(Face::new(&welded, item.triangle as usize, normals.faces[item.triangle as usize]))
+            })
+            .collect::<Result<_, Stopped>>()?;
         let mut place_of = alloc::vec![weld::NONE; welded.corners.len()];
         for (place, face) in faces.iter().enumerate() {
             place_of[face.triangle as usize] = place as u32;

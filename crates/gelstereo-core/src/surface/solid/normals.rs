@@ -3,6 +3,7 @@
 
 use super::weld::{Kind, Welded, lengths_squared};
 use crate::math::{DVec3, atan2, sqrt};
+use crate::stop::{Stop, Stopped, ask};
 use crate::surface::area_vector;
 use alloc::vec::Vec;
 
@@ -17,16 +18,21 @@ pub(super) struct Normals {
     pub vertices: Vec<DVec3>,
 }
 
-pub(super) fn normals(welded: &Welded) -> Normals {
+pub(super) fn normals(welded: &Welded, stop: Stop<'_>) -> Result<Normals, Stopped> {
     let faces: Vec<DVec3> = (0..welded.corners.len())
-        .map(|t| match welded.kinds[t] {
-            Kind::Face => face_normal(welded, t),
-            Kind::Cap | Kind::Left => DVec3::ZERO,
+        .map(|t| {
+            ask(stop, t)?;
+            Ok(match welded.kinds[t] {
+                Kind::Face => face_normal(welded, t),
+                Kind::Cap | Kind::Left => DVec3::ZERO,
+            })
         })
-        .collect();
-    let edges = (0..welded.edges.len()).map(|edge| edge_normal(welded, &faces, edge)).collect();
-    let vertices = vertex_normals(welded, &faces);
-    Normals { faces, edges, vertices }
+        .collect::<Result<_, Stopped>>()?;
+    let edges = (0..welded.edges.len())
+        .map(|edge| ask(stop, edge).map(|()| edge_normal(welded, &faces, edge)))
+        .collect::<Result<_, Stopped>>()?;
+    let vertices = vertex_normals(welded, &faces, stop)?;
+    Ok(Normals { faces, edges, vertices })
 }
 
 /// The vector's direction; zero when it has none.
@@ -108,10 +114,11 @@ pub(super) fn longest(welded: &Welded, triangle: usize) -> usize {
 }
 
 /// Sums of the faces' normals, weighted by their angles at the vertex.
-fn vertex_normals(welded: &Welded, faces: &[DVec3]) -> Vec<DVec3> {
+fn vertex_normals(welded: &Welded, faces: &[DVec3], stop: Stop<'_>) -> Result<Vec<DVec3>, Stopped> {
     let mut sums = alloc::vec![DVec3::ZERO; welded.vertices_mm.len()];
     let mut first = sums.clone();
     for triangle in 0..welded.corners.len() {
+        ask(stop, triangle)?;
         let normal = match welded.kinds[triangle] {
             Kind::Face => faces[triangle],
             Kind::Cap => behind(welded, faces, triangle),
@@ -129,8 +136,7 @@ fn vertex_normals(welded: &Welded, faces: &[DVec3]) -> Vec<DVec3> {
             }
         }
     }
-    sums.iter()
-        .zip(&first)
-        .map(|(&sum, &first)| if sum.length_squared() > 1e-24 { unit(sum) } else { first })
-        .collect()
+    let mean =
+        |(&sum, &first): (&DVec3, &DVec3)| if sum.length_squared() > 1e-24 { unit(sum) } else { first };
+    Ok(sums.iter().zip(&first).map(mean).collect())
 }

@@ -1,5 +1,7 @@
 //! What is known about a mesh as the boundary of a body, and why some bound none.
 
+use crate::stop::Stopped;
+
 /// What a mesh is as the boundary of a body. Nothing of it keeps distances from being exact.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SolidReport {
@@ -48,6 +50,8 @@ pub enum SolidError {
         /// Triangles found.
         found: usize,
     },
+    /// The caller stopped the work ([`crate::stop`]).
+    Stopped,
 }
 
 impl core::fmt::Display for SolidError {
@@ -68,8 +72,15 @@ impl core::fmt::Display for SolidError {
                 "the mesh has {found} triangles; at most {} are held: simplify it",
                 super::MOST_TRIANGLES
             ),
+            Self::Stopped => Stopped.fmt(f),
         }
     }
 }
 
 impl core::error::Error for SolidError {}
+
+impl From<Stopped> for SolidError {
+    fn from(Stopped: Stopped) -> Self {
+        Self::Stopped
+    }
+}

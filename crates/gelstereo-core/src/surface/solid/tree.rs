@@ -4,6 +4,7 @@
 //! little larger than they are: eight of them are measured by as many instructions as four in double precision.
 
 use crate::math::DVec3;
+use crate::stop::{Stop, Stopped, ask};
 use alloc::vec::Vec;
 use core::ops::Range;
 
@@ -57,13 +58,13 @@ pub(super) struct Item {
 
 impl Boxes {
     /// Orders the items, of which there is at least one and fewer than 2²⁸, as the tree's places.
-    pub fn new(items: &mut [Item]) -> Self {
+    pub fn new(items: &mut [Item], stop: Stop<'_>) -> Result<Self, Stopped> {
         let (low, high) = bounds(items);
         let middle_mm = low + (high - low) * 0.5;
         let reach_mm = (high - middle_mm).max(middle_mm - low).max_element();
         let mut boxes = Self { nodes: Vec::with_capacity(items.len() / 4 + 1), middle_mm, reach_mm };
-        boxes.grow(items, 0);
-        boxes
+        boxes.grow(items, 0, stop)?;
+        Ok(boxes)
     }
 
     /// Calls `visit` for places, of near boxes first, whose box is within the squared distance `limit_mm2`, which is
@@ -98,8 +99,9 @@ impl Boxes {
     }
 
     /// Adds the node over these items, which stand from `first` on; its name.
-    fn grow(&mut self, items: &mut [Item], first: usize) -> u32 {
+    fn grow(&mut self, items: &mut [Item], first: usize, stop: Stop<'_>) -> Result<u32, Stopped> {
         let name = self.nodes.len();
+        ask(stop, name)?;
         self.nodes.push(Node {
             // A box that is not there is infinitely far from everywhere.
             low: [[f32::INFINITY; WAYS]; 3],
@@ -116,7 +118,7 @@ impl Boxes {
             let child = if inside.len() <= LEAF {
                 at as u32 | (inside.len() as u32) << NAME_BITS
             } else {
-                self.grow(inside, at)
+                self.grow(inside, at, stop)?
             };
             let (low, high) = (single(low - self.middle_mm), single(high - self.middle_mm));
             let node = &mut self.nodes[name];
@@ -126,7 +128,7 @@ impl Boxes {
             }
             node.child[k] = child;
         }
-        name as u32
+        Ok(name as u32)
     }
 }
 

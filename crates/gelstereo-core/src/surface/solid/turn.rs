@@ -2,6 +2,7 @@
 
 use super::weld::{Kind, NONE, Use, Welded};
 use crate::math::sqrt;
+use crate::stop::{NEVER, Stop, Stopped, ask};
 use crate::surface::{TriangleMesh, area_vector};
 use alloc::vec::Vec;
 
@@ -22,16 +23,24 @@ impl TriangleMesh {
     /// alone.
     #[must_use]
     pub fn turned_outward(&self) -> (Self, Turned) {
-        let welded = Welded::new(self);
-        let mut turned = strays(&welded);
+        self.turned_outward_unless(NEVER).unwrap_or_default()
+    }
+
+    /// As [`Self::turned_outward`], unless it is stopped.
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    pub fn turned_outward_unless(&self, stop: Stop<'_>) -> Result<(Self, Turned), Stopped> {
+        let welded = Welded::new(self, stop)?;
+        let mut turned = strays(&welded, stop)?;
         let stray = turned.iter().filter(|&&t| t).count();
         let mut mesh = self.turned(&turned);
-        let report = Welded::new(&mesh).report();
+        let report = Welded::new(&mesh, stop)?.report();
         if report.is_inside_out() {
             turned.iter_mut().for_each(|t| *t = !*t);
             mesh = self.turned(&turned);
         }
-        (mesh, Turned { stray, inside_out: report.is_inside_out() })
+        Ok((mesh, Turned { stray, inside_out: report.is_inside_out() }))
     }
 
     fn turned(&self, which: &[bool]) -> Self {
@@ -42,11 +51,12 @@ impl TriangleMesh {
 }
 
 /// Which triangles face the other way than most of their shell.
-fn strays(welded: &Welded) -> Vec<bool> {
+fn strays(welded: &Welded, stop: Stop<'_>) -> Result<Vec<bool>, Stopped> {
     let mut turned = alloc::vec![false; welded.corners.len()];
     let mut seen = turned.clone();
     let mut shell = Vec::new();
     for first in 0..welded.corners.len() {
+        ask(stop, first)?;
         if seen[first] || welded.kinds[first] == Kind::Left {
             continue;
         }
@@ -56,6 +66,7 @@ fn strays(welded: &Welded) -> Vec<bool> {
         let mut next = 0;
         while let Some(&triangle) = shell.get(next) {
             next += 1;
+            ask(stop, next)?;
             for &edge in welded.edges_of[triangle].iter().filter(|&&edge| edge != NONE) {
                 let Some((other, same_way)) = neighbour(welded.uses(edge as usize), triangle) else {
                     continue;
@@ -74,7 +85,7 @@ fn strays(welded: &Welded) -> Vec<bool> {
             shell.iter().for_each(|&t| turned[t] = !turned[t]);
         }
     }
-    turned
+    Ok(turned)
 }
 
 /// The other triangle of an edge of two, and whether it runs along it the same way, as it should not.

@@ -2,6 +2,7 @@
 
 use super::report::SolidReport;
 use crate::math::DVec3;
+use crate::stop::{Stop, Stopped, ask};
 use crate::surface::{TriangleMesh, area_vector};
 use alloc::vec::Vec;
 
@@ -44,14 +45,28 @@ pub(super) struct Welded {
     first_use: Vec<u32>,
 }
 
+/// Sides sorted between two questions whether to stop: some milliseconds.
+const SORTED_AT_ONCE: usize = 1 << 16;
+
 impl Welded {
-    pub fn new(mesh: &TriangleMesh) -> Self {
+    pub fn new(mesh: &TriangleMesh, stop: Stop<'_>) -> Result<Self, Stopped> {
+        ask(stop, 0)?;
         let (vertices_mm, names) = weld(mesh.vertices_mm());
         let corners: Vec<[u32; 3]> = mesh.triangles().iter().map(|t| t.map(|i| names[i as usize])).collect();
+        ask(stop, 0)?;
         let mut kinds = kinds(&vertices_mm, &corners);
         leave_repetitions(&corners, &mut kinds);
+        ask(stop, 0)?;
         let mut sides = sides(&corners, &kinds);
-        sides.sort_unstable_by_key(|(ends, side)| (*ends, side.triangle, side.corner));
+        let key = |(ends, side): &([u32; 2], Use)| (*ends, side.triangle, side.corner);
+        for run in sides.chunks_mut(SORTED_AT_ONCE) {
+            ask(stop, 0)?;
+            run.sort_unstable_by_key(key);
+        }
+        ask(stop, 0)?;
+        // The stable sort merges runs that are sorted.
+        sides.sort_by_key(key);
+        ask(stop, 0)?;
         let (mut edges, mut first_use) = (Vec::new(), Vec::new());
         let mut edges_of = alloc::vec![[NONE; 3]; corners.len()];
         for (place, (ends, side)) in sides.iter().enumerate() {
@@ -63,7 +78,7 @@ impl Welded {
         }
         first_use.push(sides.len() as u32);
         let uses = sides.into_iter().map(|(_, side)| side).collect();
-        Self { vertices_mm, corners, kinds, edges, edges_of, uses, first_use }
+        Ok(Self { vertices_mm, corners, kinds, edges, edges_of, uses, first_use })
     }
 
     /// The triangles' sides along an edge.
