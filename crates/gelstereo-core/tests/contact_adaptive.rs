@@ -103,8 +103,8 @@ fn presses() -> impl Strategy<Value = Press> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Balls in gels of three laws. Second differences reach one pitch far, so markers farther than that from
-    /// the edge are told right.
+    /// Balls in gels of three laws. A second difference reaches one pitch. Markers more than a pitch from the
+    /// edge must get the right label.
     #[test]
     fn row_36_a_ball_is_found_whatever_the_law_of_the_gel(
         press in presses(), noise in prop::collection::vec(-1.7..1.7_f64, MARKERS),
