@@ -10,7 +10,8 @@ import gelstereo
 import numpy as np
 import pytest
 from gelstereo._native import parse_toml
-from outside import fields, images
+from gelstereo.frontier.grasps import GRASPED
+from outside import bonded, fields, grasped, images
 from outside.images import Condition, Sequence
 from outside.judge import judged, under_glints
 from outside.judge_contacts import RULES, judge
@@ -73,10 +74,11 @@ def test_every_sequence_shows_contacts_of_its_own_half() -> None:
 def test_size_in_the_repository_is_bounded() -> None:
     sizes = {
         kind: sum(p.stat().st_size for p in (HERE / "data" / kind).iterdir())
-        for kind in ("images", "contacts")
+        for kind in ("images", "contacts", "grasped")
     }
     assert sizes["images"] < 40e6
     assert sizes["contacts"] < 10e6
+    assert sizes["grasped"] < 5e6
 
 
 def test_snells_law_is_the_rigs() -> None:
@@ -166,3 +168,59 @@ def test_row_36_one_rule_for_gels_by_finite_elements() -> None:
     adaptive = RULES[0]
     assert min(np.mean(by_rule[adaptive].f1) for by_rule in scores.values()) >= 0.85
     assert all(mean_f1[adaptive] > mean_f1[rule] + 0.05 for rule in RULES[1:])
+
+
+def test_halves_of_grasped_parts_share_no_part_or_length() -> None:
+    entries = table("grasped.toml")
+    assert not set(entries["parts"]["w"]) & set(entries["parts"]["j"])
+    assert set(entries["parts"]["w"] + entries["parts"]["j"]) == {press.name for press in GRASPED}
+    assert abs(entries["seeds"]["w"] - entries["seeds"]["j"]) >= entries["seeds"]["count"]
+    for key in ("length_mm", "thickness_mm", "poisson_ratio"):
+        laws = [
+            {(e["law"], e[key]) for e in entries["laws"].values() if key in e and e["half"] == h}
+            for h in "wj"
+        ]
+        assert laws[0] and laws[1] and not laws[0] & laws[1]
+
+
+def test_every_part_is_stored_under_every_law_of_its_half() -> None:
+    for name, (_, _, seeds) in grasped.jobs().items():
+        with np.load(grasped.DATA / f"{name}.npz") as file:
+            assert file["poses"].shape == (len(seeds), 4, 4)
+            assert file["points_mm"].shape == (len(seeds), 625, 3)
+            assert np.isfinite(file["points_mm"]).all()
+
+
+@pytest.mark.parametrize("law", ["none_w", "exponential_w2", "membrane_w1", "layer_w1"])
+def test_markers_that_touch_lie_on_the_part_and_none_is_in_it(law: str) -> None:
+    name = f"{law}_square_peg"
+    part = grasped.jobs()[name][1].make()
+    with np.load(grasped.DATA / f"{name}.npz") as file:
+        for pose, points, bits in zip(
+            *(file[key] for key in ("poses", "points_mm", "touching")), strict=True
+        ):
+            under = grasped.Underside(part, pose)
+            across = points[:, :2].astype(float) - grasped.VGA.centre_mm
+            over_mm = grasped.SURFACE_MM - points[:, 2] - under.at(across)
+            touching = np.unpackbits(bits, count=625).astype(bool)
+            # Stored to a fraction of a micrometre, on faces up to some 80 degrees steep.
+            assert over_mm.min() > -0.01
+            assert np.abs(over_mm[touching]).max() < 0.01
+            assert touching.sum() >= grasped.LEAST_TOUCHING
+
+
+def test_a_layer_meets_the_part_and_bulges_beside_it() -> None:
+    layer = bonded.Layer(4.0, 0.4999)
+    normal, outward = layer.compliances(np.array([1e-3, 0.5, 8.0]))
+    # Incompressible: a long wave of pressure moves nothing down, and a short one as much as a half-space.
+    assert normal[0] < 1e-2 * normal[1]
+    assert normal[2] == pytest.approx(2 * (1 - 0.4999**2) / 8.0, rel=1e-3)
+    assert outward[1] > 0.0
+    along = np.linspace(-13.0, 13.0, 105)
+    y, x = np.meshgrid(along, along, indexing="ij")
+    height, right, _ = bonded.pressed(layer, 1.0 - (x**2 + y**2) / 8.0, along)
+    assert height.max() == pytest.approx(1.0, abs=0.01)
+    # It bulges beside the contact, and far off it is at rest.
+    assert height.min() < -0.02 and abs(height[0]).max() < 0.01
+    # Outward on both sides.
+    assert right[52, 60] > 0.0 > right[52, 44]

@@ -1,0 +1,241 @@
+"""Judge registration under other laws than the simulator's: `python -m outside.judge_registration`.
+
+The contacts are those of `data/grasped`; markers carry noise of 30 um along the camera's axis, half of it
+across. By law, over starts of 5 degrees and 1 mm, 10 and 2, 20 and 3.5, 30 and 5:
+
+- success, %: within 2 degrees and 0.3 mm over the directions that the contact determines, by start;
+- over the bound: rms error of the successes over the Cramer-Rao bound, of the median answer;
+- within 95 %: successes of which the truth lies in the region that their covariance states for 95 %;
+- NEES: squared error of successes over the stated variance, per direction, median and mean; 1 is right;
+- beyond 3x: successes of which the truth lies farther than three times that region's radius;
+- doubted: successes with `log_odds` of 0 or less;
+- wrong believed: answers with `log_odds` above 0, of another part; of guesses on another face, turned end
+  for end or by a quarter; of ordinary starts that did not succeed, where no alternative is the truth.
+
+Answers that lie on the part as the truth does count in none of these: no height could tell them apart.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+from gelstereo import (
+    Error,
+    Localization,
+    Params,
+    RestSurface,
+    Template,
+    localize,
+    pressure_saliency,
+)
+from gelstereo.frontier.grasps import GRASPED, SIDE, Grasp, Start, surface_normals
+from gelstereo.frontier.nees import Nees
+from gelstereo.frontier.scenes import SURFACE_MM, VGA
+from gelstereo.geometry import se3_exp
+from scipy.stats import chi2
+
+from .grasped import DATA, jobs, lattice
+
+Array = npt.NDArray[np.float64]
+
+SIGMA_MM = 0.03 * np.array([0.5, 0.5, 1.0])
+STARTS = [Start(f"{deg:.0f} deg", deg, mm) for deg, mm in ((5.0, 1.0), (10.0, 2.0), (20.0, 3.5), (30.0, 5.0))]
+# As in `gelstereo.frontier.grasps`: steeper faces than this, cosine, do not count in the bound.
+STEEP_COSINE = 0.35
+LEAST_SALIENT = 12
+# Markers that touch lie this near to the part, rms, and none lies deeper in it: two and five standard deviations.
+ALIKE_MM, WITHIN_MM = 0.06, 0.15
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A contact, and what noise hides of it."""
+
+    law: str
+    seed: int
+    grasp: Grasp
+    true_points_mm: Array
+    touching: npt.NDArray[np.bool_]
+
+    def is_alike(self, found: Array) -> bool:
+        """Whether the part lies at a pose as the gel without noise says."""
+        back = (self.true_points_mm - found[:3, 3]) @ found[:3, :3]
+        off = self.grasp.template.closest(back).distances_mm
+        return bool(np.sqrt(np.mean(off[self.touching] ** 2)) < ALIKE_MM and off.min() > -WITHIN_MM)
+
+    def elsewhere(self) -> Array:
+        """A guess on another face: turned end for end about the press, or a quarter about the part's axis."""
+        turn = [0.0, 0.0, np.pi] if self.seed % 2 else list(0.5 * np.pi * self.grasp.t_sensor_object[:3, 2])
+        about = np.eye(4)
+        about[:3, 3] = self.grasp.centre_mm
+        motion = se3_exp(np.array([*turn, 0.0, 0.0, 0.0]))
+        return np.asarray(about @ motion @ np.linalg.inv(about) @ self.grasp.guess(STARTS[1], self.seed))
+
+
+def contacts(half: str) -> Iterator[Judged]:
+    """All of a half, with their noise."""
+    templates = {
+        press.name: Template.from_mesh(press.make(), units="mm", spacing_mm=0.3).with_grid()
+        for press in GRASPED
+    }
+    flat = np.column_stack((lattice() + VGA.centre_mm, np.full(SIDE * SIDE, SURFACE_MM)))
+    rest, decay_mm = RestSurface(flat), Params().to_dict()["contact"]["decay_mm"]
+    for name, (entry, press, seeds) in jobs().items():
+        if entry["half"] != half or not (DATA / f"{name}.npz").exists():
+            continue
+        with np.load(DATA / f"{name}.npz") as file:
+            stored = {key: file[key] for key in ("poses", "points_mm", "touching")}
+        mesh, template = press.make(), templates[press.name]
+        for k, seed in enumerate(seeds):
+            random = np.random.default_rng([seed, 83, len(name)])
+            true, pose = stored["points_mm"][k].astype(np.float64), stored["poses"][k]
+            touching = np.unpackbits(stored["touching"][k], count=len(true)).astype(bool)
+            points = true + SIGMA_MM * random.normal(size=true.shape)
+            heights, variance = rest.indentation_mm(points), np.full(len(points), SIGMA_MM[2] ** 2)
+            salient, _ = pressure_saliency(rest, heights, variance, rows=SIDE, cols=SIDE, decay_mm=decay_mm)
+            salient = np.asarray(salient)
+            if salient.sum() < LEAST_SALIENT:
+                continue
+            normals = np.full_like(points, np.nan)
+            normals[touching] = surface_normals(mesh, template, pose, true[touching])
+            normals[~(normals[:, 2] < -STEEP_COSINE)] = np.nan
+            covariance = np.broadcast_to(np.diag(SIGMA_MM**2), (int(salient.sum()), 3, 3)).copy()
+            grasp = Grasp(press.name, mesh, template, points[salient], covariance, points, normals, pose)
+            yield Judged(entry["law"], seed, grasp, true, touching)
+
+
+@dataclass
+class Figures:
+    """Of one law."""
+
+    success: dict[str, list[bool]] = field(default_factory=lambda: defaultdict(list))
+    over_bound: list[float] = field(default_factory=list)
+    nees: Nees = field(default_factory=Nees)
+    doubted: list[bool] = field(default_factory=list)
+    other_part: list[bool] = field(default_factory=list)
+    other_face: list[bool] = field(default_factory=list)
+    failed_believed: list[bool] = field(default_factory=list)
+
+    def row(self, name: str) -> str:
+        """One row of the table."""
+        squared, counts = np.asarray(self.nees.squared), np.asarray(self.nees.directions)
+        beyond = squared > 9.0 * chi2.ppf(0.95, counts)
+        cells = (
+            name,
+            f"{len(self.other_part)}",
+            " / ".join(f"{percent(self.success[start.name]):.1f}" for start in STARTS),
+            f"{np.median(self.over_bound):.2f}",
+            f"{self.nees.within:.0f}",
+            f"{np.median(squared / counts):.2f} / {self.nees.mean:.2f}",
+            f"{percent(beyond):.1f}",
+            f"{percent(self.doubted):.1f}",
+            f"{percent(self.other_part):.1f}",
+            f"{percent(self.other_face):.1f} of {len(self.other_face)}",
+            f"{sum(self.failed_believed)} of {len(self.failed_believed)}",
+        )
+        return "| " + " | ".join(cells) + " |\n"
+
+
+HEAD = (
+    "| law | contacts | success, % | over the bound, median | within 95 %, % | NEES, median / mean | beyond 3x, % "
+    "| right doubted, % | other part believed, % | other face believed, % | failed believed |\n"
+    + 11 * "|---"
+    + "|\n"
+)
+
+
+def percent(flags: object) -> float:
+    """Share of what is so."""
+    found = np.asarray(flags, dtype=bool)
+    return 100.0 * float(found.mean()) if len(found) else float("nan")
+
+
+def registered(one: Judged, template: Template, guess: Array, params: Params) -> Localization | None:
+    """With all that is sensed; None where it is refused."""
+    grasp = one.grasp
+    try:
+        return localize(
+            grasp.points_mm,
+            template,
+            t_sensor_object=guess,
+            all_points_mm=grasp.all_points_mm,
+            covariance_mm2=grasp.covariance_mm2,
+            params=params,
+        )
+    except Error:
+        return None
+
+
+def believed(found: Localization | None) -> bool:
+    """Whether a pose is said to explain the contact."""
+    return found is not None and found.log_odds is not None and found.log_odds > 0.0
+
+
+def judge(one: Judged, other: Grasp, params: Params, figures: Figures) -> None:
+    """Search from every start, with another part, and on another face."""
+    grasp = one.grasp
+    for start in STARTS:
+        found = registered(one, grasp.template, grasp.guess(start, one.seed), params)
+        pose = None if found is None else np.asarray(found.t_sensor_object)
+        score = None if pose is None else grasp.score(pose)
+        right = score is not None and score.success
+        figures.success[start.name].append(right)
+        if right and found is not None and score is not None:
+            figures.over_bound.append(float(np.sqrt(score.squared / max(score.observable, 1))))
+            figures.nees.add(found, grasp.t_sensor_object)
+            figures.doubted.append(not believed(found))
+        elif found is not None and pose is not None and not one.is_alike(pose):
+            listed = any(grasp.score(np.asarray(pose)).success for pose, _ in found.alternatives)
+            figures.failed_believed.append(believed(found) and not listed)
+    guess = np.array(grasp.guess(STARTS[1], one.seed))
+    # Where the other part's middle is, not its origin.
+    shift = guess[:3, :3] @ (grasp.mesh.bounds.mean(axis=0) - other.mesh.bounds.mean(axis=0))
+    guess[:3, 3] += shift
+    figures.other_part.append(believed(registered(one, other.template, guess, params)))
+    found = registered(one, grasp.template, one.elsewhere(), params)
+    if found is None:
+        figures.other_face.append(False)
+    else:
+        pose = np.asarray(found.t_sensor_object)
+        if not (grasp.score(pose).success or one.is_alike(pose)):
+            figures.other_face.append(believed(found))
+
+
+def main() -> int:
+    """Print one row for each law."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--half", choices=("w", "j"), default="w", help="w: for work, j: judged")
+    parser.add_argument("--without-gel", action="store_true", help="register without the gel's model")
+    parser.add_argument("--by-part", action="store_true", help="a row for each part under each law")
+    parser.add_argument("--budget", type=int, help="`register.budget`")
+    options = parser.parse_args()
+    params = Params().replace({"register": {"method": "surface_search", "search_radius_mm": 8.0}})
+    if options.budget:
+        params = params.replace({"register.budget": options.budget})
+    if options.without_gel:
+        # A gel that comes back to rest within a pitch is not asked.
+        params = params.replace({"contact.decay_mm": 0.5})
+    every = list(contacts(options.half))
+    by_part = {one.grasp.part: one.grasp for one in every}
+    names = list(by_part)
+    figures: dict[str, Figures] = defaultdict(Figures)
+    for one in every:
+        other = by_part[names[(names.index(one.grasp.part) + 1 + one.seed % 2) % len(names)]]
+        row = f"{one.law}, {one.grasp.part}" if options.by_part else one.law
+        judge(one, other, params, figures[row])
+    sys.stdout.write(HEAD)
+    for name, found in figures.items():
+        sys.stdout.write(found.row(name))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
