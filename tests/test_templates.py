@@ -151,7 +151,7 @@ def test_localize_finds_a_corner_within_its_own_covariance(box: trimesh.Trimesh)
     assert found.points == 300
     assert np.array_equal(found.information, found.information.T)
     # The covariance is the inverse of the information where nothing is free.
-    assert np.allclose(found.covariance @ found.information, np.eye(6), atol=1e-6)
+    assert np.allclose(found.determined_covariance @ found.information, np.eye(6), atol=1e-6)
     twist = np.array(se3_log(truth @ np.linalg.inv(found.t_sensor_object)))
     # Squared Mahalanobis distance of six dimensions: 99.99 % lie below 27.9; a sampled template adds its own error
     # of up to the share of the spacing, so twice the deviation is granted.

@@ -133,10 +133,11 @@ fn check(found: &Registration, points: usize) {
     assert!(found.points == points && found.inliers <= points && found.free.len() <= 6);
     assert!(found.rmse_mm >= 0.0 && found.rmse_mm.is_finite());
     assert!(found.information.iter().flatten().all(|x| x.is_finite()));
-    let covariance = found.covariance();
-    assert!(covariance.iter().flatten().all(|x| x.is_finite()));
-    let trace: f64 = (0..6).map(|k| covariance[k][k]).sum();
-    assert!(eigen(&covariance).values[0] >= -1e-9 * trace, "{covariance:?}");
+    for covariance in [found.covariance(), found.determined_covariance()] {
+        assert!(covariance.iter().flatten().all(|x| x.is_finite()));
+        let trace: f64 = (0..6).map(|k| covariance[k][k]).sum();
+        assert!(eigen(&covariance).values[0] >= -1e-9 * trace, "{covariance:?}");
+    }
     let known = found.log_likelihood.is_none_or(f64::is_finite) && found.log_odds.is_none_or(f64::is_finite);
     assert!(known, "{:?} {:?}", found.log_likelihood, found.log_odds);
     for other in found.alternatives.iter() {

@@ -38,6 +38,7 @@ mod pose_laws;
 mod refraction;
 mod register_accuracy;
 mod register_allocation;
+mod register_covariance;
 mod register_ellipse;
 mod register_free;
 mod register_gel;

@@ -255,7 +255,7 @@ fn row_10_covariance_is_finite_and_inverts_the_information_where_it_can() {
         let mut registrar = Registrar::new(&params(RegisterMethod::FilterregPlane));
         let found =
             registrar.run(&contact.points_mm, &shape.template(0.3), &contact.t_sensor_object).unwrap();
-        let (information, covariance) = (found.information, found.covariance());
+        let (information, covariance) = (found.information, found.determined_covariance());
         let product = |a: &[[f64; 6]; 6], b: &[[f64; 6]; 6]| -> [[f64; 6]; 6] {
             std::array::from_fn(|i| std::array::from_fn(|j| (0..6).map(|k| a[i][k] * b[k][j]).sum()))
         };

@@ -198,7 +198,7 @@ fn a_budget_stops_every_rung_and_what_it_returns_is_what_it_says() {
                     assert!(!found.converged, "{name} {method:?}");
                 }
                 // Covariance and information are each other's inverse over what is determined, at any pose.
-                let (information, covariance) = (found.information, found.covariance());
+                let (information, covariance) = (found.information, found.determined_covariance());
                 let trace: f64 = (0..6).map(|k| product(&information, &covariance)[k][k]).sum();
                 let determined = 6 - found.free.len();
                 assert!((trace - determined as f64).abs() < 1e-6, "{name} {method:?} {budget}: {trace}");

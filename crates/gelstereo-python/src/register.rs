@@ -77,11 +77,20 @@ impl Localization {
         arrays::matrix(py, self.found.information)
     }
 
-    /// (6, 6) covariance of the same perturbation, over the determined directions; zero along `free`, where the
-    /// variance has no bound.
+    /// (6, 6) covariance of the same perturbation (rad², rad mm, mm²), positive definite: `information` joined with how
+    /// well the guess was known, ``register.start_sigma_deg`` and ``register.start_sigma_mm``, a turn about the patch's
+    /// centroid and a shift of it. Along `free` it has the guess's variance. To join it with another source take
+    /// `information`: the guess would count twice.
     #[getter]
     fn covariance(&self, py: Python<'_>) -> PyResult<Matrix> {
         arrays::matrix(py, self.found.covariance())
+    }
+
+    /// (6, 6) covariance over the determined directions alone, the pseudo-inverse of `information`: zero along `free`,
+    /// where the contact sets no bound.
+    #[getter]
+    fn determined_covariance(&self, py: Python<'_>) -> PyResult<Matrix> {
+        arrays::matrix(py, self.found.determined_covariance())
     }
 
     /// Whether the steps fell below ``register.step_tolerance`` before the iterations ran out.

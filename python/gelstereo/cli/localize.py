@@ -81,6 +81,7 @@ def as_json(found: Localization) -> dict[str, Any]:
         "t_sensor_object": found.t_sensor_object.tolist(),
         "information": found.information.tolist(),
         "covariance": found.covariance.tolist(),
+        "determined_covariance": found.determined_covariance.tolist(),
         "converged": found.converged,
         "iterations": found.iterations,
         "inliers": found.inliers,

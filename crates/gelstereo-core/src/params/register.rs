@@ -1,6 +1,7 @@
 //! Registration of a contact patch to a template.
 
 use super::{ParamsError, check, length, share};
+use crate::register::GuessSigma;
 
 /// How a contact patch is registered to a template.
 ///
@@ -143,6 +144,11 @@ impl RegisterParams {
     /// A length of the usual gel, of one of this scale.
     pub(crate) fn scaled(&self, mm: f64) -> f64 {
         mm * self.gel_scale
+    }
+
+    /// How well the guess is known, as it is set.
+    pub(crate) const fn guess_sigma(&self) -> GuessSigma {
+        GuessSigma { turn_rad: self.start_sigma_deg.to_radians(), shift_mm: self.start_sigma_mm }
     }
 
     /// Checks every setting of registration against its meaning.

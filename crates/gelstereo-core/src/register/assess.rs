@@ -57,6 +57,7 @@ pub(super) fn registration(
         t_sensor_object: *pose,
         information: observability.information(),
         observability,
+        guess_sigma: params.guess_sigma(),
         converged: outcome.converged,
         iterations: outcome.iterations,
         inliers: scratch.sources.len(),

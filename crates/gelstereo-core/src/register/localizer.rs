@@ -123,6 +123,8 @@ impl Localizer {
                 let Ok(found) = registrar.register(contact, template, &last) else { continue };
                 let mut followed = self.judge(found, (contact, template), Standing::Followed);
                 if followed.standing == Standing::Followed {
+                    // Along what is free it is where it was first guessed to be, however far it has been followed.
+                    followed.registration.guess_sigma = self.search.params.guess_sigma();
                     hold_free(&mut followed.registration, &last);
                     return Ok(self.believe(followed));
                 }

@@ -32,7 +32,7 @@ pub use error::{RegisterError, TemplateError};
 pub use free::{FreeDirection, FreeDirections, Motion};
 pub use fusion::{FusedPose, FusionError, PlaneContact, PoseEstimate, fuse_plane, fuse_poses};
 pub use localizer::{Localizer, Located, Standing};
-pub use observe::Observability;
+pub use observe::{GuessSigma, Observability};
 pub use rigid::{RigidFit, RigidFitError, rigid_fit};
 pub use soft::{SoftMatch, soft_match};
 pub use surface::{
@@ -57,10 +57,12 @@ pub struct Registration {
     pub t_sensor_object: Pose,
     /// Information matrix of a left perturbation (ω, v) of `t_sensor_object` in the sensor frame:
     /// T_true = exp(ω, v) T; order ωx ωy ωz (rad) vx vy vz (mm). It is singular along [`Self::free`] directions:
-    /// ask [`Self::covariance`] instead of inverting it.
+    /// ask [`Self::covariance`] or [`Self::determined_covariance`] instead of inverting it.
     pub information: Symmetric<6>,
     /// The same information about the patch's centroid, by eigenvectors.
     pub observability: Observability,
+    /// How well the pose was known before: `register.start_sigma_deg` and `register.start_sigma_mm`.
+    pub guess_sigma: GuessSigma,
     /// Whether the steps fell below `register.step_tolerance` before the iterations, or the budget, ran out. Where they did
     /// not, the covariance adds the step that was not taken, in every direction.
     pub converged: bool,
@@ -96,10 +98,9 @@ pub struct Registration {
 }
 
 impl Registration {
-    /// Covariance of the perturbation that [`Self::information`] speaks of, over the determined directions.
-    ///
-    /// It is always finite. Along [`Self::free`] directions the variance has no bound, and there the matrix is zero:
-    /// it describes where the pose can be once a value for each free direction has been chosen.
+    /// Covariance of the perturbation that [`Self::information`] speaks of: the contact's information joined with
+    /// [`Self::guess_sigma`]. It is finite and positive definite, and along [`Self::free`] directions it has the variance of
+    /// the guess. To join it with another source, take [`Self::information`] instead: the guess would count twice.
     ///
     /// It takes for given that the points touch the faces that the pose puts them on. `surface_search` asks the gel, and
     /// counts no marker that may as well hang. `surface_close` and `surface_track` add what is not known of which salient
@@ -108,7 +109,14 @@ impl Registration {
     /// How large errors are is measured in `docs/localization.md`.
     #[must_use]
     pub fn covariance(&self) -> Symmetric<6> {
-        self.observability.covariance()
+        self.observability.covariance(&self.guess_sigma)
+    }
+
+    /// Covariance over the determined directions alone, the pseudo-inverse of [`Self::information`]: zero along
+    /// [`Self::free`] directions, where the contact sets no bound.
+    #[must_use]
+    pub fn determined_covariance(&self) -> Symmetric<6> {
+        self.observability.determined_covariance()
     }
 
     /// Digest of all results.

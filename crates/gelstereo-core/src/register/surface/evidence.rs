@@ -130,6 +130,7 @@ pub(super) fn registration(
         t_sensor_object,
         information,
         observability,
+        guess_sigma: params.guess_sigma(),
         converged: end.converged,
         iterations: end.iterations,
         inliers,
