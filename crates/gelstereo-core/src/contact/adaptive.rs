@@ -11,6 +11,7 @@
 //! the share is a half (Hertz 1882); in thin layers it is less.
 
 use super::quick::QuickPressure;
+use super::rule::LEAST_SIGMA_MM;
 use super::stencils::{Regions, Stencils};
 use super::{ContactError, RestSurface};
 use crate::math::{abs, sqrt};
@@ -58,7 +59,7 @@ pub struct AdaptiveSaliency {
     variance_mm2: Vec<f64>,
     evidence: Vec<f64>,
     candidate: Vec<bool>,
-    sorted_mm: Vec<f64>,
+    seen_mm: Vec<f64>,
     regions: Regions,
 }
 
@@ -80,8 +81,8 @@ impl AdaptiveSaliency {
         let mut adaptive =
             Self { pressures: DECAYS.iter().map(new).collect::<Result<_, _>>()?, ..Self::default() };
         let markers = rows * cols;
-        let Self { bend, variance_mm2, evidence, candidate, sorted_mm, regions, .. } = &mut adaptive;
-        [bend, variance_mm2, evidence, sorted_mm].into_iter().for_each(|list| list.reserve(markers));
+        let Self { bend, variance_mm2, evidence, candidate, seen_mm, regions, .. } = &mut adaptive;
+        [bend, variance_mm2, evidence, seen_mm].into_iter().for_each(|list| list.reserve(markers));
         candidate.reserve(markers);
         regions.reserve(markers);
         Ok(adaptive)
@@ -126,9 +127,8 @@ impl AdaptiveSaliency {
             let decay_mm = self.pressures[k].decay_mm();
             self.compare(ContactRule::Pressure { decay_mm }, &mut best, &mut rule, out);
             if k == 0 {
-                let variance_mm2 =
-                    self.variance_mm2.iter().sum::<f64>() / self.variance_mm2.len().max(1) as f64;
-                best += MARGIN * sqrt(sqrt(variance_mm2 * self.pressures[0].mean_noise()));
+                let longest = &self.pressures[0];
+                best += MARGIN * sqrt(longest.sigma_mm() * sqrt(longest.mean_noise()));
             }
         }
         if rule.is_some() {
@@ -148,17 +148,21 @@ impl AdaptiveSaliency {
         out: &mut [bool],
     ) {
         let seen = |&(_, &state): &(&f64, &MarkerState)| state == MarkerState::Seen;
-        self.sorted_mm.clear();
-        self.sorted_mm.extend(indentation_mm.iter().zip(state).filter(seen).map(|(&h, _)| h));
-        if self.sorted_mm.len() < 2 {
+        self.seen_mm.clear();
+        self.seen_mm.extend(indentation_mm.iter().zip(state).filter(seen).map(|(&h, _)| h));
+        if self.seen_mm.len() < 2 {
             return;
         }
-        let place = self.sorted_mm.len() - 2;
-        let &mut deepest_mm = self.sorted_mm.select_nth_unstable_by(place, f64::total_cmp).1;
+        let place = self.seen_mm.len() - 2;
+        let &mut deepest_mm = self.seen_mm.select_nth_unstable_by(place, f64::total_cmp).1;
         self.evidence.clear();
         let heights = indentation_mm.iter().zip(&self.variance_mm2).zip(state);
         self.evidence.extend(heights.map(|((&h, &variance), &state)| {
-            if state == MarkerState::Seen { h * abs(h) / variance.max(1e-12) } else { 0.0 }
+            if state == MarkerState::Seen {
+                h * abs(h) / variance.max(LEAST_SIGMA_MM * LEAST_SIGMA_MM)
+            } else {
+                0.0
+            }
         }));
         for step in SHARES.0..=SHARES.1 {
             let share = f64::from(step) * SHARE_STEP;

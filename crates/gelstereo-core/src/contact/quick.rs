@@ -32,6 +32,8 @@ pub struct QuickPressure {
     even: Even,
     pressure_mm: Vec<f64>,
     valid: Vec<bool>,
+    /// Root mean square of the standard deviations of the heights of the last run.
+    sigma_mm: f64,
     /// Pressures over their standard deviations.
     score: Vec<f64>,
     evidence: Vec<f64>,
@@ -144,6 +146,11 @@ impl QuickPressure {
         self.noise.iter().sum::<f64>() / self.noise.len().max(1) as f64
     }
 
+    /// Root mean square of the standard deviations of the seen markers' heights in the last run.
+    pub(super) const fn sigma_mm(&self) -> f64 {
+        self.sigma_mm
+    }
+
     /// Pressures of the last run, and whether the heights behind them were all seen.
     pub(super) fn measured(&self) -> (&[f64], &[bool]) {
         (&self.pressure_mm, &self.valid)
@@ -171,6 +178,7 @@ impl QuickPressure {
     ) -> Result<(), ContactError> {
         out.clear();
         let sigma_mm = self.check(indentation_mm, variance_mm2, state)?;
+        self.sigma_mm = sigma_mm;
         self.measure(indentation_mm, state, sigma_mm);
         out.extend(self.score.iter().map(|&score| score > START));
         if !self.begin(out, sigma_mm) {
