@@ -194,11 +194,15 @@ impl CheckedTracker {
         for expected_px in since.into_iter().take(if tracks.stale { 2 } else { 1 }) {
             let Self { canvas, matching, relabel, pitch_px, .. } = self;
             canvas.lay(expected_px, self.rows, self.cols, RINGS[1]);
-            if !relabel.lay(detected_px, expected_px, canvas) {
-                continue;
-            }
-            let whole =
+            let Some(evidence) = relabel.lay(detected_px, expected_px, canvas) else { continue };
+            let mut whole =
                 relabel.complete(canvas) || matching.check(canvas, detected_px, before(tracks, *pitch_px));
+            // A part that arrives within one frame bends the gel farther than matches may disagree. With all
+            // sides of the print in view the frame is labelled without a history, as a first frame is.
+            if !whole && evidence.by_extents {
+                canvas.lay(expected_px, self.rows, self.cols, RINGS[1]);
+                whole = relabel.lay(detected_px, expected_px, canvas).is_some();
+            }
             let matched = canvas.found.iter().filter(|&&m| m != NONE).count();
             if !whole || MOST_PER_SITE * matched < detected_px.len() {
                 continue;

@@ -2,7 +2,7 @@
 
 use super::canvas::{Canvas, NONE};
 use crate::detect::Markers;
-use crate::label::{self, FoundLattice, LatticeFinder};
+use crate::label::{self, AnchorEvidence, FoundLattice, LatticeFinder};
 use crate::math::DVec2;
 
 /// Up to so many pitches from where its neighbours say, a marker of a complete frame is where it belongs: one that slipped
@@ -38,13 +38,16 @@ impl Relabel {
         self.placed
     }
 
-    /// Lays what was found on a canvas that expects markers at `expected_px`; whether it is known, up to a shift, which
-    /// place is which.
-    pub fn lay(&self, detected_px: &[DVec2], expected_px: &[DVec2], canvas: &mut Canvas) -> bool {
+    /// Lays what was found on a canvas that expects markers at `expected_px`; why it is known, up to a shift, which
+    /// place is which, or `None` where it is not.
+    pub fn lay(
+        &self,
+        detected_px: &[DVec2],
+        expected_px: &[DVec2],
+        canvas: &mut Canvas,
+    ) -> Option<AnchorEvidence> {
         let (rows, cols, rings) = (canvas.rows, canvas.cols, canvas.rings as i32);
-        let Some(anchor) = label::anchor(&self.found, detected_px, rows, cols, expected_px) else {
-            return false;
-        };
+        let anchor = label::anchor(&self.found, detected_px, rows, cols, expected_px)?;
         let (height, width) = (rows as i32 + 2 * rings, cols as i32 + 2 * rings);
         for (m, place) in self.found.places.iter().enumerate() {
             let Some(place) = *place else { continue };
@@ -56,7 +59,7 @@ impl Relabel {
                 canvas.residual_px[site] = detected_px[m] - canvas.predicted_px[site];
             }
         }
-        true
+        Some(anchor.evidence)
     }
 
     /// Every marker of the print found, nothing left over, and all in their rows: no part can have slipped, since its place would
