@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 OUT ?= out
 HOST := $(CURDIR)/target/release/gelstereo-host
 
-.PHONY: demo test test-rust test-python test-long long-builds long-realtime explore fuzz frontier clean prerequisites
+.PHONY: demo test test-rust test-python test-long same-bits long-builds long-realtime explore fuzz frontier clean prerequisites
 
 demo: prerequisites $(BIN)/python
 	$(BIN)/pip install --quiet '.[recording]'
@@ -64,6 +64,7 @@ test-long: prerequisites $(BIN)/python
 	cargo test --quiet --workspace --test all -- --ignored reference::
 	$(MAKE) --jobs 2 long-builds long-realtime
 	$(BIN)/pytest -m "long and not realtime"
+	$(MAKE) same-bits
 	$(MAKE) fuzz
 	@echo "all long tests passed"
 
@@ -74,6 +75,10 @@ long-builds:
 
 long-realtime:
 	$(BIN)/pytest -m "long and realtime"
+
+# Digests of results on other processors and builds.
+same-bits: prerequisites
+	tests/same_bits/run.sh
 
 # Cases that no run has tried yet, of every property test in Rust.
 explore: prerequisites
