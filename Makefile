@@ -64,7 +64,6 @@ test-long: prerequisites $(BIN)/python
 	cargo test --quiet --workspace --test all -- --ignored reference::
 	$(MAKE) --jobs 2 long-builds long-realtime
 	$(BIN)/pytest -m "long and not realtime"
-	$(MAKE) same-bits
 	$(MAKE) fuzz
 	@echo "all long tests passed"
 
