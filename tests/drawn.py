@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 Image = npt.NDArray[np.uint8]
 
 SIZE_PX = (640, 480)
@@ -37,8 +36,8 @@ class Press:
     half_mm: tuple[float, float] = (4.0, 6.0)
     radius_mm: float = 5.0
 
-    def heights_mm(self, xy_mm: Array) -> tuple[Array, Flags]:
-        """How far points of the gel are pushed in, and whether the part touches them."""
+    def heights_mm(self, xy_mm: Array) -> Array:
+        """How far points of the gel are pushed in."""
         cos, sin = np.cos(self.turn_rad), np.sin(self.turn_rad)
         away = xy_mm - np.asarray(self.place_mm)
         u, v = np.abs(away @ [cos, sin]), np.abs(away @ [-sin, cos])
@@ -53,7 +52,7 @@ class Press:
         outside_mm = np.hypot(np.maximum(across, 0.0), np.maximum(along, 0.0))
         from_axis_mm = 0.0 if self.kind == "board" else np.minimum(across, 0.0) + rim_mm
         top_mm = self.depth_mm - from_axis_mm**2 / (2.0 * self.radius_mm)
-        return top_mm * np.exp(-outside_mm / SHOULDER_MM), outside_mm == 0.0
+        return np.asarray(top_mm * np.exp(-outside_mm / SHOULDER_MM))
 
 
 @dataclass(frozen=True)
@@ -62,9 +61,6 @@ class Sensor:
 
     tray: bool = True
     noise_levels: float = 2.0
-    contrast_levels: float = GEL_LEVEL - DOT_LEVEL
-    #: Light on the right over light on the left.
-    light_share: float = 1.0
     rig: gelstereo.Rig = field(default_factory=lambda: gelstereo.Rig.parallel(SIZE_PX, 500.0, 6.0))
 
     @property
@@ -78,7 +74,7 @@ class Sensor:
         """Markers under a part, the whole print moved sideways."""
         points_mm = self.rest_mm
         if press is not None:
-            points_mm[:, 2] -= press.heights_mm(points_mm[:, :2] - [3.0, 0.0])[0]
+            points_mm[:, 2] -= press.heights_mm(points_mm[:, :2] - [3.0, 0.0])
         points_mm[:, :2] += moved_mm
         return points_mm
 
@@ -102,10 +98,9 @@ class Sensor:
             cols = slice(max(int(u) - reach, 0), int(u) + reach + 1)
             distance = np.hypot(x[rows, cols] - u, y[rows, cols] - v)
             covered[rows, cols] = np.maximum(covered[rows, cols], _edge((radius - distance) / BLUR_PX))
-        levels = GEL_LEVEL - self.contrast_levels * covered
+        levels = GEL_LEVEL - (GEL_LEVEL - DOT_LEVEL) * covered
         if self.tray:
             levels = _with_tray(levels, x, y, gel_px)
-        levels = levels * (1.0 + (self.light_share - 1.0) * x / (width - 1))
         levels = levels + np.random.default_rng(seed).normal(0.0, self.noise_levels, levels.shape)
         return np.clip(np.rint(levels), 0, 255).astype(np.uint8)
 
