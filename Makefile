@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 OUT ?= out
 HOST := $(CURDIR)/target/release/gelstereo-host
 
-.PHONY: demo test test-rust test-python test-long same-bits long-builds long-realtime explore fuzz frontier clean prerequisites
+.PHONY: demo test test-rust test-python test-long same-bits long-builds explore fuzz frontier clean prerequisites
 
 demo: prerequisites $(BIN)/python
 	$(BIN)/pip install --quiet '.[recording]'
@@ -62,18 +62,16 @@ test-long: prerequisites $(BIN)/python
 	GELSTEREO_KILLS=50 cargo test --quiet --workspace --test all -- faults::
 	GELSTEREO_LONG_FRAMES=12000 cargo test --quiet --workspace --test long_run
 	cargo test --quiet --workspace --test all -- --ignored reference::
-	$(MAKE) --jobs 2 long-builds long-realtime
+	$(MAKE) long-builds
+	$(BIN)/pytest -m "long and realtime"
 	$(BIN)/pytest -m "long and not realtime"
 	$(MAKE) fuzz
 	@echo "all long tests passed"
 
-# Builds beside tests that mostly wait for a camera's pace.
+# Not beside tests that keep a camera's pace: on two cores the builds made their watchdogs act.
 long-builds:
-	nice cargo build --quiet --workspace --bin gelstereo-host --features $(LIVE_FEATURES)
-	nice cargo build --quiet --manifest-path tests/ros_peer/Cargo.toml --target-dir $(ROS_PEER)
-
-long-realtime:
-	$(BIN)/pytest -m "long and realtime"
+	cargo build --quiet --workspace --bin gelstereo-host --features $(LIVE_FEATURES)
+	cargo build --quiet --manifest-path tests/ros_peer/Cargo.toml --target-dir $(ROS_PEER)
 
 # Digests of results on other processors and builds.
 same-bits: prerequisites

@@ -49,6 +49,9 @@ insertion_depth_mm = 4.0
 approach_mm = 1.0
 overtravel_mm = 3.0
 frame_timeout_s = 4.0
+# An emulated computer on a busy one took 0.52 s for a frame, over the default of three periods.
+max_late_periods = 12.0
+device_timeout_s = 2.0
 [part]
 spacing_mm = 0.6
 [part.shape]

@@ -35,8 +35,9 @@ HOLE_DIAMETER_MM = 8.6
 TASK = """
 [task]
 opening_speed_mm_s = 100.0
-# Late results have tests of their own; here many processes share the cores.
+# Late results and silent devices have tests of their own; here many processes share the cores.
 max_late_periods = 30.0
+device_timeout_s = 1.5
 [part]
 spacing_mm = 0.4
 [part.shape]
