@@ -42,7 +42,7 @@ fn a_tight_hole_is_declined_after_one_look_and_met_after_another() {
 /// RANSAC and ICP are off by more than their covariance says.
 #[test]
 fn a_peg_that_jams_is_inserted_by_a_search_around_the_hole() {
-    for seed in [2, 7] {
+    for seed in [2, 8] {
         let mut config = quick(seed);
         config.params.register.method = RegisterMethod::RansacIcp;
         config.task.clearance_mm = Some(0.2);

@@ -147,7 +147,9 @@ fn press() -> &'static Press {
         std::fs::write(folder.join("scene.toml"), short).unwrap();
         let simulated = host(&folder, &["simulate", "scene.toml", "pairs"]).output().unwrap();
         assert!(simulated.status.success(), "{}", String::from_utf8_lossy(&simulated.stderr));
+        // The ball touches the gel in the fourth frame.
         let config = "rig_file = \"pairs/rig.toml\"\n\
+                      sense.rest_frames = 2\n\
                       sense.localize = \"never\"\n\
                       source = { kind = \"folder\", path = \"pairs\", frame_rate_hz = 30.0 }\n";
         std::fs::write(folder.join("cell.toml"), config).unwrap();

@@ -6,7 +6,7 @@ use gelstereo_core::contact::{Decay, DecayFit, Pressure, RestSurface};
 use gelstereo_core::image::GrayView;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec3, Pose};
-use gelstereo_core::params::{ContactParams, Params, Search};
+use gelstereo_core::params::{ContactParams, Params, Saliency, Search};
 use gelstereo_core::pipeline::{Frame, Pipeline};
 use gelstereo_core::track::MarkerState;
 use gelstereo_sim::effects::{Defocus, Effects, SensorNoise};
@@ -128,7 +128,8 @@ fn a_pipeline_learns_the_decay_length() {
     let scene = Scene { indenter: Some(Shape::Sphere { radius_mm: 4.0 }), effects, ..Scene::default() };
     let mut simulator = Simulator::new(&scene, None).unwrap();
     let mut params = Params::preset("balanced").unwrap();
-    params.contact = ContactParams { decay_mm: 4.0, learn_decay: true, ..params.contact };
+    params.contact =
+        ContactParams { saliency: Saliency::Pressure, decay_mm: 4.0, learn_decay: true, ..params.contact };
     params.detect.search = Search::Whole;
     let mut pipeline = Pipeline::new(&scene.rig, &params).unwrap();
     let (mut truth, mut left, mut right) = (Truth::default(), Vec::new(), Vec::new());

@@ -90,7 +90,10 @@ pub fn rungs(out: &mut Digests) -> Outcome<()> {
     for rung in every!(Saliency: Depth Pressure PressureQuick Adaptive) {
         add(format!("saliency/{rung:?}"), &of_dark, &|params| params.contact.saliency = rung)?;
     }
-    add("learn_decay".into(), &of_dark, &|params| params.contact.learn_decay = true)
+    add("learn_decay".into(), &of_dark, &|params| {
+        params.contact.saliency = Saliency::Pressure;
+        params.contact.learn_decay = true;
+    })
 }
 
 /// Images kept and sensed again after another past, and from a record of the rest state.

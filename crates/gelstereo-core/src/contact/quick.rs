@@ -141,11 +141,6 @@ impl QuickPressure {
         &self.stencils
     }
 
-    /// Mean variance of the pressures for heights of variance 1.
-    pub(super) fn mean_noise(&self) -> f64 {
-        self.noise.iter().sum::<f64>() / self.noise.len().max(1) as f64
-    }
-
     /// Root mean square of the standard deviations of the seen markers' heights in the last run.
     pub(super) const fn sigma_mm(&self) -> f64 {
         self.sigma_mm

@@ -29,11 +29,11 @@ pub enum Saliency {
     serde(default, deny_unknown_fields)
 )]
 pub struct ContactParams {
-    /// How markers in contact are told from the others. Default: `depth`. Change it to `depth` where the
-    /// gel's surface follows another law than `decay_mm` says.
+    /// How markers in contact are told from the others. Default: `depth`. Change it to `pressure` where
+    /// the gel's law and its `decay_mm` are known.
     pub saliency: Saliency,
     /// Length over which the gel's surface comes back to rest beside a contact, for `saliency = pressure` and
-    /// `pressure_quick`: half of the gel's thickness is a fair guess. Rather too long than too short: 20 %
+    /// `pressure_quick`, and the longest that `adaptive` tries: half of the gel's thickness is a fair guess. Rather too long than too short: 20 %
     /// too short takes half of the shoulder. A few presses of any part tell it to some percent:
     /// [`DecayFit`](crate::contact::DecayFit). Valid: 0.001 to 1000 mm. Default: `2.5` mm. Change it to your
     /// gel's own length.

@@ -11,12 +11,11 @@ impl Params {
     ///
     /// - `paper`: the paper's pipeline to the letter;
     /// - `fast`: the cheapest rung of every stage that keeps identities safe;
-    /// - `balanced`: what to begin with: as `fast`, with centres by a matched step, contacts by pressure and the part searched for
-    ///   from many starts;
+    /// - `balanced`: what to begin with: as `fast`, with centres by a matched step and the part searched for from many starts;
     /// - `exact`: the most accurate rung of every stage.
     ///
     /// All but `paper` derive the threshold from the image, check every identity against the lattice, tolerate a fifth of
-    /// the markers missing, and see through the rig's layers.
+    /// the markers missing, find contacts without knowing the gel's law, and see through the rig's layers.
     #[must_use]
     pub fn preset(name: &str) -> Option<Self> {
         match name {
@@ -35,7 +34,6 @@ impl Params {
         let balanced = Self::balanced();
         Self {
             detect: DetectParams { centre: Centre::Band, find_at: FindAt::HalfSize, ..balanced.detect },
-            contact: ContactParams { saliency: Saliency::PressureQuick, ..balanced.contact },
             register: RegisterParams { method: RegisterMethod::SurfaceClose, ..balanced.register },
             ..balanced
         }
@@ -57,7 +55,7 @@ impl Params {
             track: TrackParams { motion: Motion::ConstantVelocity, ..Default::default() },
             label: LabelParams { method: LabelMethod::Lattice, ..Default::default() },
             triangulate: TriangulateParams { method: TriangulateMethod::Polynomial, ..Default::default() },
-            contact: ContactParams { saliency: Saliency::Pressure, ..Default::default() },
+            contact: ContactParams { saliency: Saliency::Adaptive, ..Default::default() },
             register: RegisterParams { method: RegisterMethod::SurfaceSearch, ..Default::default() },
         }
     }
