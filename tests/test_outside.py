@@ -150,6 +150,18 @@ def test_noise_is_seeded_and_as_large_as_stated() -> None:
     assert not np.array_equal(first, other)
 
 
+# Median of the mean of three squares of unit normal variables: that of chi-squared with three degrees, over three.
+MEDIAN_OF_MEAN_SQUARE = 0.7887
+
+
+@pytest.mark.parametrize("preset", ["fast", "balanced", "exact"])
+def test_row_41_a_tray_in_view_changes_no_variance_of_a_point(preset: str) -> None:
+    """Within the bounds of sensing for the mean, for the typical point: glints and dirt are in the tail."""
+    figures = judged(preset, [Sequence.load("w1_press_at_once")], Condition(), {})
+    assert 0.8 <= np.median(np.concatenate(figures.squared)) / MEDIAN_OF_MEAN_SQUARE <= 1.25
+    assert np.mean(figures.f1) >= 0.85
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("half", ["w", "j"])
 def test_presets_name_markers_right_where_they_see_them(half: str) -> None:

@@ -250,6 +250,13 @@ impl Pipeline {
         py.detach(|| self.lock().contact_rule()).map(rule_name)
     }
 
+    /// What the variances of the centres are multiplied by: how much noisier they are than they state, as the epipolar residuals
+    /// of the rest frame show. 1 before it, and where the difference may be chance.
+    #[getter]
+    fn noise_scale(&self, py: Python<'_>) -> f64 {
+        py.detach(|| self.lock().noise_scale())
+    }
+
     /// Forget tracks, rest surface and reference: the next frame is the rest frame.
     fn reset(&self, py: Python<'_>) {
         py.detach(|| self.lock().reset());

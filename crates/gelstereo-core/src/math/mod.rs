@@ -4,12 +4,14 @@
 //! same input must give the same bits everywhere.
 
 mod exp;
+mod factor;
 pub mod linalg;
 pub mod random;
 pub mod se3;
 pub mod so3;
 
 pub(crate) use exp::exp_nonpositive;
+pub(crate) use factor::Factor;
 pub use glam::{DMat3, DQuat, DVec2, DVec3};
 pub use libm::{
     acos, asin, asinh, atan, atan2, cbrt, ceil, cos, cosh, erf, erfc, exp, expm1, fabs as abs, floor, hypot,

@@ -3,6 +3,7 @@
 mod discs;
 mod error;
 mod frame;
+mod noise_scale;
 mod rest_record;
 mod view;
 mod windows;
@@ -24,6 +25,7 @@ use crate::track::{MarkerState, Tracks};
 use crate::triangulate::{Centres, Triangulator};
 use alloc::vec::Vec;
 use discs::Discs;
+use noise_scale::noise_scale;
 use view::ViewStages;
 
 /// Sensing: stereo frames in, tactile point clouds out.
@@ -40,6 +42,7 @@ pub struct Pipeline {
     contact_rule: Option<ContactRule>,
     decay: DecayFit,
     rest_variance_mm2: Vec<f64>,
+    noise_scale: f64,
     reference_px: Vec<DVec2>,
     slips: LabelSlips,
     discs: Discs,
@@ -71,6 +74,7 @@ impl Pipeline {
             contact_rule: None,
             decay: DecayFit::default(),
             rest_variance_mm2: Vec::new(),
+            noise_scale: 1.0,
             reference_px: Vec::new(),
             slips: LabelSlips::default(),
             discs: Discs::default(),
@@ -113,11 +117,19 @@ impl Pipeline {
         self.contact_rule
     }
 
+    /// What the variances of the centres are multiplied by: how much noisier they are than they state, as the epipolar
+    /// residuals of the rest frame show. 1 before it, and where the difference may be chance.
+    #[must_use]
+    pub const fn noise_scale(&self) -> f64 {
+        self.noise_scale
+    }
+
     /// Forgets tracks, rest surface and reference: the next frame is the rest frame.
     pub fn reset(&mut self) {
         self.rest = None;
         self.decay.start(0);
         self.contact_rule = None;
+        self.noise_scale = 1.0;
         self.frames = 0;
         self.resumes = false;
         self.left.forget();
@@ -209,7 +221,11 @@ impl Pipeline {
         self.points_mm.clear();
         self.points_mm.extend(stereo.iter().map(|s| s.point_mm));
         self.covariance_mm2.clear();
-        self.covariance_mm2.extend(stereo.iter().map(|s| s.covariance_mm2));
+        let state = left.state.iter().zip(&right.state).map(|(&l, &r)| l.max(r));
+        out.state.clear();
+        out.state.extend(state);
+        self.noise_scale = noise_scale(side(&self.left), &stereo, &out.state, centres(left), centres(right));
+        self.covariance_mm2.extend(stereo.iter().map(|s| scaled(&s.covariance_mm2, self.noise_scale)));
         self.discs = Discs::default();
         if self.params.triangulate.disc_bias == DiscBias::Corrected {
             let lattice = &self.params.lattice;
@@ -224,8 +240,6 @@ impl Pipeline {
         self.rest_variance_mm2.clear();
         self.rest_variance_mm2.extend(variances);
         out.mismatched = 0;
-        out.state.clear();
-        out.state.extend(left.state.iter().zip(&right.state).map(|(&l, &r)| l.max(r)));
         for (stereo, state) in stereo.iter().zip(&mut out.state) {
             if stereo.epipolar_px.abs() > max_px && *state == MarkerState::Seen {
                 *state = MarkerState::Held;
@@ -288,7 +302,7 @@ impl Pipeline {
             match ready.point(i, &centres(left).at(i), &centres(right).at(i)) {
                 Ok(stereo) if stereo.epipolar_px.abs() <= max_px => {
                     *point_mm = stereo.point_mm;
-                    out.covariance_mm2[i] = stereo.covariance_mm2;
+                    out.covariance_mm2[i] = scaled(&stereo.covariance_mm2, self.noise_scale);
                     self.discs.fresh.push(i);
                 }
                 _ if state == MarkerState::Seen => {
@@ -372,6 +386,10 @@ const DECAY_KNOWN: f64 = 0.02;
 
 fn centres(tracks: &Tracks) -> Centres<'_> {
     Centres { positions_px: &tracks.positions_px, covariance_px2: &tracks.covariance_px2 }
+}
+
+fn scaled(matrix: &Symmetric<3>, scale: f64) -> Symmetric<3> {
+    matrix.map(|row| row.map(|entry| scale * entry))
 }
 
 fn copy_into<T: Copy>(from: &[T], to: &mut Vec<T>) {

@@ -26,6 +26,9 @@ pub struct RestRecord {
     /// Radius of the dots over their pitch; absent unless `triangulate.disc_bias` corrects for it.
     #[cfg_attr(feature = "serde", serde(default, skip_serializing_if = "Option::is_none"))]
     pub dot_radius_pitches: Option<f64>,
+    /// What the variances of the centres were multiplied by ([`Pipeline::noise_scale`]); 1 when absent.
+    #[cfg_attr(feature = "serde", serde(default = "unscaled", skip_serializing_if = "is_unscaled"))]
+    pub noise_scale: f64,
     /// The left view.
     pub left: RestView,
     /// The right view.
@@ -145,6 +148,7 @@ impl RestRecord {
         check("right.positions_px", rows * cols, &self.right.positions_px, |p| finite(&p))?;
         let radius = self.dot_radius_pitches.as_slice();
         check("dot_radius_pitches", radius.len(), radius, |r| r > 0.0 && r < 1.0)?;
+        check("noise_scale", 1, &[self.noise_scale], |scale| scale.is_finite() && scale > 0.0)?;
         check("left.shown", rows * cols, &self.left.shown, |_| true)?;
         check("right.shown", rows * cols, &self.right.shown, |_| true)?;
         for (view, rest, camera) in
@@ -156,6 +160,16 @@ impl RestRecord {
         }
         Ok(())
     }
+}
+
+#[cfg(feature = "serde")]
+const fn unscaled() -> f64 {
+    1.0
+}
+
+#[cfg(feature = "serde")]
+fn is_unscaled(scale: &f64) -> bool {
+    *scale == 1.0
 }
 
 fn check<T: Copy>(
@@ -184,6 +198,7 @@ impl Pipeline {
             cols: self.left.cols,
             points_mm: rest.points_mm().to_vec(),
             variance_mm2: self.rest_variance_mm2.clone(),
+            noise_scale: self.noise_scale,
             dot_radius_pitches: self.discs.radius_pitches(),
             left: self.left.rest_view(),
             right: self.right.rest_view(),
@@ -216,6 +231,7 @@ impl Pipeline {
         self.discs.resume(lattice, record.dot_radius_pitches);
         self.points_mm.clone_from(&record.points_mm);
         self.rest_variance_mm2.clone_from(&record.variance_mm2);
+        self.noise_scale = record.noise_scale;
         // The least certain direction is the normal's, nearly.
         self.covariance_mm2.clear();
         self.covariance_mm2.extend(

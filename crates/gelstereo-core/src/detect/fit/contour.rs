@@ -5,7 +5,7 @@
 //! 2014). What curvature and sampling change is the same for all markers of an image to first order, and measured on samples.
 
 use super::disc::{Levels, Matrix, Outline};
-use super::solve::Factor;
+use crate::math::Factor;
 use crate::math::sqrt;
 use core::f64::consts::{FRAC_1_SQRT_2, PI};
 

@@ -2,10 +2,9 @@
 
 use super::edge::Edge;
 use super::lanes::{Lanes, Sum, WIDTH, inverse_root};
-use super::solve::Factor;
 use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
-use crate::math::{DVec2, round_even, sqrt};
+use crate::math::{DVec2, Factor, round_even, sqrt};
 use alloc::vec::Vec;
 use core::f64::consts::{FRAC_1_SQRT_2, PI};
 

@@ -4,10 +4,10 @@ use super::influence::{MOST_PIXELS, Variances};
 use super::lanes::WIDTH;
 use super::noise::ENOUGH_ROWS;
 use super::{DiscFit, FIRST_BLUR_PX, Matrix, Outline, Start, apply, covariance, plausible, step};
-use crate::detect::fit::{Factor, contour};
+use crate::detect::fit::contour;
 use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
-use crate::math::{DVec2, ceil, median, sqrt};
+use crate::math::{DVec2, Factor, ceil, median, sqrt};
 use core::f64::consts::PI;
 
 /// Markers from which an image's blur is estimated, spread evenly over the list, and rounds.

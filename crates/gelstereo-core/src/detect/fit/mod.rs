@@ -14,20 +14,18 @@ mod influence;
 mod lanes;
 mod learn;
 mod noise;
-mod solve;
 mod template;
 
 pub(super) use influence::Influence;
 pub(super) use learn::Middle;
 pub use noise::Noise;
 pub(super) use noise::{CLEARANCE_PX, ENOUGH_ROWS, NoiseMeter};
-pub(super) use solve::Factor;
 
 use super::Markers;
 use super::components::Most;
 use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
-use crate::math::{DVec2, round, sqrt};
+use crate::math::{DVec2, Factor, round, sqrt};
 use crate::params::DetectParams;
 use crate::track::grid::Grid;
 use alloc::vec::Vec;

@@ -9,9 +9,8 @@ use super::apply;
 use super::disc::{ANSWERS, Answers, Outline, Window};
 use super::edge::Edge;
 use super::lanes::WIDTH;
-use super::solve::Factor;
 use crate::math::linalg::Symmetric;
-use crate::math::{DVec2, floor};
+use crate::math::{DVec2, Factor, floor};
 use alloc::vec::Vec;
 
 /// Places within a pixel, per axis.

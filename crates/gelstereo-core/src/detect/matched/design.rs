@@ -2,9 +2,9 @@
 
 use super::covariance::{Covariance, PARITIES};
 use super::disc::Disc;
-use crate::detect::fit::{Factor, Noise};
-use crate::math::DVec2;
+use crate::detect::fit::Noise;
 use crate::math::linalg::Symmetric;
+use crate::math::{DVec2, Factor};
 use alloc::vec::Vec;
 
 /// Parameters of one marker: centre, contrast, ground, its slopes, radius, two stretches, blur.
@@ -254,7 +254,7 @@ fn derive(columns: &mut Vec<[f64; COLUMNS]>, disc: &Disc, support: Support, off_
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::{abs, exp};
+    use crate::math::{Factor, abs, exp};
 
     /// Against the response to a disc on the first of both places, when one pixel after the other is brighter by a little,
     /// and the sum over all pairs of pixels. What is neglected is of second order in the distance of the places over

@@ -1,10 +1,10 @@
 //! Small symmetric systems.
 
-use crate::math::linalg::Symmetric;
+use super::linalg::Symmetric;
 
 /// L and D of a symmetric matrix that is clearly positive definite (L D Lᵀ, Golub and Van Loan, section 4.1).
 #[derive(Clone, Copy, Debug)]
-pub(in crate::detect) struct Factor<const N: usize> {
+pub(crate) struct Factor<const N: usize> {
     lower: Symmetric<N>,
     diagonal: [f64; N],
 }
