@@ -293,10 +293,50 @@ proptest! {
                 let [row, _] = rest.directions();
                 prop_assert!(row.x > row.y.abs() * 0.98);
             }
-            Err(LabelError::Border { .. } | LabelError::Irregular { .. }) => {}
+            Err(LabelError::Border { .. } | LabelError::Irregular { .. } | LabelError::Slipped { .. }) => {}
             Err(other) => prop_assert!(specks > 5 || share > 0.15, "{other}"),
         }
     }
+}
+
+/// Found by seed 1165789028306446064 of the test above: with specks about, a column beyond one of which nothing is seen
+/// was left out, and 7 x 12 markers were a lattice of 7 x 10.
+#[test]
+fn row_15_a_column_beyond_an_empty_one_is_a_column() {
+    let lattice = LatticeParams { max_missing_share: 0.4, ..LatticeParams::default() };
+    let mut counted = 0;
+    for (turn, specks) in (0..24).flat_map(|turn| (1..10).map(move |specks| (turn, specks))) {
+        for share in [0.155, 0.165, 0.175, 0.185, 0.195] {
+            let mut s = Stream::new(1_165_789_028_306_446_064, "rest");
+            let scene = Scene::new(7, 12, 15.0 * f64::from(turn)).shaken(0.2, &mut s);
+            let scene = scene.thinned(share, &mut s, |_, _| true).speckled(specks, &mut s).shuffled(&mut s);
+            match rest_lattice(&scene.points, &lattice, 1.0 / 3.0) {
+                Ok(rest) => {
+                    assert_eq!(rest.rows.min(rest.cols), 7, "turn {turn}, {specks} specks, share {share}");
+                    assert_eq!(rest.rows.max(rest.cols), 12, "turn {turn}, {specks} specks, share {share}");
+                    counted += 1;
+                }
+                Err(LabelError::Torn { .. } | LabelError::Slipped { .. }) => {}
+                Err(other) => panic!("turn {turn}, {specks} specks, share {share}: {other}"),
+            }
+        }
+    }
+    println!("{counted} of 1080 counted");
+    assert!(counted > 800, "{counted} of 1080 counted");
+}
+
+/// The error of a marker that is hardly too far off once said that 5.9 px is more than 5.9 px, and that of labels that have
+/// slipped said that a distance within the limit is beyond it.
+#[test]
+fn errors_of_labels_say_two_different_numbers() {
+    let text = |off_px, most_px| LabelError::Irregular { row: 1, col: 2, off_px, most_px }.to_string();
+    assert!(text(5.863, 5.853).contains("lies 5.86 px"), "{}", text(5.863, 5.853));
+    assert!(text(5.863, 5.853).contains("at most 5.85 px"));
+    assert!(text(9.04, 5.85).contains("lies 9.0 px"));
+    let next = 5.86_f64.next_up();
+    assert!(text(next, 5.86).contains(&format!("lies {next} px")));
+    let slipped = LabelError::Slipped { row: 1, col: 2, off_px: 1.23 }.to_string();
+    assert!(slipped.contains("without a label stands 1.2 px from there"), "{slipped}");
 }
 
 /// Found by fuzzing: a speck beside the marker that the lattice was grown from was given the same place.

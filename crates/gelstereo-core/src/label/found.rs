@@ -104,6 +104,16 @@ pub struct Sites {
 }
 
 impl Sites {
+    /// So many rows and columns, without a detection.
+    pub(super) fn empty(rows: usize, cols: usize) -> Self {
+        Self { rows, cols, detection: alloc::vec![None; rows * cols] }
+    }
+
+    /// Puts a detection, or none, at a place that there is.
+    pub(super) fn set(&mut self, place: Place, detection: Option<usize>) {
+        self.detection[place.row as usize * self.cols + place.col as usize] = detection.map(|m| m as u32);
+    }
+
     /// The detection at a place, if one was found there.
     #[must_use]
     pub fn at(&self, place: Place) -> Option<usize> {

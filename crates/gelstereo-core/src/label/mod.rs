@@ -5,6 +5,7 @@
 
 mod agree;
 mod anchor;
+mod beyond;
 mod canvas;
 mod extent;
 mod fill;
@@ -23,6 +24,8 @@ pub(crate) use rest::rest_lattice_by;
 pub use rest::{rest_lattice, rest_lattice_of};
 
 use crate::math::DVec2;
+use alloc::format;
+use alloc::string::String;
 use alloc::vec::Vec;
 
 /// Why markers could not be labelled.
@@ -113,6 +116,15 @@ pub enum LabelError {
         /// Largest valid one.
         most_px: f64,
     },
+    /// A marker was filled in although a detection that has no label stands there: labels have slipped.
+    Slipped {
+        /// Its row.
+        row: usize,
+        /// Its column.
+        col: usize,
+        /// Distance of the detection from where it was filled in, pixels.
+        off_px: f64,
+    },
 }
 
 impl core::fmt::Display for LabelError {
@@ -160,10 +172,18 @@ impl core::fmt::Display for LabelError {
                 }
                 write!(f, "; at least 3 x 3 are needed, and {max_missing} may be missing")
             }
-            Self::Irregular { row, col, off_px, most_px } if off_px.is_finite() => write!(
+            Self::Irregular { row, col, off_px, most_px } if off_px.is_finite() => {
+                let (off, most) = told_apart(off_px, most_px);
+                write!(
+                    f,
+                    "the marker labelled row {row}, column {col} lies {off} px from where its neighbours say; at most \
+                     {most} px is a lattice"
+                )
+            }
+            Self::Slipped { row, col, off_px } => write!(
                 f,
-                "the marker labelled row {row}, column {col} lies {off_px:.1} px from where its neighbours say; at \
-                 most {most_px:.1} px is a lattice"
+                "no marker was labelled row {row}, column {col}, but one without a label stands {off_px:.1} px from there: \
+                 the labels around it have slipped; take the rest frame while nothing touches the gel"
             ),
             Self::Irregular { row, col, .. } => {
                 write!(f, "the lattice folds over at the marker labelled row {row}, column {col}")
@@ -173,6 +193,15 @@ impl core::fmt::Display for LabelError {
 }
 
 impl core::error::Error for LabelError {}
+
+/// Two different numbers with as many decimals as it takes to tell them apart.
+fn told_apart(one: f64, other: f64) -> (String, String) {
+    let with = |decimals: usize| (format!("{one:.decimals$}"), format!("{other:.decimals$}"));
+    (1..=DECIMALS).map(with).find(|(a, b)| a != b).unwrap_or_else(|| (format!("{one}"), format!("{other}")))
+}
+
+/// Most decimals of a pixel that are worth a look before all are shown.
+const DECIMALS: usize = 6;
 
 /// The rest lattice, complete.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -1,5 +1,6 @@
 //! The rest lattice: rows and columns counted, every marker labelled, missing ones filled in.
 
+use super::beyond::with_lines_beyond;
 use super::fill::Partial;
 use super::found::{FoundLattice, Place, Sites};
 use super::{LabelError, LatticeFinder, RestLattice, check_regular};
@@ -81,14 +82,14 @@ fn label_all(
 ) -> Result<RestLattice, LabelError> {
     let mut found = FoundLattice::default();
     finder.run_with_specks(detected_px, &mut found)?;
-    let sites = found.sites();
+    let most_px = tolerance_pitches * found.pitch_px;
+    let sites = with_lines_beyond(found.sites(), detected_px, most_px);
     let window = Window::choose(&sites, whole, lattice)?;
     let (rows, cols) = (window.rows(), window.cols());
     let taken: Vec<Option<u32>> = window.places().map(|p| sites.at(p).map(|m| m as u32)).collect();
     let detection: Vec<Option<u32>> = taken.iter().map(|d| d.filter(|&m| (m as usize) < whole)).collect();
     let at = detection.iter().map(|d| d.map(|m| detected_px[m as usize])).collect();
     let partial = Partial { rows, cols, at };
-    let most_px = tolerance_pitches * found.pitch_px;
     check_regular(rows, cols, most_px, |r, c| partial.at[r * cols + c])?;
     let positions_px = partial.filled().ok_or(LabelError::NoLattice { found: detected_px.len() })?;
     check_gaps(detected_px, &positions_px, &taken, most_px, cols)?;
@@ -264,7 +265,7 @@ fn check_gaps(
     for n in (0..detection.len()).filter(|&n| detection[n].is_none()) {
         if let Some(m) = grid.nearest(points, positions_px[n], most_px, |m| !taken[m]) {
             let off_px = positions_px[n].distance(points[m]);
-            return Err(LabelError::Irregular { row: n / cols, col: n % cols, off_px, most_px });
+            return Err(LabelError::Slipped { row: n / cols, col: n % cols, off_px });
         }
     }
     Ok(())
