@@ -26,8 +26,17 @@ impl core::error::Error for Stopped {}
 /// thousandth of the work, and an answer is waited for by a few milliseconds.
 const STEPS: usize = 1024;
 
+/// The same of steps that look at much of a template: at most a millisecond each.
+const HEAVY_STEPS: usize = 64;
+
 /// Asks, before the first of every [`STEPS`] steps.
 #[inline]
 pub(crate) fn ask(stop: Stop<'_>, step: usize) -> Result<(), Stopped> {
     if step.is_multiple_of(STEPS) && stop() { Err(Stopped) } else { Ok(()) }
+}
+
+/// Asks, before the first of every [`HEAVY_STEPS`] steps.
+#[inline]
+pub(crate) fn ask_often(stop: Stop<'_>, step: usize) -> Result<(), Stopped> {
+    if step.is_multiple_of(HEAVY_STEPS) && stop() { Err(Stopped) } else { Ok(()) }
 }

@@ -1,8 +1,11 @@
 //! Long work that is stopped, at any question, and work that could be but is not.
 
 use crate::solids;
-use gelstereo_core::math::DVec3;
-use gelstereo_core::register::{Symmetry, Template, TemplateError};
+use gelstereo_core::math::{DVec3, Pose};
+use gelstereo_core::params::{RegisterMethod, RegisterParams};
+use gelstereo_core::register::{
+    Contact, Localizer, RegisterError, Registrar, Symmetry, Template, TemplateBytesError, TemplateError,
+};
 use gelstereo_core::stop::{Stop, Stopped};
 use gelstereo_core::surface::TriangleMesh;
 use proptest::prelude::*;
@@ -46,8 +49,109 @@ fn work_that_is_not_stopped_gives_the_same_bits() {
     assert_eq!(turned.unwrap(), MESH.turned_outward());
 }
 
+/// The top of the block, 0.4 mm off, and a template of points with their surface.
+fn patch() -> Vec<DVec3> {
+    let at = |k: i32| DVec3::new(f64::from(k % 13) * 0.5 - 3.0, f64::from(k / 13) * 0.5 - 3.0, 7.4);
+    (0..169).map(at).collect()
+}
+
+static SCAN: LazyLock<Template> = LazyLock::new(|| {
+    Template::new(TEMPLATE.points_mm(), TEMPLATE.normals(), SPACING_MM).unwrap().with_surfels()
+});
+
+const METHODS: [RegisterMethod; 7] = [
+    RegisterMethod::FilterregPoint,
+    RegisterMethod::FilterregPlane,
+    RegisterMethod::RansacIcp,
+    RegisterMethod::IcpPlane,
+    RegisterMethod::SurfaceTrack,
+    RegisterMethod::SurfaceClose,
+    RegisterMethod::SurfaceSearch,
+];
+
+fn registrar(method: RegisterMethod) -> Registrar {
+    Registrar::new(&RegisterParams { method, ransac_hypotheses: 50, starts: 16, ..RegisterParams::default() })
+}
+
+#[test]
+fn registration_that_is_not_stopped_gives_the_same_bits() {
+    let points = patch();
+    for method in METHODS {
+        let contact = Contact::new(&points);
+        let plain = registrar(method).register(&contact, &TEMPLATE, &Pose::IDENTITY).unwrap();
+        let mut asking = registrar(method);
+        let (found, asked) =
+            stopped_at(usize::MAX, |stop| asking.register_unless(&contact, &TEMPLATE, &Pose::IDENTITY, stop));
+        assert_eq!(found.unwrap().digest(), plain.digest(), "{method:?}");
+        assert!(asked >= 3, "{method:?}: {asked} questions");
+    }
+}
+
+/// A registration that was stopped at any of its questions leaves nothing behind: the next one has the bits of a first one.
+#[test]
+fn a_registration_that_is_stopped_leaves_nothing_behind() {
+    let points = patch();
+    let contact = Contact::new(&points);
+    for method in METHODS {
+        let mut asking = registrar(method);
+        let register = |registrar: &mut Registrar, stop: Stop<'_>| {
+            registrar.register_unless(&contact, &TEMPLATE, &Pose::IDENTITY, stop)
+        };
+        let (found, all) = stopped_at(usize::MAX, |stop| register(&mut asking, stop));
+        let whole = found.unwrap().digest();
+        for question in (0..9).map(|k| k * (all - 1) / 8) {
+            let (stopped, _) = stopped_at(question, |stop| register(&mut asking, stop));
+            assert_eq!(stopped, Err(RegisterError::Stopped), "{method:?} at {question} of {all}");
+            let (again, _) = stopped_at(usize::MAX, |stop| register(&mut asking, stop));
+            assert_eq!(again.unwrap().digest(), whole, "{method:?} after {question} of {all}");
+        }
+    }
+}
+
+/// A localizer that was stopped goes on as if the frame had not been.
+#[test]
+fn a_localizer_that_is_stopped_goes_on_as_before() {
+    let points = patch();
+    let contact = Contact::new(&points);
+    let params = RegisterParams { starts: 16, ..RegisterParams::default() };
+    let mut plain = Localizer::new(&params, &Pose::IDENTITY);
+    let digests: Vec<u64> =
+        (0..3).map(|_| plain.run(&contact, &TEMPLATE).unwrap().registration.digest()).collect();
+    let mut stopped = Localizer::new(&params, &Pose::IDENTITY);
+    for digest in digests {
+        let mut trial = stopped.clone();
+        let (_, all) = stopped_at(usize::MAX, |stop| trial.run_unless(&contact, &TEMPLATE, stop).map(|_| ()));
+        for question in [0, all / 3, 2 * all / 3, all - 1] {
+            let (found, _) = stopped_at(question, |stop| stopped.run_unless(&contact, &TEMPLATE, stop));
+            assert_eq!(found, Err(RegisterError::Stopped), "at {question} of {all}");
+        }
+        assert_eq!(stopped.run(&contact, &TEMPLATE).unwrap().registration.digest(), digest);
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(16))]
+
+    /// The same of templates of points, and of those that are read from bytes.
+    #[test]
+    fn a_stop_at_any_question_ends_reading_and_scans(share in 0.0..1.0_f64) {
+        let at = |all: usize| (share * all as f64) as usize;
+        let scan = |stop: Stop<'_>| {
+            let points = Template::new_unless(TEMPLATE.points_mm(), TEMPLATE.normals(), SPACING_MM, stop)?;
+            Ok::<_, TemplateError>(points.with_surfels_unless(stop)?.digest())
+        };
+        let (made, all) = stopped_at(usize::MAX, scan);
+        prop_assert_eq!(made, Ok(SCAN.digest()));
+        prop_assert_eq!(stopped_at(at(all), scan), (Err(TemplateError::Stopped), at(all) + 1));
+        for template in [&*SCAN, &*TEMPLATE] {
+            let bytes = template.to_bytes();
+            let read = |stop: Stop<'_>| Template::from_bytes_unless(&bytes, stop).map(|read| read.digest());
+            let (made, all) = stopped_at(usize::MAX, read);
+            prop_assert_eq!(made, Ok(template.digest()));
+            let stopped = Err(TemplateBytesError::Template(TemplateError::Stopped));
+            prop_assert_eq!(stopped_at(at(all), read), (stopped, at(all) + 1));
+        }
+    }
 
     /// The question that says stop is the last one, and what there is stays as it was.
     #[test]

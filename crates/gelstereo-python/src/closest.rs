@@ -2,7 +2,7 @@
 
 use crate::arrays::{self, Array1, Matrix, Numbers};
 use crate::errors::{TemplateError, raise};
-use crate::interrupt::stoppable;
+use crate::interrupt::{stoppable, stoppable_each};
 use crate::template::triangle_mesh;
 use gelstereo_core::math::DVec3;
 use gelstereo_core::register as core;
@@ -28,13 +28,15 @@ pub struct Closest {
 
 /// Every point's answer. The first guess is `near`, or the triangle of the point before.
 pub fn search(
+    py: Python<'_>,
     solid: &Solid,
     points_mm: &[DVec3],
     (facing, near): (Option<&[DVec3]>, Option<&[f64]>),
     reach_mm: f64,
-) -> Vec<Option<surface::Closest>> {
-    let mut last = None;
-    let one = |(k, &p): (usize, &DVec3)| {
+) -> PyResult<Vec<Option<surface::Closest>>> {
+    let (mut last, mut next) = (None, 0..);
+    let one = |&p: &DVec3| {
+        let k = next.next().unwrap_or_default();
         // A cast that saturates: what is no triangle is a guess as good as none.
         last = near.map(|near| near[k] as u32).or(last);
         let found = match facing {
@@ -48,7 +50,7 @@ pub fn search(
         last = found.map(|c| c.triangle).or(last);
         found
     };
-    points_mm.iter().enumerate().map(one).collect()
+    stoppable_each(py, points_mm, one)
 }
 
 impl Closest {

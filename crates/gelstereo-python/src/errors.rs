@@ -70,8 +70,6 @@ stage_errors! {
     core::surface::DenseSurfaceError => MeshError,
     core::surface::SolidError => MeshError,
     core::stop::Stopped => PyKeyboardInterrupt,
-    core::register::TemplateError => TemplateError,
-    core::register::TemplateBytesError => TemplateError,
     core::register::FusionError => RegisterError,
     core::register::RigidFitError => RegisterError,
     core::math::se3::PoseError => PoseError,
@@ -79,15 +77,43 @@ stage_errors! {
     core::frames::WidthError => FrameError,
     gelstereo_host::gripper::GripperError => GripperError,
     gelstereo_sim::SceneError => SceneError,
-    gelstereo_sim::layer::LayerError => LayerError,
     gelstereo_host::camera::CaptureError => CameraError,
     gelstereo_host::codec::tara::TaraError => HidError,
     gelstereo_host::codec::blink1::Blink1Error => HidError,
 }
 
+// A stop is one that a signal asked for, whose own exception is raised in its place.
+impl ToPython for core::register::TemplateError {
+    fn to_python(&self) -> PyErr {
+        match self {
+            Self::Stopped => core::stop::Stopped.to_python(),
+            error => TemplateError::new_err(error.to_string()),
+        }
+    }
+}
+
+impl ToPython for core::register::TemplateBytesError {
+    fn to_python(&self) -> PyErr {
+        match self {
+            Self::Template(error) => error.to_python(),
+            error => TemplateError::new_err(error.to_string()),
+        }
+    }
+}
+
+impl ToPython for gelstereo_sim::layer::LayerError {
+    fn to_python(&self) -> PyErr {
+        match self {
+            Self::Stopped => core::stop::Stopped.to_python(),
+            error => LayerError::new_err(error.to_string()),
+        }
+    }
+}
+
 impl ToPython for core::register::RegisterError {
     fn to_python(&self) -> PyErr {
         match self {
+            Self::Stopped => core::stop::Stopped.to_python(),
             Self::Params(error) => error.to_python(),
             error => RegisterError::new_err(error.to_string()),
         }

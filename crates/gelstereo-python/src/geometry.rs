@@ -2,6 +2,7 @@
 
 use crate::arrays::{self, Array1, Matrix, Numbers};
 use crate::errors::{PoseError, RegisterError, raise};
+use crate::interrupt::stoppable_each;
 use gelstereo_core::math::{DMat3, DQuat, DVec3, Pose, so3, sqrt};
 use gelstereo_core::register::{self, FusedPose, PlaneContact, PoseEstimate, Tree};
 use pyo3::prelude::*;
@@ -254,10 +255,9 @@ pub fn nearest(
             "row {index} of {name} has a coordinate that is NaN or infinite"
         )));
     }
-    let found = py.detach(|| {
-        let tree = Tree::new(points);
-        queries.iter().map(|&query| tree.nearest(query)).collect::<Option<Vec<_>>>()
-    });
+    let tree = py.detach(|| Tree::new(points));
+    let found = stoppable_each(py, queries, |&query| tree.nearest(query))?;
+    let found = found.into_iter().collect::<Option<Vec<_>>>();
     let found =
         found.ok_or_else(|| RegisterError::new_err("there are no points; nearest needs at least one"))?;
     let (indices, squares): (Vec<i64>, Vec<f64>) = found.into_iter().map(|(i, d)| (i as i64, d)).unzip();

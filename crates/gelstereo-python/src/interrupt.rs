@@ -26,3 +26,25 @@ pub fn stoppable<T: Send>(py: Python<'_>, work: impl FnOnce(Stop<'_>) -> T + Sen
     });
     raised.map_or(Ok(done), Err)
 }
+
+/// As [`stoppable`], something of every item: microseconds each.
+pub fn stoppable_each<I: Sync, T: Send>(
+    py: Python<'_>,
+    items: &[I],
+    mut one: impl FnMut(&I) -> T + Send,
+) -> PyResult<Vec<T>> {
+    let work = |stop: Stop<'_>| {
+        let mut out = Vec::with_capacity(items.len());
+        for (step, item) in items.iter().enumerate() {
+            if step.is_multiple_of(ITEMS) && stop() {
+                break;
+            }
+            out.push(one(item));
+        }
+        out
+    };
+    stoppable(py, work)
+}
+
+/// Items between two questions whether to stop.
+const ITEMS: usize = 64;

@@ -2,8 +2,9 @@
 
 use crate::arrays::{self, Matrix, Numbers};
 use crate::errors::{ShapeError, raise};
+use crate::interrupt::stoppable;
 use gelstereo_sim::layer::{Convergence, Grid, Layer, LayerContact as Contact, Part, Start};
-use numpy::PyArray3;
+use numpy::{PyArray3, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use std::sync::{Mutex, PoisonError};
 
@@ -50,7 +51,30 @@ pub struct LayerSolution {
 }
 
 #[pymethods]
+impl LayerSolution {
+    fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
+        let (shape, end) = (self.pressure.bind(py).shape().to_vec(), self.converged);
+        let end = if end { "converged" } else { "not converged" };
+        let (products, residual_mm) = (self.products, self.residual_mm);
+        Ok(format!(
+            "<LayerSolution: {} x {} cells, {end} after {products} products, {residual_mm:.1e} mm left>",
+            shape[0], shape[1]
+        ))
+    }
+}
+
+#[pymethods]
 impl LayerContact {
+    fn __repr__(&self) -> String {
+        let contact = self.inner.lock().unwrap_or_else(PoisonError::into_inner);
+        let (Layer { thickness_mm, poisson_ratio }, grid) = (contact.layer(), contact.grid());
+        let Grid { rows, cols, cell_mm } = grid;
+        format!(
+            "<LayerContact: {rows} x {cols} cells of {cell_mm} mm on a layer {thickness_mm} mm thick, Poisson's ratio \
+             {poisson_ratio}>"
+        )
+    }
+
     #[new]
     #[pyo3(signature = (*, thickness_mm, poisson_ratio, rows, cols, cell_mm, friction=0.0))]
     fn new(
@@ -94,7 +118,8 @@ impl LayerContact {
         let carried_mm = carried.as_ref().map(|[x, y]| [&x[..], &y[..]]);
         let start = if warm { Start::Last } else { Start::Afresh };
         let contact = &mut *inner;
-        let found = py.detach(|| contact.press(Part { heights_mm, carried_mm }, tolerance_mm, start));
+        let part = Part { heights_mm, carried_mm };
+        let found = stoppable(py, |stop| contact.press_unless(part, tolerance_mm, start, stop))?;
         solution(py, &mut inner, found.map_err(raise)?)
     }
 

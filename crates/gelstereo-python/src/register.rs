@@ -2,12 +2,14 @@
 
 use crate::arrays::{self, Array1, Matrix, Numbers};
 use crate::errors::{RegisterError, raise};
+use crate::interrupt::stoppable;
 use crate::params::Params;
 use crate::pickle;
 use crate::template::Template;
 use gelstereo_core::math::DVec3;
 use gelstereo_core::params::{RegisterMethod, RegisterParams};
 use gelstereo_core::register as core;
+use gelstereo_core::stop::Stop;
 use pyo3::prelude::*;
 use pyo3::types::{PyTuple, PyType};
 use std::cell::RefCell;
@@ -226,8 +228,7 @@ impl Localization {
     }
 }
 
-/// Points that are registered in seconds. The call cannot be interrupted, and more than the template's own density
-/// tells nothing new.
+/// Points that are registered in seconds. More than the template's own density tells nothing new.
 const MOST_POINTS: usize = 20_000;
 
 /// Find where a part sits: register a contact patch to its template.
@@ -270,10 +271,10 @@ pub fn localize(
     let guess = arrays::pose(t_sensor_object, "t_sensor_object")?;
     let template = template.get().inner();
     let params = Params::or_default(params);
-    let register = |contact: &core::Contact<'_>| {
+    let register = |contact: &core::Contact<'_>, stop: Stop<'_>| {
         REGISTRAR.with_borrow_mut(|stage| {
             stage.set_params(&params.register);
-            stage.register(contact, template, &guess)
+            stage.register_unless(contact, template, &guess, stop)
         })
     };
     let decay_mm = params.contact.decay_mm;
@@ -291,13 +292,13 @@ thread_local! {
 /// Salient points, all points and covariances, as they are handed over.
 type Markers<'a, 'py> = (&'a Bound<'py, PyAny>, Option<&'a Bound<'py, PyAny>>, Option<&'a Bound<'py, PyAny>>);
 
-/// Runs what needs a contact for a method, with the interpreter released.
+/// Runs what needs a contact for a method, with the interpreter released, until a signal stops it.
 fn with_contact<T: Send>(
     py: Python<'_>,
     (points_mm, all_points_mm, covariance_mm2): Markers<'_, '_>,
     method: RegisterMethod,
     decay_mm: f64,
-    run: impl FnOnce(&core::Contact<'_>) -> Result<T, core::RegisterError> + Send,
+    run: impl FnOnce(&core::Contact<'_>, Stop<'_>) -> Result<T, core::RegisterError> + Send,
 ) -> PyResult<T> {
     let points = Numbers::new(points_mm, "points_mm")?;
     let points = points.rows::<DVec3, 3>()?;
@@ -312,18 +313,19 @@ fn with_contact<T: Send>(
     let all = all.as_ref().map(Numbers::rows::<DVec3, 3>).transpose()?;
     let covariances = covariance_mm2.map(|c| Numbers::new(c, "covariance_mm2")).transpose()?;
     let covariances = covariances.as_ref().map(Numbers::matrices).transpose()?;
-    py.detach(|| {
+    stoppable(py, |stop| {
         if let Some(all) = all {
             core::check_among(all, points)?;
         }
         let unpressed_mm = core::unpressed_for(method, all.unwrap_or_default(), points);
-        run(&core::Contact {
+        let contact = core::Contact {
             covariance_mm2: covariances,
             unpressed_mm: &unpressed_mm,
             decay_mm,
             ..core::Contact::new(points)
-        })
-    })
+        };
+        run(&contact, stop)
+    })?
     .map_err(raise)
 }
 
@@ -399,6 +401,12 @@ impl Localizer {
         last.map(|pose| arrays::pose_matrix(py, &pose)).transpose()
     }
 
+    fn __repr__(&self, py: Python<'_>) -> String {
+        let (held, points) = (py.detach(|| self.lock().last().is_some()), self.template.get().inner());
+        let points = points.points_mm().len();
+        format!("<Localizer: a part of {points} points, {}>", if held { "followed" } else { "not found yet" })
+    }
+
     /// The part is expected elsewhere from now on: the gripper has let go, or grasped it anew.
     ///
     /// Parameters
@@ -436,7 +444,8 @@ impl Localizer {
         covariance_mm2: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Localization> {
         let template = self.template.get().inner();
-        let run = |contact: &core::Contact<'_>| self.lock().run(contact, template);
+        let run =
+            |contact: &core::Contact<'_>, stop: Stop<'_>| self.lock().run_unless(contact, template, stop);
         // What is lost is searched for.
         let method = RegisterMethod::SurfaceSearch;
         let markers = (points_mm, all_points_mm, covariance_mm2);

@@ -3,11 +3,12 @@
 use crate::arrays::{self, Array1, Count, Matrix, Numbers};
 use crate::closest::{self, Closest, Surface, Symmetry};
 use crate::errors::{MeshError, ShapeError, TemplateError, raise};
-use crate::interrupt::stoppable;
+use crate::interrupt::{stoppable, stoppable_each};
 use crate::pickle;
 use crate::tree;
 use gelstereo_core::math::{DVec3, sqrt};
 use gelstereo_core::register as core;
+use gelstereo_core::stop::Stop;
 use gelstereo_core::surface::{Solid, TriangleMesh};
 use pyo3::prelude::*;
 use pyo3::types::{PyTuple, PyType};
@@ -121,8 +122,10 @@ impl Template {
     ) -> PyResult<Self> {
         let (points, normals) = (Numbers::new(points_mm, "points_mm")?, Numbers::new(normals, "normals")?);
         let (points, normals) = (points.rows::<DVec3, 3>()?, normals.rows::<DVec3, 3>()?);
-        let made = || core::Template::new(points, normals, spacing_mm).map(core::Template::with_surfels);
-        let inner = cls.py().detach(made).map_err(raise)?;
+        let made = |stop: Stop<'_>| {
+            Ok(core::Template::new_unless(points, normals, spacing_mm, stop)?.with_surfels_unless(stop)?)
+        };
+        let inner = stoppable(cls.py(), made)?.map_err(raise::<core::TemplateError>)?;
         Ok(Self { inner })
     }
 
@@ -179,9 +182,9 @@ impl Template {
         let points = Numbers::new(points_mm, "points_mm")?;
         let points = finite(points.rows::<DVec3, 3>()?, "point")?;
         let tree = self.inner.tree();
-        let (indices, distances): (Vec<i64>, Vec<f64>) = py.detach(|| {
-            points.iter().filter_map(|&p| tree.nearest(p)).map(|(k, d)| (k as i64, sqrt(d))).unzip()
-        });
+        let found = stoppable_each(py, points, |&p| tree.nearest(p))?;
+        let (indices, distances): (Vec<i64>, Vec<f64>) =
+            found.into_iter().flatten().map(|(k, d)| (k as i64, sqrt(d))).unzip();
         Ok((arrays::list(py, indices), arrays::list(py, distances)))
     }
 
@@ -232,7 +235,7 @@ impl Template {
                 "there are {found} triangles for {points} points; valid is one for each"
             )));
         }
-        let found = py.detach(|| closest::search(solid, points, (facing.as_deref(), near), reach_mm));
+        let found = closest::search(py, solid, points, (facing.as_deref(), near), reach_mm)?;
         Closest::new(py, found)
     }
 
@@ -372,14 +375,15 @@ impl Template {
     fn load(cls: &Bound<'_, PyType>, path: PathBuf) -> PyResult<Self> {
         let py = cls.py();
         let bytes = tree::read_bytes(py, path.clone())?;
-        let read = py.detach(|| core::Template::from_bytes(&bytes)).map_err(raise);
+        let read = stoppable(py, |stop| core::Template::from_bytes_unless(&bytes, stop))?.map_err(raise);
         let inner = read.map_err(|error| tree::in_file(py, &error, &path))?;
         Ok(Self { inner })
     }
 
     #[classmethod]
-    fn _from_bytes(_cls: &Bound<'_, PyType>, data: &[u8]) -> PyResult<Self> {
-        Ok(Self { inner: core::Template::from_bytes(data).map_err(raise)? })
+    fn _from_bytes(cls: &Bound<'_, PyType>, data: &[u8]) -> PyResult<Self> {
+        let read = stoppable(cls.py(), |stop| core::Template::from_bytes_unless(data, stop))?;
+        Ok(Self { inner: read.map_err(raise)? })
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<pickle::Reduced<'py>> {

@@ -11,6 +11,7 @@ use super::{
 };
 use crate::math::{centroid, sqrt};
 use crate::params::RegisterMethod;
+use crate::stop::{Stopped, ask_often};
 
 /// The result of a stage that ended at `outcome`. All rungs are judged alike, on the soft matches of the points
 /// within `max_distance_mm`; plane rungs count every point as their last step did.
@@ -19,11 +20,11 @@ pub(super) fn registration(
     scratch: &mut Scratch,
     outcome: &Outcome,
 ) -> Result<Registration, RegisterError> {
-    let Problem { params, points_mm, template } = *problem;
+    let Problem { params, points_mm, template, stop } = *problem;
     let pose = &outcome.t_sensor_object;
     scratch.place(points_mm, pose);
     let width_mm = width_floor_mm(problem);
-    match_inliers(problem, scratch, width_mm);
+    match_inliers(problem, scratch, width_mm)?;
     if scratch.sources.len() < LEAST_PATCH {
         check_reach(problem, &scratch.placed, params.max_distance_mm)?;
     }
@@ -32,7 +33,8 @@ pub(super) fn registration(
     let by_plane = matches!(params.method, RegisterMethod::FilterregPlane | RegisterMethod::IcpPlane);
     let one_sided = OneSided::new(params.point_sigma_mm, params.max_distance_mm);
     let (mut sum_squared, mut total, mut along_normals) = (0.0, 0.0, 0.0);
-    for (soft, &point) in scratch.soft.iter().zip(&scratch.sources) {
+    for (step, (soft, &point)) in scratch.soft.iter().zip(&scratch.sources).enumerate() {
+        ask_often(stop, step)?;
         let lever = point - frame.centre_mm;
         let seen = soft.sighting(template, lever, 1.0, params.point_sigma_mm);
         let (residual_mm, weight) =
@@ -73,9 +75,10 @@ pub(super) fn registration(
 }
 
 /// Leaves the inliers in the scratch: sources in the object's frame, targets the same points in the sensor's.
-fn match_inliers(problem: &Problem<'_>, scratch: &mut Scratch, width_mm: f64) {
+fn match_inliers(problem: &Problem<'_>, scratch: &mut Scratch, width_mm: f64) -> Result<(), Stopped> {
     scratch.clear_pairs();
-    for (&placed, &point) in scratch.placed.iter().zip(problem.points_mm) {
+    for (step, (&placed, &point)) in scratch.placed.iter().zip(problem.points_mm).enumerate() {
+        ask_often(problem.stop, step)?;
         let soft = soft_match(problem.template, placed, width_mm);
         if soft.distance_mm <= problem.params.max_distance_mm {
             scratch.sources.push(placed);
@@ -83,4 +86,5 @@ fn match_inliers(problem: &Problem<'_>, scratch: &mut Scratch, width_mm: f64) {
             scratch.soft.push(soft);
         }
     }
+    Ok(())
 }

@@ -14,7 +14,7 @@ use super::symmetry::Symmetry;
 use super::template::Template;
 use crate::digest::Digest;
 use crate::math::DVec3;
-use crate::stop::NEVER;
+use crate::stop::{NEVER, Stop, Stopped};
 use crate::surface::{MeshError, Solid, TriangleMesh};
 use alloc::vec::Vec;
 
@@ -69,6 +69,12 @@ impl core::fmt::Display for TemplateBytesError {
 
 impl core::error::Error for TemplateBytesError {}
 
+impl From<Stopped> for TemplateBytesError {
+    fn from(stopped: Stopped) -> Self {
+        Self::Template(stopped.into())
+    }
+}
+
 impl Template {
     /// All of the template as bytes.
     #[must_use]
@@ -108,6 +114,14 @@ impl Template {
     /// # Errors
     /// [`TemplateBytesError`].
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, TemplateBytesError> {
+        Self::from_bytes_unless(bytes, NEVER)
+    }
+
+    /// As [`Self::from_bytes`], unless it is stopped.
+    ///
+    /// # Errors
+    /// [`TemplateBytesError`]; [`TemplateError::Stopped`] in it says that it was stopped.
+    pub fn from_bytes_unless(bytes: &[u8], stop: Stop<'_>) -> Result<Self, TemplateBytesError> {
         if !bytes.starts_with(MAGIC) {
             return Err(TemplateBytesError::NotATemplate);
         }
@@ -130,17 +144,16 @@ impl Template {
         let spacing_mm = read.f64()?;
         let points_mm = read.rows()?;
         let normals = (0..points_mm.len()).map(|_| read.vector()).collect::<Result<Vec<_>, _>>()?;
-        let template = Self::with_unit_normals(points_mm, normals, spacing_mm);
+        let template = Self::with_unit_normals(points_mm, normals, spacing_mm, stop);
         let mut template = template.map_err(TemplateBytesError::Template)?;
         if flags & SURFACE != 0 {
-            let exact = template.with_solid(read.solid()?, NEVER);
-            template = exact.map_err(|stopped| TemplateBytesError::Template(stopped.into()))?;
+            template = template.with_solid(read.solid(stop)?, stop)?;
         } else if flags & SURFELS != 0 {
-            template = template.with_surfels();
+            template = template.with_surfels_unless(stop)?;
         }
         if flags & GRID != 0 {
             let asked = (read.f64()?, read.f64()?);
-            template = template.with_field(asked.0, asked.1);
+            template = template.with_field_unless(asked.0, asked.1, stop)?;
             // Made again it has the numbers that it had.
             if template.field().map(|field| (field.cell_mm(), field.reach_mm())) != Some(asked) {
                 return Err(read.damaged());
@@ -217,11 +230,11 @@ impl Reader<'_> {
         }
     }
 
-    fn solid(&mut self) -> Result<Solid, TemplateBytesError> {
+    fn solid(&mut self, stop: Stop<'_>) -> Result<Solid, TemplateBytesError> {
         let places = self.rows()?;
-        let triangle = |read: &mut Self| Ok([read.u32()?, read.u32()?, read.u32()?]);
+        let triangle = |read: &mut Self| Ok::<_, TemplateBytesError>([read.u32()?, read.u32()?, read.u32()?]);
         let triangles = (0..self.count(12)?).map(|_| triangle(self)).collect::<Result<Vec<_>, _>>()?;
         let mesh = TriangleMesh::new(places, triangles).map_err(TemplateBytesError::Mesh)?;
-        Solid::new(&mesh).map_err(|error| TemplateBytesError::Template(TemplateError::Solid(error)))
+        Solid::new_unless(&mesh, stop).map_err(|error| TemplateBytesError::Template(error.into()))
     }
 }

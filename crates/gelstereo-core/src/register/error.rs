@@ -169,12 +169,15 @@ pub enum RegisterError {
         /// The reach.
         reach_mm: f64,
     },
+    /// The caller stopped the work ([`crate::stop`]).
+    Stopped,
 }
 
 impl core::fmt::Display for RegisterError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
             Self::Params(error) => error.fmt(f),
+            Self::Stopped => Stopped.fmt(f),
             Self::TooFewPoints { found, least } => write!(
                 f,
                 "{found} salient points; at least {least} are needed: press harder, or lower contact.saliency_mm"
@@ -233,6 +236,12 @@ impl core::fmt::Display for RegisterError {
 }
 
 impl core::error::Error for RegisterError {}
+
+impl From<Stopped> for RegisterError {
+    fn from(Stopped: Stopped) -> Self {
+        Self::Stopped
+    }
+}
 
 impl From<ParamsError> for RegisterError {
     fn from(error: ParamsError) -> Self {

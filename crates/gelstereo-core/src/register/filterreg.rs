@@ -14,6 +14,7 @@ use super::one_sided::{self, OneSided};
 use super::soft::soft_match;
 use super::{Outcome, Problem, RegisterError, Scratch, check_reach, compose};
 use crate::math::{Pose, exp, ln, sqrt};
+use crate::stop::{Stopped, ask_often};
 
 /// What the M step makes small.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,7 +43,7 @@ pub(super) fn run(
     scratch.place(problem.points_mm, guess);
     check_reach(problem, &scratch.placed, params.search_radius_mm)?;
     while outcome.iterations < params.max_iterations && !outcome.converged {
-        let motion = step(problem, scratch, metric, sigma_mm);
+        let motion = step(problem, scratch, metric, sigma_mm)?;
         let next_sigma_mm = match metric {
             Metric::Point => width_mm(scratch, &motion).clamp(floor_mm, params.sigma_start_mm.max(floor_mm)),
             Metric::Plane => one_sided::next(params, sigma_mm),
@@ -66,19 +67,25 @@ pub(super) fn width_floor_mm(problem: &Problem<'_>) -> f64 {
 }
 
 /// One E step and one M step; the motion of the patch in the object's frame. Leaves the pairs in `scratch`.
-fn step(problem: &Problem<'_>, scratch: &mut Scratch, metric: Metric, sigma_mm: f64) -> Pose {
-    expect(problem, scratch, sigma_mm.max(width_floor_mm(problem)));
-    match metric {
+fn step(
+    problem: &Problem<'_>,
+    scratch: &mut Scratch,
+    metric: Metric,
+    sigma_mm: f64,
+) -> Result<Pose, Stopped> {
+    expect(problem, scratch, sigma_mm.max(width_floor_mm(problem)))?;
+    Ok(match metric {
         Metric::Point => icp::fit(scratch),
         Metric::Plane => plane_step(problem, scratch, sigma_mm),
-    }
+    })
 }
 
 /// Soft matches, targets and responsibilities of all points.
-fn expect(problem: &Problem<'_>, scratch: &mut Scratch, sigma_mm: f64) {
+fn expect(problem: &Problem<'_>, scratch: &mut Scratch, sigma_mm: f64) -> Result<(), Stopped> {
     scratch.clear_pairs();
     let log_outlier = log_outlier_mass(problem, sigma_mm);
-    for &point in &scratch.placed {
+    for (step, &point) in scratch.placed.iter().enumerate() {
+        ask_often(problem.stop, step)?;
         let soft = soft_match(problem.template, point, sigma_mm);
         scratch.sources.push(point);
         scratch.targets.push(point + soft.offset_mm);
@@ -90,6 +97,7 @@ fn expect(problem: &Problem<'_>, scratch: &mut Scratch, sigma_mm: f64) {
     if scratch.weights.iter().sum::<f64>() < LEAST_PATCH as f64 {
         scratch.weights.fill(1.0);
     }
+    Ok(())
 }
 
 /// One Gauss-Newton step on the distances along the normals, of which contacts have the standard deviation `sigma_mm`.

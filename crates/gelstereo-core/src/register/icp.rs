@@ -5,6 +5,7 @@ use super::one_sided::{self, OneSided};
 use super::rigid::rigid_fit;
 use super::{Outcome, Problem, RegisterError, Scratch, check_reach, compose};
 use crate::math::{DVec3, Pose};
+use crate::stop::{Stopped, ask_often};
 
 /// Point to point, from a start.
 pub(super) fn point_to_point(
@@ -13,8 +14,8 @@ pub(super) fn point_to_point(
     start: &Pose,
 ) -> Result<Outcome, RegisterError> {
     iterate(problem, scratch, start, problem.params.point_sigma_mm, |problem, scratch, _| {
-        pair(problem, scratch, |_| {});
-        fit(scratch)
+        pair(problem, scratch, |_| {})?;
+        Ok(fit(scratch))
     })
 }
 
@@ -46,8 +47,8 @@ pub(super) fn point_to_plane(
                     weight: one_sided.weight(residual),
                     normal_variance: problem.template.step_variance(nearest, offset, sigma_mm),
                 });
-            });
-            frame.motion(system.solve(problem.params.max_distance_mm))
+            })?;
+            Ok(frame.motion(system.solve(problem.params.max_distance_mm)))
         },
     )
 }
@@ -58,7 +59,7 @@ fn iterate(
     scratch: &mut Scratch,
     start: &Pose,
     first_sigma_mm: f64,
-    step: impl Fn(&Problem<'_>, &mut Scratch, f64) -> Pose,
+    step: impl Fn(&Problem<'_>, &mut Scratch, f64) -> Result<Pose, Stopped>,
 ) -> Result<Outcome, RegisterError> {
     let tolerance_mm = problem.params.step_tolerance * problem.template.spacing_mm();
     let mut sigma_mm = first_sigma_mm;
@@ -66,7 +67,7 @@ fn iterate(
     scratch.place(problem.points_mm, start);
     check_reach(problem, &scratch.placed, problem.params.max_distance_mm)?;
     while outcome.iterations < problem.params.max_iterations && !outcome.converged {
-        let motion = step(problem, scratch, sigma_mm);
+        let motion = step(problem, scratch, sigma_mm)?;
         let next_sigma_mm = one_sided::next(problem.params, sigma_mm);
         outcome.converged = scratch.largest_move_mm(&motion) <= tolerance_mm && next_sigma_mm == sigma_mm;
         sigma_mm = next_sigma_mm;
@@ -78,10 +79,15 @@ fn iterate(
 }
 
 /// Pairs every placed point with its nearest within the reach, and shows each (template index, point) to `see`.
-fn pair(problem: &Problem<'_>, scratch: &mut Scratch, mut see: impl FnMut((usize, DVec3))) {
+fn pair(
+    problem: &Problem<'_>,
+    scratch: &mut Scratch,
+    mut see: impl FnMut((usize, DVec3)),
+) -> Result<(), Stopped> {
     let reach_squared = problem.params.max_distance_mm * problem.params.max_distance_mm;
     scratch.clear_pairs();
-    for &point in &scratch.placed {
+    for (step, &point) in scratch.placed.iter().enumerate() {
+        ask_often(problem.stop, step)?;
         if let Some((nearest, distance_squared)) = problem.template.tree().nearest(point)
             && distance_squared <= reach_squared
         {
@@ -90,6 +96,7 @@ fn pair(problem: &Problem<'_>, scratch: &mut Scratch, mut see: impl FnMut((usize
             see((nearest, point));
         }
     }
+    Ok(())
 }
 
 /// The rigid motion of the pairs in the scratch; none when there are none.

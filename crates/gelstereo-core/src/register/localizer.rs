@@ -6,6 +6,7 @@ use super::template::Template;
 use super::{Contact, Misfit, RegisterError, Registrar, Registration};
 use crate::math::Pose;
 use crate::params::{RegisterMethod, RegisterParams};
+use crate::stop::{NEVER, Stop};
 
 /// How far a part moves between two frames, over how far the guess may be off. On twenty ways in a soft gel, where it moves
 /// by 0.04 mm a frame and slips by 0.15 mm at times, `surface_search` leaves 1.5 times as many frames wrong with 0.3, 1.3
@@ -116,11 +117,42 @@ impl Localizer {
     /// [`RegisterError`], for one when nothing touches the gel; the last pose is kept, and the next contact is looked for
     /// there first.
     pub fn run(&mut self, contact: &Contact<'_>, template: &Template) -> Result<Located, RegisterError> {
+        self.run_unless(contact, template, NEVER)
+    }
+
+    /// As [`Self::run`], unless it is stopped: then the next frame is localized as if this one had not been.
+    ///
+    /// # Errors
+    /// As [`Self::run`], and [`RegisterError::Stopped`].
+    pub fn run_unless(
+        &mut self,
+        contact: &Contact<'_>,
+        template: &Template,
+        stop: Stop<'_>,
+    ) -> Result<Located, RegisterError> {
+        let before = (self.is_held, self.asks_gel, self.usual);
+        let located = self.follow_or_search(contact, template, stop);
+        if matches!(located, Err(RegisterError::Stopped)) {
+            (self.is_held, self.asks_gel, self.usual) = before;
+        }
+        located
+    }
+
+    fn follow_or_search(
+        &mut self,
+        contact: &Contact<'_>,
+        template: &Template,
+        stop: Stop<'_>,
+    ) -> Result<Located, RegisterError> {
         if let Some(last) = self.last.filter(|_| self.is_held) {
             for k in 0..self.follow.len() {
                 let Some(registrar) = &mut self.follow[k] else { continue };
                 // Out of reach is one way to be lost; what else is refused the search refuses as well.
-                let Ok(found) = registrar.register(contact, template, &last) else { continue };
+                let found = match registrar.register_unless(contact, template, &last, stop) {
+                    Ok(found) => found,
+                    Err(RegisterError::Stopped) => return Err(RegisterError::Stopped),
+                    Err(_) => continue,
+                };
                 let mut followed = self.judge(found, (contact, template), Standing::Followed);
                 if followed.standing == Standing::Followed {
                     // Along what is free it is where it was first guessed to be, however far it has been followed.
@@ -131,19 +163,27 @@ impl Localizer {
             }
         }
         self.is_held = false;
-        self.search(contact, template)
+        self.search(contact, template, stop)
     }
 
-    fn search(&mut self, contact: &Contact<'_>, template: &Template) -> Result<Located, RegisterError> {
+    fn search(
+        &mut self,
+        contact: &Contact<'_>,
+        template: &Template,
+        stop: Stop<'_>,
+    ) -> Result<Located, RegisterError> {
         let around = self.last.unwrap_or(self.expected);
-        let first = self.search_around(&around, contact, template);
+        let first = self.search_around(&around, contact, template, stop);
         let is_found = first.as_ref().is_ok_and(|one| one.standing == Standing::Found);
         if is_found || around == self.expected {
             return first.map(|one| self.believe(one));
         }
         let expected = self.expected;
-        let second = self.search_around(&expected, contact, template);
+        let second = self.search_around(&expected, contact, template, stop);
         let best = match (first, second) {
+            (Err(RegisterError::Stopped), _) | (_, Err(RegisterError::Stopped)) => {
+                Err(RegisterError::Stopped)
+            }
             (Ok(first), Ok(second)) => {
                 let is_second = second.standing == Standing::Found
                     || second.registration.log_odds > first.registration.log_odds;
@@ -160,8 +200,9 @@ impl Localizer {
         around: &Pose,
         contact: &Contact<'_>,
         template: &Template,
+        stop: Stop<'_>,
     ) -> Result<Located, RegisterError> {
-        let found = self.search.register(contact, template, around)?;
+        let found = self.search.register_unless(contact, template, around, stop)?;
         Ok(self.judge(found, (contact, template), Standing::Found))
     }
 

@@ -46,6 +46,7 @@ use crate::digest::Digest;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec3, Pose, sqrt};
 use crate::params::{RegisterMethod, RegisterParams};
+use crate::stop::{NEVER, Stop, ask_often};
 use alloc::vec::Vec;
 use error::LEAST_PATCH;
 
@@ -166,6 +167,7 @@ struct Problem<'a> {
     params: &'a RegisterParams,
     points_mm: &'a [DVec3],
     template: &'a Template,
+    stop: Stop<'a>,
 }
 
 /// Vectors that the stages share and reuse.
@@ -259,6 +261,20 @@ impl Registrar {
         template: &Template,
         guess: &Pose,
     ) -> Result<Registration, RegisterError> {
+        self.register_unless(contact, template, guess, NEVER)
+    }
+
+    /// As [`Self::register`], unless it is stopped.
+    ///
+    /// # Errors
+    /// [`RegisterError`]; [`RegisterError::Stopped`] leaves nothing behind.
+    pub fn register_unless(
+        &mut self,
+        contact: &Contact<'_>,
+        template: &Template,
+        guess: &Pose,
+        stop: Stop<'_>,
+    ) -> Result<Registration, RegisterError> {
         self.params.validate()?;
         let points_mm = contact.points_mm;
         let guess = check(points_mm, guess)?;
@@ -266,10 +282,13 @@ impl Registrar {
         let sigma_mm = self.params.point_sigma_mm;
         let (mut found, resolution_mm) = match self.params.method {
             SurfaceTrack | SurfaceClose | SurfaceSearch => {
-                (surface::run(&self.params, contact, template, &guess, &mut self.surface)?, sigma_mm)
+                (surface::run(&self.params, (contact, template), &guess, &mut self.surface, stop)?, sigma_mm)
             }
             // Normals are read at samples, and so at most half a spacing off.
-            _ => (self.by_samples(points_mm, template, &guess)?, sigma_mm.max(0.5 * template.spacing_mm())),
+            _ => (
+                self.by_samples(points_mm, template, &guess, stop)?,
+                sigma_mm.max(0.5 * template.spacing_mm()),
+            ),
         };
         copies::honour(&mut found, template.symmetries(), &guess, resolution_mm);
         Ok(found)
@@ -293,8 +312,9 @@ impl Registrar {
         points_mm: &[DVec3],
         template: &Template,
         guess: &Pose,
+        stop: Stop<'_>,
     ) -> Result<Registration, RegisterError> {
-        let problem = &Problem { params: &self.params, points_mm, template };
+        let problem = &Problem { params: &self.params, points_mm, template, stop };
         let scratch = &mut self.scratch;
         let outcome = match self.params.method {
             RegisterMethod::FilterregPoint => {
@@ -330,11 +350,16 @@ fn check(points_mm: &[DVec3], guess: &Pose) -> Result<Pose, RegisterError> {
 
 /// Refuses a placed patch of which fewer points than needed lie within `reach_mm` of the template.
 fn check_reach(problem: &Problem<'_>, placed: &[DVec3], reach_mm: f64) -> Result<(), RegisterError> {
-    let distances = || placed.iter().filter_map(|&p| problem.template.tree().nearest(p)).map(|(_, d)| d);
-    let within = distances().filter(|d| *d <= reach_mm * reach_mm).count();
+    let (mut within, mut nearest) = (0, f64::INFINITY);
+    for (step, &point) in placed.iter().enumerate() {
+        ask_often(problem.stop, step)?;
+        if let Some((_, distance_squared)) = problem.template.tree().nearest(point) {
+            within += usize::from(distance_squared <= reach_mm * reach_mm);
+            nearest = nearest.min(distance_squared);
+        }
+    }
     if within >= LEAST_PATCH {
         return Ok(());
     }
-    let nearest_mm = sqrt(distances().fold(f64::INFINITY, f64::min));
-    Err(RegisterError::OutOfReach { within, least: LEAST_PATCH, nearest_mm, reach_mm })
+    Err(RegisterError::OutOfReach { within, least: LEAST_PATCH, nearest_mm: sqrt(nearest), reach_mm })
 }

@@ -7,6 +7,7 @@ use super::rigid::rigid_fit;
 use super::{Problem, RegisterError, Scratch, check_reach, compose};
 use crate::math::random::{Stream, keyed};
 use crate::math::{DVec3, Pose, centroid};
+use crate::stop::{Stopped, ask, ask_often};
 
 /// The best of `ransac_hypotheses` poses near the guess; the guess itself competes.
 ///
@@ -25,6 +26,7 @@ pub(super) fn search(
     let centre = centroid(&scratch.placed);
     let mut best = (Pose::IDENTITY, score(problem, &scratch.placed, &Pose::IDENTITY, f64::INFINITY));
     for _ in 0..params.ransac_hypotheses {
+        ask(problem.stop, 0)?;
         let Some(motion) = hypothesis(problem, &scratch.placed, &mut random) else { continue };
         if motion.transform_point(centre).distance(centre) > params.search_radius_mm {
             continue;
@@ -34,17 +36,18 @@ pub(super) fn search(
             best = (motion, cost);
         }
     }
-    let motion = without_free(problem, scratch, &best.0);
+    let motion = without_free(problem, scratch, &best.0)?;
     Ok(compose(guess, &motion))
 }
 
 /// The motion less what it does along the directions that the contact leaves free where it ends: chance chose that, and
 /// the guess knows better. Exact for a spin about an axis or a slide, whose twist is the same all the way.
-fn without_free(problem: &Problem<'_>, scratch: &mut Scratch, motion: &Pose) -> Pose {
+fn without_free(problem: &Problem<'_>, scratch: &mut Scratch, motion: &Pose) -> Result<Pose, Stopped> {
     let Problem { params, template, .. } = *problem;
     let most = params.max_distance_mm * params.max_distance_mm;
     scratch.clear_pairs();
-    for &point in &scratch.placed {
+    for (step, &point) in scratch.placed.iter().enumerate() {
+        ask_often(problem.stop, step)?;
         let moved = motion.transform_point(point);
         if template.tree().nearest(moved).is_some_and(|(_, distance_squared)| distance_squared <= most) {
             scratch.sources.push(moved);
@@ -52,7 +55,8 @@ fn without_free(problem: &Problem<'_>, scratch: &mut Scratch, motion: &Pose) -> 
     }
     let frame = PatchFrame::new(&scratch.sources, template.spacing_mm());
     let mut system = System::new(frame.radius_mm, params.point_sigma_mm);
-    for &point in &scratch.sources {
+    for (step, &point) in scratch.sources.iter().enumerate() {
+        ask_often(problem.stop, step)?;
         let Facet { normal, normal_variance } =
             facet(template, point, width_floor_mm(problem), params.point_sigma_mm);
         let lever = point - frame.centre_mm;
@@ -61,7 +65,7 @@ fn without_free(problem: &Problem<'_>, scratch: &mut Scratch, motion: &Pose) -> 
     let about = Pose::from_translation_mm(frame.centre_mm);
     let twist = (about.inverse() * *motion * about).log();
     let (omega, v_mm) = system.observe(frame.centre_mm).determined(twist);
-    about * Pose::exp(omega, v_mm) * about.inverse()
+    Ok(about * Pose::exp(omega, v_mm) * about.inverse())
 }
 
 /// A motion of the placed patch from one random triplet, where the template has one like it.

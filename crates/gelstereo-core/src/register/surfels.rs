@@ -5,20 +5,17 @@
 //! Past a sharp edge of the part they reach out by up to half their diagonal.
 
 use super::surface::Relief;
-use crate::math::DVec3;
-use crate::surface::{Solid, TriangleMesh};
+use super::template::Template;
+use crate::stop::{Stop, Stopped};
+use crate::surface::{Solid, SolidError, TriangleMesh};
 use alloc::vec::Vec;
 
 /// Half a square's side over the spacing: discs of it leave few gaps between samples that are 0.81 to 1.2 spacings apart.
 const HALF_SIDE: f64 = 0.6;
 
 /// Squares, two triangles each; none for points that give no surface, as too distant ones.
-pub(super) fn surfels(
-    points_mm: &[DVec3],
-    normals: &[DVec3],
-    curvatures_per_mm: &[f64],
-    spacing_mm: f64,
-) -> Option<(Solid, Relief)> {
+pub(super) fn surfels(template: &Template, stop: Stop<'_>) -> Result<Option<(Solid, Relief)>, Stopped> {
+    let (points_mm, normals, spacing_mm) = (template.points_mm(), template.normals(), template.spacing_mm());
     let mut corners = Vec::with_capacity(4 * points_mm.len());
     let mut triangles = Vec::with_capacity(2 * points_mm.len());
     for (&point, normal) in points_mm.iter().zip(normals) {
@@ -29,6 +26,10 @@ pub(super) fn surfels(
         corners.extend([point - a - b, point + a - b, point + a + b, point - a + b]);
         triangles.extend([[first, first + 1, first + 2], [first, first + 2, first + 3]]);
     }
-    let solid = Solid::new(&TriangleMesh::new(corners, triangles).ok()?).ok()?;
-    Some((solid, Relief::of_samples(normals, curvatures_per_mm)))
+    let Ok(mesh) = TriangleMesh::new(corners, triangles) else { return Ok(None) };
+    match Solid::new_unless(&mesh, stop) {
+        Ok(solid) => Ok(Some((solid, Relief::of_samples(normals, template.curvatures_per_mm())))),
+        Err(SolidError::Stopped) => Err(Stopped),
+        Err(_) => Ok(None),
+    }
 }

@@ -9,7 +9,7 @@ use super::symmetry::Symmetry;
 use super::tree::Tree;
 use crate::digest::Digest;
 use crate::math::{DVec3, Pose, sqrt};
-use crate::stop::{NEVER, Stop, Stopped, ask};
+use crate::stop::{NEVER, Stop, Stopped, ask_often};
 use crate::surface::{Field, Solid, TriangleMesh};
 use alloc::vec::Vec;
 
@@ -55,8 +55,21 @@ impl Template {
     /// # Errors
     /// [`TemplateError`].
     pub fn new(points_mm: &[DVec3], normals: &[DVec3], spacing_mm: f64) -> Result<Self, TemplateError> {
+        Self::new_unless(points_mm, normals, spacing_mm, NEVER)
+    }
+
+    /// As [`Self::new`], unless it is stopped.
+    ///
+    /// # Errors
+    /// [`TemplateError`].
+    pub fn new_unless(
+        points_mm: &[DVec3],
+        normals: &[DVec3],
+        spacing_mm: f64,
+        stop: Stop<'_>,
+    ) -> Result<Self, TemplateError> {
         check(points_mm, normals, spacing_mm)?;
-        Ok(Self::build(points_mm.to_vec(), unit(normals)?, spacing_mm, NEVER)?)
+        Ok(Self::build(points_mm.to_vec(), unit(normals)?, spacing_mm, stop)?)
     }
 
     /// As [`Self::new`], of normals that were normalised before and keep their bits.
@@ -64,11 +77,12 @@ impl Template {
         points_mm: Vec<DVec3>,
         normals: Vec<DVec3>,
         spacing_mm: f64,
+        stop: Stop<'_>,
     ) -> Result<Self, TemplateError> {
         check(&points_mm, &normals, spacing_mm)?;
         match normals.iter().position(|n| (n.length_squared() - 1.0).abs() > 1e-9) {
             Some(index) => Err(TemplateError::ZeroNormal { index }),
-            None => Ok(Self::build(points_mm, normals, spacing_mm, NEVER)?),
+            None => Ok(Self::build(points_mm, normals, spacing_mm, stop)?),
         }
     }
 
@@ -104,10 +118,26 @@ impl Template {
         if self.is_exact {
             return self;
         }
-        let made = surfels(&self.points_mm, &self.normals, &self.curvatures_per_mm, self.spacing_mm);
-        let Some((solid, relief)) = made else { return self };
+        match surfels(&self, NEVER) {
+            Ok(Some((solid, relief))) => {
+                let bare = Self { solid: Some(solid), relief: Some(relief), ..self };
+                bare.with_field(Self::DEFAULT_CELL_MM, Self::DEFAULT_REACH_MM)
+            }
+            _ => self,
+        }
+    }
+
+    /// As [`Self::with_surfels`], unless it is stopped.
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    pub fn with_surfels_unless(self, stop: Stop<'_>) -> Result<Self, Stopped> {
+        if self.is_exact {
+            return Ok(self);
+        }
+        let Some((solid, relief)) = surfels(&self, stop)? else { return Ok(self) };
         let bare = Self { solid: Some(solid), relief: Some(relief), ..self };
-        bare.with_field(Self::DEFAULT_CELL_MM, Self::DEFAULT_REACH_MM)
+        bare.with_field_unless(Self::DEFAULT_CELL_MM, Self::DEFAULT_REACH_MM, stop)
     }
 
     /// Whether [`Self::with_surfels`] has made a surface.
@@ -350,7 +380,7 @@ fn curvatures(
     let least = 0.25 * spacing_mm * spacing_mm;
     let mut out = Vec::with_capacity(points_mm.len());
     for (step, (&point, &normal)) in points_mm.iter().zip(normals).enumerate() {
-        ask(stop, step)?;
+        ask_often(stop, step)?;
         let mut largest = 0.0_f64;
         tree.within(point, radius * radius, &mut |k, distance_squared| {
             // The far side of a thin plate is no neighbour along the surface; a right angle is.

@@ -9,6 +9,7 @@
 
 use super::operator::{Operator, Scratch};
 use alloc::vec::Vec;
+use gelstereo_core::stop::Stop;
 
 /// How a solve ended.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -43,7 +44,7 @@ impl Pressing {
         &mut self,
         operator: &Operator,
         heights_mm: &[f64],
-        tolerance_mm: f64,
+        (tolerance_mm, stop): (f64, Stop<'_>),
         pressure: &mut [f64],
     ) -> Convergence {
         operator.sink(pressure, &mut self.scratch, &mut self.gap);
@@ -51,7 +52,7 @@ impl Pressing {
         let expansion = 1.9 / operator.stiffest[0];
         let mut found = Convergence { products: 1, ..Convergence::default() };
         self.restart(operator, pressure);
-        while found.products < MOST_PRODUCTS {
+        while found.products < MOST_PRODUCTS && !stop() {
             let [free, reduced, chopped, largest] = self.measure(pressure, expansion);
             found.residual_mm = largest;
             found.converged = largest <= tolerance_mm;

@@ -19,11 +19,14 @@ pub enum LayerError {
         /// Cells of the grid.
         cells: usize,
     },
+    /// The caller stopped the work ([`gelstereo_core::stop`]).
+    Stopped,
 }
 
 impl core::fmt::Display for LayerError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
+            Self::Stopped => gelstereo_core::stop::Stopped.fmt(f),
             Self::Invalid { name, found, valid } => write!(f, "{name} is {found}; valid is {valid}"),
             Self::Cells { found, cells } => {
                 write!(

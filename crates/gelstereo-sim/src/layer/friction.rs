@@ -10,6 +10,7 @@ use super::contact::{Convergence, dot};
 use super::operator::{Operator, Scratch};
 use alloc::vec::Vec;
 use gelstereo_core::math::sqrt;
+use gelstereo_core::stop::Stop;
 
 /// As [`super::contact`]'s.
 const MOST_PRODUCTS: usize = 1000;
@@ -31,7 +32,7 @@ impl Holding {
         operator: &Operator,
         bound: &[f64],
         asked_mm: &[Vec<f64>; 2],
-        tolerance_mm: f64,
+        (tolerance_mm, stop): (f64, Stop<'_>),
         traction: &mut [Vec<f64>; 2],
     ) -> Convergence {
         for (i, &bound) in bound.iter().enumerate() {
@@ -45,7 +46,7 @@ impl Holding {
         let safe = 1.0 / operator.stiffest[1];
         let mut length = 2.0 * safe;
         let mut found = Convergence { products: 1, ..Convergence::default() };
-        while found.products < MOST_PRODUCTS {
+        while found.products < MOST_PRODUCTS && !stop() {
             found.residual_mm = self.aim(safe, bound, traction) / safe;
             found.converged = found.residual_mm <= tolerance_mm;
             if found.converged {

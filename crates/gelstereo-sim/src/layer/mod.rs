@@ -27,6 +27,7 @@ pub(crate) use nodes::{Motion, Nodes, Places};
 use alloc::vec::Vec;
 use contact::Pressing;
 use friction::Holding;
+use gelstereo_core::stop::{NEVER, Stop};
 use influence::Influence;
 use operator::{Operator, Scratch};
 use window::Window;
@@ -154,10 +155,10 @@ impl LayerContact {
         work.heights[0] = 1e-3 * self.layer.thickness_mm;
         let Work { heights, pressure, pressing, scratch, traction, asked, bound, spread, holding, .. } = work;
         let tolerance_mm = 1e-3 * heights[0];
-        pressing.solve(operator, heights, tolerance_mm, pressure);
+        pressing.solve(operator, heights, (tolerance_mm, NEVER), pressure);
         bound[0] = pressure[0];
         asked[0][0] = heights[0];
-        holding.solve(operator, bound, asked, tolerance_mm, traction);
+        holding.solve(operator, bound, asked, (tolerance_mm, NEVER), traction);
         operator.spread(pressure, scratch, spread);
         operator.lift(traction, scratch, &mut work.lifted);
     }
@@ -176,16 +177,33 @@ impl LayerContact {
         tolerance_mm: f64,
         start: Start,
     ) -> Result<Convergence, LayerError> {
+        self.press_unless(part, tolerance_mm, start, NEVER)
+    }
+
+    /// As [`Self::press`], unless it is stopped: then the last solution stays.
+    ///
+    /// # Errors
+    /// As [`Self::press`], and [`LayerError::Stopped`].
+    pub fn press_unless(
+        &mut self,
+        part: Part<'_>,
+        tolerance_mm: f64,
+        start: Start,
+        stop: Stop<'_>,
+    ) -> Result<Convergence, LayerError> {
         self.check(&part, tolerance_mm)?;
         let window = Window::around(part.heights_mm, self.grid, RISE);
         let Self { friction, pressure, traction, work, .. } = self;
         let operator = &self.operators[window.operator(self.sizes)];
         work.begin(operator, &window, &part, start, pressure, traction);
         let found = if *friction > 0.0 {
-            work.grip(operator, &window, &part, *friction, tolerance_mm)
+            work.grip(operator, &window, &part, *friction, (tolerance_mm, stop))
         } else {
-            work.pressing.solve(operator, &work.heights, tolerance_mm, &mut work.pressure)
+            work.pressing.solve(operator, &work.heights, (tolerance_mm, stop), &mut work.pressure)
         };
+        if stop() {
+            return Err(LayerError::Stopped);
+        }
         let [along, across] = traction;
         for (field, cut) in
             [(pressure, &work.pressure), (along, &work.traction[0]), (across, &work.traction[1])]
@@ -331,14 +349,15 @@ impl Work {
         window: &Window,
         part: &Part<'_>,
         friction: f64,
-        tolerance_mm: f64,
+        (tolerance_mm, stop): (f64, Stop<'_>),
     ) -> Convergence {
         let plane = &operator.plane;
         let mut found = Convergence::default();
         operator.lift(&self.traction, &mut self.scratch, &mut self.lifted);
         for _turn in 0..MOST_TURNS {
             self.heights.iter_mut().zip(&self.lifted).for_each(|(height, lift)| *height -= lift);
-            let pressed = self.pressing.solve(operator, &self.heights, tolerance_mm, &mut self.pressure);
+            let pressed =
+                self.pressing.solve(operator, &self.heights, (tolerance_mm, stop), &mut self.pressure);
             self.heights.iter_mut().zip(&self.lifted).for_each(|(height, lift)| *height += lift);
             self.bound.clear();
             self.bound.extend(self.pressure.iter().map(|p| friction * p));
@@ -349,7 +368,7 @@ impl Work {
                 self.asked[axis].iter_mut().zip(&self.spread[axis]).for_each(|(asked, u)| *asked -= u);
             }
             let Self { holding, bound, asked, traction, .. } = self;
-            let held = holding.solve(operator, bound, asked, tolerance_mm, traction);
+            let held = holding.solve(operator, bound, asked, (tolerance_mm, stop), traction);
             let last = &mut self.spread[0];
             core::mem::swap(last, &mut self.lifted);
             operator.lift(&self.traction, &mut self.scratch, &mut self.lifted);
@@ -359,7 +378,7 @@ impl Work {
             found.products += pressed.products + held.products;
             found.residual_mm = pressed.residual_mm.max(held.residual_mm).max(moved);
             found.converged = pressed.converged && held.converged && moved <= tolerance_mm;
-            if found.converged {
+            if found.converged || stop() {
                 break;
             }
         }

@@ -46,6 +46,7 @@ use super::error::LEAST_PATCH;
 use super::{RegisterError, Registration, Template};
 use crate::math::{DVec3, Pose};
 use crate::params::{RegisterMethod, RegisterParams};
+use crate::stop::{NEVER, Stop, ask_often};
 use alloc::vec::Vec;
 use contact::{Extent, Samples};
 use part::{Coarse, Exact};
@@ -69,10 +70,10 @@ pub(super) struct SurfaceScratch {
 /// Registers by one of the surface rungs.
 pub(super) fn run(
     params: &RegisterParams,
-    contact: &Contact<'_>,
-    template: &Template,
+    (contact, template): (&Contact<'_>, &Template),
     guess: &Pose,
     scratch: &mut SurfaceScratch,
+    stop: Stop<'_>,
 ) -> Result<Registration, RegisterError> {
     let (solid, ..) = template.touchable().ok_or(RegisterError::NoSurface)?;
     contact.check()?;
@@ -87,7 +88,7 @@ pub(super) fn run(
     let unpressed_mm = if extent == Extent::Salient { &[] } else { contact.unpressed_mm };
     let ordered = raster.ordered(&Contact { unpressed_mm, ..*contact }, params.gel_scale);
     samples.fill(&ordered, params, extent);
-    let mut search = searching(params, contact.press_direction, samples, template, guess)
+    let mut search = searching(params, (contact.press_direction, samples), template, guess, stop)
         .ok_or(RegisterError::NoSurface)?;
     check_reach(&search, solid, params)?;
     polish.begin(samples);
@@ -96,6 +97,10 @@ pub(super) fn run(
         RegisterMethod::SurfaceClose => search.close(candidates, polish),
         _ => search.many(candidates, runners_up, polish, settled),
     };
+    // To a search that is stopped all the budget is spent, and its answer is none.
+    if stop() {
+        return Err(RegisterError::Stopped);
+    }
     let placement = search.read_at.unwrap_or(candidates[0].placement);
     let read = Candidate { placement, ..candidates[0] };
     let told = search.is_settled.then(|| search.told(&read, end.converged, settled));
@@ -121,17 +126,17 @@ pub(super) fn misfit(
     if !samples.gel.is_known() {
         return None;
     }
-    let search = searching(params, contact.press_direction, samples, template, t_sensor_object)?;
+    let search = searching(params, (contact.press_direction, samples), template, t_sensor_object, NEVER)?;
     Some(search.misfit(usual, settled))
 }
 
 /// What a search begins with.
 fn searching<'a>(
     params: &'a RegisterParams,
-    press_direction: DVec3,
-    samples: &'a Samples,
+    (press_direction, samples): (DVec3, &'a Samples),
     template: &'a Template,
     guess: &Pose,
+    stop: Stop<'a>,
 ) -> Option<Search<'a>> {
     let (solid, field, relief) = template.touchable()?;
     let field = Coarse { field, gel_scale: params.gel_scale };
@@ -147,6 +152,7 @@ fn searching<'a>(
             sigma_rad: params.start_sigma_deg.to_radians(),
             sigma_mm: params.start_sigma_mm,
         },
+        stop,
         work: 0,
         limit: u64::from(params.budget),
         is_settled: false,
@@ -170,11 +176,19 @@ fn check_reach(
     let is_known = field.reach_mm() + field.cell_mm() <= reach_mm;
     let within =
         |x| (is_known && field.distance(x).is_some()) || solid.closest_within(x, reach_mm, None).is_some();
-    if placed().filter(|&x| within(x)).take(LEAST_PATCH).count() == LEAST_PATCH {
-        return Ok(());
+    let mut found = 0;
+    for (step, x) in placed().enumerate() {
+        ask_often(search.stop, step)?;
+        found += usize::from(within(x));
+        if found == LEAST_PATCH {
+            return Ok(());
+        }
     }
-    let nearest_mm = placed().fold(f64::INFINITY, |least, x| least.min(solid.closest(x).distance_mm.abs()));
-    let within = placed().filter(|&x| within(x)).count();
+    let (mut nearest_mm, within) = (f64::INFINITY, found);
+    for (step, x) in placed().enumerate() {
+        ask_often(search.stop, step)?;
+        nearest_mm = nearest_mm.min(solid.closest(x).distance_mm.abs());
+    }
     Err(RegisterError::OutOfReach { within, least: LEAST_PATCH, nearest_mm, reach_mm })
 }
 

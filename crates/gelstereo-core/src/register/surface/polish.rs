@@ -12,6 +12,7 @@ use super::search::Candidate;
 use super::step::{Normal, Placement, Prior};
 use crate::math::{DVec3, sqrt};
 use crate::params::RegisterParams;
+use crate::stop::Stop;
 use alloc::vec::Vec;
 
 /// Salient points that do not touch hang up to this far over the part.
@@ -116,6 +117,7 @@ pub(super) struct Polish<'a, D> {
     pub field: Coarse<'a>,
     pub part: D,
     pub prior: Prior,
+    pub stop: Stop<'a>,
     /// Markers this far over the part at the start that are not salient are not looked at.
     pub reach_mm: f64,
     /// Halvings of a step before it is given up.
@@ -138,7 +140,7 @@ impl<D: Distances> Polish<'_, D> {
         let mut end =
             End { converged: false, iterations: 0, work: self.start(&candidate.placement, scratch) };
         let least_mm = LAST_STEP * self.params.step_tolerance * scratch.here.all[0].sigma_mm;
-        while end.iterations < most && !end.converged && end.work < budget {
+        while end.iterations < most && !end.converged && end.work < budget && !(self.stop)() {
             end.iterations += 1;
             for _ in 0..EXPECTATIONS {
                 self.believe(scratch, Asked::Within);
@@ -188,7 +190,7 @@ impl<D: Distances> Polish<'_, D> {
     ) -> End {
         let mut end =
             End { converged: false, iterations: 0, work: self.start(&candidate.placement, scratch) };
-        while end.iterations < most && !end.converged && end.work < budget {
+        while end.iterations < most && !end.converged && end.work < budget && !(self.stop)() {
             if end.iterations > 0 {
                 end.work += self.read(&candidate.placement, &mut scratch.here, Asked::Within);
             }

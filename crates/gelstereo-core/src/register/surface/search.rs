@@ -15,6 +15,7 @@ use super::step::{Placement, Prior};
 use crate::math::DVec3;
 use crate::params::RegisterParams;
 use crate::register::Symmetry;
+use crate::stop::Stop;
 use alloc::vec::Vec;
 
 /// A pose in the running.
@@ -82,6 +83,7 @@ pub(super) struct Search<'a> {
     pub field: Coarse<'a>,
     pub faces: Exact<'a>,
     pub prior: Prior,
+    pub stop: Stop<'a>,
     pub work: u64,
     /// Work after which it stops: the budget, or a part's share of it.
     pub limit: u64,
@@ -104,11 +106,11 @@ impl Search<'_> {
     }
 
     pub fn has_spent(&self) -> bool {
-        self.work >= self.limit
+        self.work >= self.limit || (self.stop)()
     }
 
     pub fn left(&self) -> u64 {
-        self.limit.saturating_sub(self.work)
+        if (self.stop)() { 0 } else { self.limit.saturating_sub(self.work) }
     }
 
     pub fn polish<D: Distances>(&self, part: D) -> Polish<'_, D> {
@@ -119,6 +121,7 @@ impl Search<'_> {
             field: self.field,
             part,
             prior: self.prior,
+            stop: self.stop,
             reach_mm: self.params.scaled(OUT_OF_REACH_MM),
             halvings: HALVINGS,
             pushes_bluntly: false,
@@ -223,6 +226,7 @@ impl Search<'_> {
             field: self.field,
             faces: is_exact.then_some(self.faces),
             prior: self.prior,
+            stop: self.stop,
         }
     }
 

@@ -17,6 +17,7 @@ use super::step::{Normal, Prior};
 
 use crate::math::{DVec3, abs, exp, sqrt};
 use crate::params::RegisterParams;
+use crate::stop::Stop;
 use alloc::vec::Vec;
 use core::mem::swap;
 
@@ -178,6 +179,7 @@ pub(super) struct Settled<'a> {
     /// Without it the field alone.
     pub faces: Option<Exact<'a>>,
     pub prior: Prior,
+    pub stop: Stop<'a>,
 }
 
 impl Settled<'_> {
@@ -240,7 +242,7 @@ impl Settled<'_> {
         let mut end = End { converged: false, iterations: 0, work: 0 };
         let sigma_mm = self.params.point_sigma_mm;
         let tolerance_mm = 10.0 * self.params.step_tolerance * sigma_mm;
-        while end.iterations < most && !end.converged && end.work < budget {
+        while end.iterations < most && !end.converged && end.work < budget && !(self.stop)() {
             end.iterations += 1;
             let (step, work) = self.step(state, self.params.scaled(LAST_SCALE_MM), scratch);
             end.work += work;
