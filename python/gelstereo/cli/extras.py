@@ -1,4 +1,4 @@
-"""Modules that need what is not always installed."""
+"""Modules of commands that need what is not always installed."""
 
 from __future__ import annotations
 
@@ -6,24 +6,9 @@ import importlib
 from types import ModuleType
 
 from gelstereo import Error
+from gelstereo.extras import said
 
 __all__ = ["module_of"]
-
-#: The extra of the package that brings a library.
-_EXTRAS = {
-    "cascadio": "step",
-    "scipy": "bench",
-    "matplotlib": "bench",
-    "rtree": "bench",
-    "mcap": "recording",
-    "lz4": "recording",
-    "rosbags": "recording",
-    "rerun": "rerun",
-    "pyarrow": "lerobot",
-    "mujoco": "physics",
-    "joblib": "batch",
-    "distributed": "batch",
-}
 
 
 def module_of(command: str, name: str) -> ModuleType:
@@ -37,7 +22,4 @@ def module_of(command: str, name: str) -> ModuleType:
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
-        missing = (error.name or "a package").partition(".")[0]
-        extra = _EXTRAS.get(missing)
-        remedy = f": pip install 'gelstereo[{extra}]'" if extra else ""
-        raise Error(f"`{command}` needs {missing}, which is not installed{remedy}") from error
+        raise Error(said(f"`{command}`", error)) from error

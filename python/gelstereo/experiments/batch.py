@@ -18,6 +18,7 @@ from urllib.parse import urlsplit
 
 from gelstereo import Error
 from gelstereo.experiments.store import Record, Store
+from gelstereo.extras import said
 from gelstereo.reports.provenance import build_digest
 
 __all__ = ["BatchError", "Configuration", "Progress", "Run", "Trial", "keyed_seed", "run_batch"]
@@ -221,9 +222,7 @@ def _on_processes(run: Run, chunks: _Chunks, workers: int) -> Iterator[_Result]:
     try:
         import joblib
     except ModuleNotFoundError as error:
-        raise BatchError(
-            f"{workers} workers need joblib, which is not installed: pip install 'gelstereo[batch]', or use 1 worker"
-        ) from error
+        raise BatchError(f"{said(f'a run with {workers} workers', error)}, or use 1 worker") from error
     build = build_digest()
     parallel = joblib.Parallel(
         n_jobs=workers, batch_size=1, pre_dispatch=2 * workers, return_as="generator_unordered"
@@ -248,9 +247,7 @@ def _on_cluster(run: Run, chunks: _Chunks, address: str) -> Iterator[_Result]:
     try:
         from distributed import Client, KilledWorker, as_completed
     except ModuleNotFoundError as error:
-        raise BatchError(
-            "a scheduler's address needs dask.distributed, which is not installed: pip install 'gelstereo[batch]'"
-        ) from error
+        raise BatchError(said("a scheduler's address", error)) from error
     _check_address(address)
     try:
         client = Client(address, timeout=_CLUSTER_TIMEOUT_S, set_as_default=False)

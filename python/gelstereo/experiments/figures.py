@@ -6,11 +6,15 @@ import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import matplotlib
 import numpy as np
 import numpy.typing as npt
-from matplotlib.colors import ListedColormap
-from matplotlib.figure import Figure
+
+from gelstereo.extras import needs
+
+with needs(__name__):
+    import matplotlib
+    from matplotlib.colors import ListedColormap
+    from matplotlib.figure import Figure
 
 __all__ = ["as_svg", "box_plots", "contact_maps"]
 

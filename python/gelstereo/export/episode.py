@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from gelstereo.export.features import (
     DISPLACEMENT,
@@ -27,6 +25,11 @@ from gelstereo.export.features import (
 from gelstereo.export.recording import RecordedFrame, recorded_frames
 from gelstereo.export.statistics import Statistics, image_statistics, statistics
 from gelstereo.export.timeline import Timeline
+from gelstereo.extras import needs
+
+with needs(__name__):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
 
 _ROWS_AT_ONCE = 64
 #: Statistics of images come from so many frames and from every fourth pixel each way, much as LeRobot's own do.

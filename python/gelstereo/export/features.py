@@ -7,9 +7,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pyarrow as pa
 
 from gelstereo.export.recording import ExportError, RecordedFrame
+from gelstereo.extras import needs
+
+with needs(__name__):
+    import pyarrow as pa
 
 DISPLACEMENT = "observation.tactile.displacement"
 MARKER_STATE = "observation.tactile.marker_state"

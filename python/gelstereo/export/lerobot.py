@@ -12,13 +12,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-
 from gelstereo.export.episode import Episode, EpisodeWriter
 from gelstereo.export.recording import ExportError, frame_times_ns
 from gelstereo.export.statistics import pooled
 from gelstereo.export.timeline import Timeline
+from gelstereo.extras import needs
+
+with needs(__name__):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
 
 FORMAT = "v3.0"
 _FILES_A_CHUNK = 1000

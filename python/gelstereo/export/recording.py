@@ -8,15 +8,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import lz4  # noqa: F401 (mcap imports it when it meets the first chunk)
 import numpy as np
 import numpy.typing as npt
-from mcap.exceptions import McapError
-from mcap.reader import NonSeekingReader
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from gelstereo import Error
 from gelstereo.export.images import decoded, views_of
+from gelstereo.extras import needs
+
+with needs(__name__):
+    import lz4  # noqa: F401 (mcap imports it when it meets the first chunk)
+    from mcap.exceptions import McapError
+    from mcap.reader import NonSeekingReader
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 Image = npt.NDArray[np.uint8]
 

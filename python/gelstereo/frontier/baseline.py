@@ -14,7 +14,11 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
+
+from gelstereo.extras import needs
+
+with needs(__name__):
+    from scipy.spatial import cKDTree
 
 __all__ = [
     "Baseline",

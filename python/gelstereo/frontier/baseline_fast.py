@@ -12,8 +12,8 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
+from gelstereo.extras import needs
 from gelstereo.frontier.baseline import (
     Array,
     BaselineFrame,
@@ -23,6 +23,9 @@ from gelstereo.frontier.baseline import (
     nearest_within_gate,
     triangulate_q,
 )
+
+with needs(__name__):
+    from scipy.spatial import cKDTree
 
 __all__ = ["FastBaseline"]
 

@@ -7,8 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
+
+from gelstereo.extras import needs
+
+with needs(__name__):
+    from scipy.spatial import cKDTree
+    from scipy.spatial.transform import Rotation
 
 __all__ = ["filterreg", "icp", "ransac_icp", "rigid_fit"]
 

@@ -17,8 +17,12 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import RegularGridInterpolator
-from scipy.special import j0, j1
+
+from gelstereo.extras import needs
+
+with needs(__name__):
+    from scipy.interpolate import RegularGridInterpolator
+    from scipy.special import j0, j1
 
 __all__ = ["Grain", "blurred_disc", "centre_bound_px", "edge_bound_px", "marker_bounds_px"]
 

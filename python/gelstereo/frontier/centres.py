@@ -8,13 +8,16 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from gelstereo import Detector, Error, Scene, SimulatedFrame, Simulator
+from gelstereo.extras import needs
 from gelstereo.frontier.bounds import marker_bounds_px
 from gelstereo.frontier.rungs import EXACT, FAST, rungs_of
 from gelstereo.frontier.scenes import FACING_RAD, FORMATS, SURFACE_MM, VGA, Format, board_shape, effects
 from gelstereo.frontier.table import Report, Table, Target, figure
+
+with needs(__name__):
+    from scipy.spatial import cKDTree
 
 __all__ = ["CONDITIONS", "FRAMES_PER_SEED", "Condition", "Matches", "match", "measure_centres"]
 

@@ -7,13 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
 
 from gelstereo import Error, MarkerState, Params, Pipeline, SimulatedFrame
+from gelstereo.extras import needs
 from gelstereo.frontier.centres import FRAMES_PER_SEED, Matches
 from gelstereo.frontier.rungs import EXACT, rungs_of
 from gelstereo.frontier.scenes import VGA, sphere_press
 from gelstereo.frontier.table import Report, Table, Target
+
+with needs(__name__):
+    from scipy.stats import chi2
 
 __all__ = ["Calibration", "measure_covariance"]
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 
+from gelstereo.extras import needs
 from gelstereo.frontier.scenes import FORMATS
 from gelstereo.frontier.sensing import Row
 from gelstereo.frontier.speed import Speed
+
+with needs(__name__):
+    import matplotlib
 
 __all__ = ["draw_errors", "draw_growth"]
 
@@ -25,8 +28,9 @@ _AXES = {
 def draw_errors(path: Path, rows: Sequence[Row], bound_px: float | None = None) -> None:
     """Draw error over time, one panel per stage; the bound on centres as a line."""
     matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-    from matplotlib.ticker import LogLocator, NullFormatter
+    with needs(__name__):
+        from matplotlib import pyplot as plt
+        from matplotlib.ticker import LogLocator, NullFormatter
 
     figure, axes = plt.subplots(2, 2, figsize=(14, 10), layout="constrained")
     for axis, (stage, label) in zip(axes.ravel(), _AXES.items(), strict=True):
@@ -57,7 +61,8 @@ def draw_errors(path: Path, rows: Sequence[Row], bound_px: float | None = None) 
 def draw_growth(path: Path, speeds: Sequence[Speed]) -> None:
     """Draw the time of a tracked frame over pixels and over markers; a straight line through all is linear growth."""
     matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
+    with needs(__name__):
+        from matplotlib import pyplot as plt
 
     figure, axes = plt.subplots(1, 2, figsize=(14, 5.5), layout="constrained", sharey=True)
     methods = list(dict.fromkeys(speed.method for speed in speeds))

@@ -7,11 +7,14 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import numpy.typing as npt
 import trimesh
-from scipy.spatial import cKDTree
 
 from gelstereo import Template
+from gelstereo.extras import needs
 from gelstereo.frontier.table import Report, Table, Target, figure
 from gelstereo.frontier.timing import time_side_by_side
+
+with needs(__name__):
+    from scipy.spatial import cKDTree
 
 __all__ = [
     "EXACT",

@@ -7,13 +7,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
 
 from gelstereo import Error, Localization
+from gelstereo.extras import needs
 from gelstereo.frontier.grasps import STARTS, Grasp
 from gelstereo.frontier.rungs import rungs_of
 from gelstereo.frontier.table import Table
 from gelstereo.geometry import se3_log
+
+with needs(__name__):
+    from scipy.stats import chi2
 
 __all__ = ["Nees", "nees_table"]
 

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from gelstereo import Error, Params, Pipeline, Scene, Template, localize
+from gelstereo.extras import needs
 from gelstereo.frontier import baseline_register
 from gelstereo.frontier.rungs import Rung, rungs_of
 from gelstereo.frontier.scenes import PARTS, Part, part_press
@@ -20,6 +20,9 @@ from gelstereo.frontier.sensing import Row
 from gelstereo.frontier.table import Report
 from gelstereo.frontier.timing import InstructionCounter, time_side_by_side
 from gelstereo.geometry import se3_exp, se3_log
+
+with needs(__name__):
+    from scipy.spatial import cKDTree
 
 __all__ = ["SUCCESS_MM", "Patch", "measure_registration", "observable_error_mm"]
 

@@ -13,6 +13,7 @@ import numpy.typing as npt
 import trimesh
 
 from gelstereo import Rig, Scene, SimulatedFrame, Simulator, Template
+from gelstereo.extras import needs
 
 __all__ = [
     "BOARDS_MM",
@@ -174,7 +175,9 @@ def _two_balls() -> trimesh.Trimesh:
 def _ridge() -> trimesh.Trimesh:
     """Make a flat roof with a short, sloping ridge: no direction is free on its four faces."""
     corners = [[-9, -7, 2], [9, -7, 2], [9, 7, 2], [-9, 7, 2], [-4, 0, -1.0], [3, 0.5, -1.5]]
-    return trimesh.Trimesh(vertices=corners).convex_hull
+    with needs(__name__):
+        # trimesh asks scipy for it.
+        return trimesh.Trimesh(vertices=corners).convex_hull
 
 
 PARTS = (

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from gelstereo import Detector, Error, Params, SimulatedFrame
+from gelstereo.extras import needs
 from gelstereo.frontier.baseline import Baseline, darker_than_surround, simple_blobs
 from gelstereo.frontier.baseline_fast import FastBaseline
 from gelstereo.frontier.rungs import Rung, rungs_of
@@ -20,6 +20,9 @@ from gelstereo.frontier.runners import Runner, geometry_of, repeat_last, write_i
 from gelstereo.frontier.scenes import VGA, sphere_press
 from gelstereo.frontier.table import Report
 from gelstereo.frontier.timing import InstructionCounter, Times, time_side_by_side
+
+with needs(__name__):
+    from scipy.spatial import cKDTree
 
 __all__ = ["Row", "measure_detection", "measure_labels", "measure_whole"]
 

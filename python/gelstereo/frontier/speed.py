@@ -11,15 +11,18 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import nnls
 
 from gelstereo import Error, Params, Pipeline, SimulatedFrame
+from gelstereo.extras import needs
 from gelstereo.frontier.baseline_fast import FastBaseline
 from gelstereo.frontier.rungs import EXACT, FAST, rungs_of
 from gelstereo.frontier.runners import geometry_of, write_input
 from gelstereo.frontier.scenes import FORMATS, LATTICES, Format, sphere_press
 from gelstereo.frontier.table import Report, Table, Target, figure
 from gelstereo.frontier.timing import InstructionCounter, Stopwatch, Times
+
+with needs(__name__):
+    from scipy.optimize import nnls
 
 __all__ = [
     "Growth",

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from gelstereo import Error, MarkerState, Params, Pipeline
+from gelstereo.extras import needs
 from gelstereo.frontier.baseline import Baseline, nearest_within_gate
 from gelstereo.frontier.baseline_fast import FastBaseline
 from gelstereo.frontier.rungs import EXACT, FAST, rungs_of
@@ -17,6 +17,9 @@ from gelstereo.frontier.runners import geometry_of
 from gelstereo.frontier.scenes import VGA
 from gelstereo.frontier.sequences import SEQUENCES, Run, Shot, Task
 from gelstereo.frontier.table import Report, Table, Target
+
+with needs(__name__):
+    from scipy.spatial import cKDTree
 
 __all__ = ["Score", "measure_tracking", "score"]
 

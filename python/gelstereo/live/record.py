@@ -14,17 +14,20 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import lz4  # noqa: F401 (mcap imports it with the first chunk)
 import numpy as np
 import numpy.typing as npt
-from mcap.writer import CompressionType, Writer
-from rosbags.typesys import Stores, get_typestore
 
 from gelstereo import Error, Frame, Localization, Params, Rig, __version__
+from gelstereo.extras import needs
 from gelstereo.geometry import so3_from_matrix
 from gelstereo.live.notes import capture_note, config_toml, frame_note, pose_note, ros_covariance
 from gelstereo.live.sensing import LiveResult
 from gelstereo.live.source import LiveFrame
+
+with needs(__name__):
+    import lz4  # noqa: F401 (mcap imports it with the first chunk)
+    from mcap.writer import CompressionType, Writer
+    from rosbags.typesys import Stores, get_typestore
 
 Floats = npt.NDArray[np.float64]
 

@@ -6,12 +6,14 @@ import time
 from pathlib import Path
 from types import TracebackType
 
-import rerun
-
+from gelstereo.extras import needs
 from gelstereo.live.latest import Latest
 from gelstereo.live.sensing import ExpectedPart, LiveResult
 from gelstereo.live.shown import Shown
 from gelstereo.view.rerun_stream import RerunStream
+
+with needs(__name__):
+    import rerun
 
 #: Moments a second that are logged. A recording keeps every frame; a viewer need not.
 _MAX_RATE_HZ = 15.0

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gelstereo import MarkerState, Params, Pipeline, Scene, Simulator
+from gelstereo.extras import needs
 from gelstereo.recordings import CloudRecording, episodes, load_pytac3d, pytac3d_example
 from gelstereo.reports.markdown import replace_between, table
 
@@ -178,10 +179,12 @@ def _row(preset: str, replayed: Replay, name: str, frames: npt.NDArray[np.int64]
 
 
 def _draw(replayed: Replay, frames: tuple[int, ...], path: Path) -> None:
-    import matplotlib
+    with needs(__name__):
+        import matplotlib
 
     matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
+    with needs(__name__):
+        from matplotlib import pyplot as plt
 
     figure, axes = plt.subplots(2, 3, figsize=(16, 10), layout="compressed")
     rest_px, rest_mm = replayed.rest_px[0], replayed.recording.rest_mm

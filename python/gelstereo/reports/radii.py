@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from gelstereo.extras import needs
 from gelstereo.recordings import (
     CloudRecording,
     RadiusFit,
@@ -243,10 +244,12 @@ def draw_radii(
     measured: Mapping[str, Measured], vendor: Mapping[str, Mapping[int, float]], path: Path
 ) -> None:
     """Draw every frame's radius, the vendor's and the joint one with its error."""
-    import matplotlib
+    with needs(__name__):
+        import matplotlib
 
     matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
+    with needs(__name__):
+        from matplotlib import pyplot as plt
 
     figure, axes = plt.subplots(1, len(measured), figsize=(15, 4.4), layout="constrained")
     for axis, (name, m) in zip(axes, measured.items(), strict=True):

@@ -16,6 +16,7 @@ import numpy.typing as npt
 import trimesh
 
 from gelstereo import Localization, Params, Template, localize
+from gelstereo.extras import needs
 from gelstereo.geometry import nearest
 from gelstereo.recordings import (
     CloudRecording,
@@ -294,10 +295,12 @@ def _episodes(recording: CloudRecording) -> str:
 
 
 def _draw(recording: CloudRecording, parts: dict[str, list[Registered]], path: Path) -> None:
-    import matplotlib
+    with needs(__name__):
+        import matplotlib
 
     matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
+    with needs(__name__):
+        from matplotlib import pyplot as plt
 
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.4), layout="constrained")
     indentation = recording.indentation_mm()

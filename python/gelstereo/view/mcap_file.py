@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from gelstereo._native import Error, parse_toml
+from gelstereo.extras import said
 from gelstereo.view.messages import RecordingError
 
 _MAGIC = b"\x89MCAP0\r\n"
@@ -49,10 +50,7 @@ def read_messages(path: Path) -> Iterator[Recorded]:
         import lz4  # noqa: F401 (mcap imports it when it meets the first chunk)
         from mcap.reader import NonSeekingReader
     except ImportError as error:
-        missing = (error.name or "mcap").partition(".")[0]
-        raise RecordingError(
-            f"reading recordings needs {missing}, which is not installed: pip install 'gelstereo[recording]'"
-        ) from error
+        raise RecordingError(said("reading recordings", error)) from error
     with path.open("rb") as stream:
         if stream.read(len(_MAGIC)) != _MAGIC:
             raise RecordingError(

@@ -18,12 +18,15 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import rerun
 
 from gelstereo._native import Error
+from gelstereo.extras import needs
 from gelstereo.states import MarkerState
 from gelstereo.view.canvas import SALIENT
 from gelstereo.view.picture import STATE_COLOURS, indentation_colours
+
+with needs(__name__):
+    import rerun
 
 Floats = npt.NDArray[np.float64]
 

@@ -5,11 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import rerun
 
+from gelstereo.extras import needs
 from gelstereo.view.moment import Moment
 from gelstereo.view.rerun_stream import RerunStream
 from gelstereo.view.steps import Step, Steps, notes_of
+
+with needs(__name__):
+    import rerun
 
 _NS_PER_S = 1e9
 _PART_COLOUR = (120, 200, 120)

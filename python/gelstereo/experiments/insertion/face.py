@@ -10,10 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from gelstereo import Template
 from gelstereo.experiments.insertion.bound import heights_information
+from gelstereo.extras import needs
+
+with needs(__name__):
+    from scipy.spatial import cKDTree
 
 if TYPE_CHECKING:
     import trimesh

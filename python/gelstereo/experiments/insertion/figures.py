@@ -8,12 +8,15 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
-from matplotlib.figure import Figure
 
 from gelstereo.experiments.figures import as_svg
 from gelstereo.experiments.insertion.analysis import wilson
 from gelstereo.experiments.insertion.grasp import Fit
 from gelstereo.experiments.insertion.hole import Hole
+from gelstereo.extras import needs
+
+with needs(__name__):
+    from matplotlib.figure import Figure
 
 __all__ = ["calibration_curve", "error_curves", "over_the_hole"]
 

@@ -14,9 +14,12 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import ConvexHull
 
 from gelstereo import Error
+from gelstereo.extras import needs
+
+with needs(__name__):
+    from scipy.spatial import ConvexHull
 
 if TYPE_CHECKING:
     import trimesh

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gelstereo.experiments.insertion.hole import Hole, InsertedEnd
+from gelstereo.extras import needs
 from gelstereo.geometry import so3_from_matrix
 
 __all__ = ["Hand", "descend"]
@@ -75,7 +76,8 @@ def descend(hole: Hole, end: InsertedEnd, t_hole_object: Array, hand: Hand, held
     float
         Depth of the part's deepest point below the mouth; that of the hole when it is in.
     """
-    import mujoco
+    with needs(__name__):
+        import mujoco
 
     points_mm = end.below(hole.mouth_mm, np.eye(4)) - [0.0, 0.0, hole.tip_mm - held_mm]
     model = mujoco.MjModel.from_xml_string(_scene(hole, points_mm, t_hole_object, hand, held_mm))
