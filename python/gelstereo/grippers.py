@@ -33,6 +33,9 @@ class Gripper:
     def __init__(self, driver: GripperDriver, port: Any) -> None:
         self._driver, self._port = driver, port
 
+    def __repr__(self) -> str:
+        return f"<Gripper on {getattr(self._port, 'name', None) or 'a port'}>"
+
     def activate(self) -> None:
         """Make the gripper ready and wait until it is. Some sweep their fingers, unless they are ready.
 

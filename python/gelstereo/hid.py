@@ -91,6 +91,9 @@ class _Device:
         self.info = info
         self._device = _opened(info)
 
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self.info}>"
+
     @classmethod
     def _fitting(cls, serial: str | None) -> list[HidInfo]:
         found = [info for info in devices() if (info.vendor, info.product) == (cls.VENDOR, cls.PRODUCT)]

@@ -107,6 +107,9 @@ class FrameWriter:
         self._pipe = pipe
         self._sequence = 0
 
+    def __repr__(self) -> str:
+        return f"<FrameWriter: {self._sequence} frames written>"
+
     def write_pair(
         self,
         left: npt.NDArray[np.uint8],

@@ -43,6 +43,11 @@ impl RestSurface {
         arrays::rows::<_, 3>(py, self.inner.points_mm().to_vec())
     }
 
+    fn __repr__(&self) -> String {
+        let (points, [x, y, z]) = (self.inner.points_mm().len(), self.inner.centre_mm().to_array());
+        format!("<RestSurface: {points} markers about ({x:.2}, {y:.2}, {z:.2}) mm>")
+    }
+
     /// (3,) unit normal of the rest plane, towards the camera.
     #[getter]
     fn normal(&self, py: Python<'_>) -> Array1<f64> {

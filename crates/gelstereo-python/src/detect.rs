@@ -6,6 +6,7 @@ use crate::params::Params;
 use gelstereo_core::detect as core;
 use gelstereo_core::detect::near::{Found, Sight};
 use gelstereo_core::math::DVec2;
+use gelstereo_core::params::{DetectParams, Polarity};
 use numpy::{PyArray2, PyArray3};
 use pyo3::prelude::*;
 use std::sync::{Mutex, PoisonError};
@@ -75,6 +76,7 @@ impl Markers {
 pub struct Detector {
     /// Boxed: its SIMD columns are aligned to 32 bytes, and Python aligns its objects to 16.
     stage: Box<Mutex<core::Detector>>,
+    params: DetectParams,
 }
 
 #[pymethods]
@@ -82,7 +84,17 @@ impl Detector {
     #[new]
     #[pyo3(signature = (params=None))]
     fn new(params: Option<&Bound<'_, Params>>) -> Self {
-        Self { stage: Box::new(Mutex::new(core::Detector::new(&Params::or_default(params).detect))) }
+        let params = Params::or_default(params).detect;
+        Self { stage: Box::new(Mutex::new(core::Detector::new(&params))), params }
+    }
+
+    fn __repr__(&self) -> String {
+        let (least, most) = (self.params.min_area_px2, self.params.max_area_px2);
+        let dots = match self.params.polarity {
+            Polarity::Dark => "dark",
+            Polarity::Bright => "bright",
+        };
+        format!("<Detector: {dots} dots of {least} to {most} px²>")
     }
 
     /// Find the markers of an image.

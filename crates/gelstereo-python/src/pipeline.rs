@@ -218,6 +218,13 @@ impl Pipeline {
         Ok(Self { stages: Box::new(Mutex::new(stages)), rig, params: Py::new(py, Params { inner: params })? })
     }
 
+    fn __repr__(&self, py: Python<'_>) -> String {
+        let (left, at_rest) = (&self.rig.get().inner.left, py.detach(|| self.lock().rest().is_some()));
+        let (width_px, height_px) = (left.width_px, left.height_px);
+        let next = if at_rest { "at work" } else { "the next frame is the rest frame" };
+        format!("<Pipeline: images of {width_px} x {height_px} px, {next}>")
+    }
+
     /// The rig it was made for.
     #[getter]
     fn rig(&self, py: Python<'_>) -> Py<Rig> {

@@ -344,6 +344,11 @@ pub struct Rectification {
 
 #[pymethods]
 impl Rectification {
+    fn __repr__(&self) -> String {
+        let (f_px, baseline_mm) = (self.inner.f_px, self.inner.baseline_mm);
+        format!("<Rectification: focal length {f_px:.2} px, baseline {baseline_mm:.3} mm>")
+    }
+
     /// (3, 3) rotation from left camera coordinates to rectified ones.
     #[getter]
     fn r_left(&self, py: Python<'_>) -> PyResult<Matrix> {

@@ -39,6 +39,11 @@ impl DenseSurface {
         Ok(Self { inner: core::DenseSurface::new(rest.rows::<DVec2, 2>()?, step_mm).map_err(raise)? })
     }
 
+    fn __repr__(&self) -> String {
+        let (rows, cols) = self.shape();
+        format!("<DenseSurface: {rows} x {cols} cells, {} mm apart>", self.inner.step_mm())
+    }
+
     /// (H, W) of the grid.
     #[getter]
     const fn shape(&self) -> (usize, usize) {

@@ -83,6 +83,12 @@ impl core::fmt::Display for DenseSurfaceError {
 impl core::error::Error for DenseSurfaceError {}
 
 impl DenseSurface {
+    /// Distance between cells.
+    #[must_use]
+    pub const fn step_mm(&self) -> f64 {
+        self.step_mm
+    }
+
     /// A grid of cells `step_mm` apart over the bounding box of the rest positions, its first cell at the box's
     /// smallest corner.
     ///

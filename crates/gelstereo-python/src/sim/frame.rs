@@ -129,6 +129,12 @@ impl SimulatedFrame {
 
 #[pymethods]
 impl SimulatedFrame {
+    fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
+        let touching = self.truth.in_contact.iter().filter(|touches| **touches).count();
+        let (index, time_s, markers) = (self.index, self.time_s, self.points_mm.bind(py).len()?);
+        Ok(format!("<SimulatedFrame {index} at {time_s:.3} s: {markers} markers, {touching} in contact>"))
+    }
+
     /// (H, W) uint8 left image.
     #[getter]
     fn left(&self, py: Python<'_>) -> PyResult<Image> {
@@ -189,6 +195,14 @@ pub struct SimulatedDots {
     specks_px: Matrix,
     /// (N, 2) how far each dot's image moves while the shutter is open; 0 where the scene has no motion blur.
     motion_px: Matrix,
+}
+
+#[pymethods]
+impl SimulatedDots {
+    fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
+        let (dots, specks) = (self.centres_px.bind(py).len()?, self.specks_px.bind(py).len()?);
+        Ok(format!("<SimulatedDots: {dots} dots, {specks} specks>"))
+    }
 }
 
 impl SimulatedDots {

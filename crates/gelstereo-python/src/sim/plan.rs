@@ -60,6 +60,12 @@ impl Plan {
         self.inner.cost_ns()
     }
 
+    fn __repr__(&self) -> String {
+        let (on, all) =
+            (self.inner.entries.iter().filter(|entry| entry.on).count(), self.inner.entries.len());
+        format!("<Plan: {on} of {all} effects on, {:.0} us a frame>", 1e-3 * self.inner.cost_ns())
+    }
+
     fn __str__(&self) -> String {
         self.inner.to_string()
     }
@@ -82,4 +88,15 @@ pub struct PlannedEffect {
     cost_ns: f64,
     /// Why it is on or off.
     why: String,
+}
+
+#[pymethods]
+impl PlannedEffect {
+    fn __repr__(&self) -> String {
+        let Self { name, on, bound_px, bound_um, cost_ns, .. } = self;
+        let on = if *on { "on" } else { "off" };
+        format!(
+            "<PlannedEffect {name}: {on}, up to {bound_px:.3} px and {bound_um:.2} um, {cost_ns:.0} ns a frame>"
+        )
+    }
 }
