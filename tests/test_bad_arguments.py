@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from gelstereo import (
     FingerKinematics,
+    Params,
+    Pipeline,
     Rig,
     Scene,
     SensorMount,
@@ -82,3 +84,53 @@ def test_a_cloud_that_would_take_minutes_is_refused() -> None:
     cloud = np.repeat(template.points_mm, 20_001 // len(template) + 1, axis=0)
     with pytest.raises(gelstereo.RegisterError, match="valid is up to 20000"):
         localize(cloud, template, t_sensor_object=np.eye(4))
+
+
+def turned(max_theta_rad: float) -> FingerKinematics:
+    return FingerKinematics.parallelogram(
+        a_mm=40, b_mm=50, offset_mm=10, reach_mm=60, max_theta_rad=max_theta_rad
+    )
+
+
+def beyond(gap_mm: float) -> Rig:
+    plates = [{"thickness_mm": 3.0, "index": 1.49}]
+    return RIG.with_layers({"normal": [0.0, 0.0, 1.0], "gap_mm": gap_mm, "plates": plates, "gel_index": 1.41})
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "words"),
+    [
+        (lambda: turned(9e18), "FrameError", "max_theta_rad is 9.*valid is 0.001 to 1.57"),
+        (lambda: SensorMount.facing(FingerKinematics.robotiq_2f85(), [4e9, 0, 28]), "FrameError", "valid is"),
+        (
+            lambda: Params().replace(register={"sigma_start_mm": 1e300}),
+            "ParamsError",
+            "sigma_start_mm is 1.*valid",
+        ),
+        (
+            lambda: Params().replace(lattice={"pitch_mm": 1e9}),
+            "ParamsError",
+            "pitch_mm is 1.*valid is 0.001 to",
+        ),
+        (lambda: beyond(1e308), "RigError", "gap_mm is 1.*valid is 0 to 10000"),
+    ],
+)
+def test_row_40_numbers_that_no_sensor_has(call: Callable[[], object], error: str, words: str) -> None:
+    with pytest.raises(getattr(gelstereo, error), match=words):
+        call()
+
+
+@pytest.mark.parametrize("pitch_mm", [5.0, 1.9, 0.4, 0.05])
+def test_row_40_a_pitch_that_the_rest_frame_contradicts(sensor: Simulator, pitch_mm: float) -> None:
+    shown = sensor.press()
+    pipeline = Pipeline(RIG, Params().replace(lattice={"pitch_mm": pitch_mm}))
+    words = (
+        rf"stand 0.9\d* mm apart in the median, but lattice.pitch_mm is {pitch_mm:g}; .*set lattice.pitch_mm"
+    )
+    for _ in range(2):
+        with pytest.raises(gelstereo.ParamsError, match=words):
+            pipeline.process(shown.left, shown.right)
+    assert pipeline.rest is None
+    for near in (0.6, 0.9, 1.6):
+        params = Params().replace(lattice={"pitch_mm": near})
+        assert len(Pipeline(RIG, params).process(shown.left, shown.right).points_mm) == 625

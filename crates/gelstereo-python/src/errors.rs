@@ -75,6 +75,7 @@ stage_errors! {
     core::math::se3::PoseError => PoseError,
     core::math::so3::RotationError => PoseError,
     core::frames::WidthError => FrameError,
+    core::frames::MountError => FrameError,
     gelstereo_host::gripper::GripperError => GripperError,
     gelstereo_sim::SceneError => SceneError,
     gelstereo_host::camera::CaptureError => CameraError,
@@ -126,7 +127,7 @@ impl ToPython for core::pipeline::PipelineError {
         use core::pipeline::PipelineError as E;
         let text = self.to_string();
         match self {
-            E::Params(_) => ParamsError::new_err(text),
+            E::Params(_) | E::Pitch { .. } => ParamsError::new_err(text),
             E::Size { .. } => ImageError::new_err(text),
             E::Detect { .. } => DetectError::new_err(text),
             E::Label { .. } | E::Lattices { .. } => LabelError::new_err(text),

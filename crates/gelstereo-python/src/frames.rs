@@ -21,6 +21,7 @@ impl FingerKinematics {
         let (min_mm, max_mm) = inner.width_range_mm();
         let reach = inner.pad_mm(max_mm).is_ok_and(|pad_mm| pad_mm.is_finite());
         if reach && min_mm.is_finite() && max_mm > min_mm.max(0.0) && max_mm.is_finite() {
+            inner.validate().map_err(raise)?;
             return Ok(Self { inner });
         }
         Err(FrameError::new_err(format!(
@@ -126,17 +127,20 @@ pub struct SensorMount {
     inner: core::SensorMount,
 }
 
+impl SensorMount {
+    fn checked(inner: core::SensorMount) -> PyResult<Self> {
+        inner.validate().map_err(raise)?;
+        Ok(Self { inner })
+    }
+}
+
 #[pymethods]
 impl SensorMount {
     #[new]
     fn new(kinematics: &Bound<'_, FingerKinematics>, t_pad_sensor: &Bound<'_, PyAny>) -> PyResult<Self> {
         let kinematics = kinematics.get().inner;
-        Ok(Self {
-            inner: core::SensorMount {
-                kinematics,
-                t_pad_sensor: arrays::pose(t_pad_sensor, "t_pad_sensor")?,
-            },
-        })
+        let t_pad_sensor = arrays::pose(t_pad_sensor, "t_pad_sensor")?;
+        Self::checked(core::SensorMount { kinematics, t_pad_sensor })
     }
 
     /// A sensor whose gel lies in the pad's middle and looks across the gap at the other finger.
@@ -158,7 +162,7 @@ impl SensorMount {
                 "gel_centre_mm is {centre}; valid is three finite lengths"
             )));
         }
-        Ok(Self { inner: core::SensorMount::facing(kinematics.get().inner, centre) })
+        Self::checked(core::SensorMount::facing(kinematics.get().inner, centre))
     }
 
     /// A mount from TOML text.
@@ -166,7 +170,7 @@ impl SensorMount {
     fn from_toml(_cls: &Bound<'_, PyType>, text: &str) -> PyResult<Self> {
         let inner: core::SensorMount = tree::from_toml(text).map_err(FrameError::new_err)?;
         FingerKinematics::checked(inner.kinematics)?;
-        Ok(Self { inner })
+        Self::checked(inner)
     }
 
     /// The mount as TOML text.

@@ -56,6 +56,13 @@ pub enum PipelineError {
         /// Largest valid one, pixels.
         max_px: f64,
     },
+    /// The rest frame's markers stand much closer together, or farther apart, than `lattice.pitch_mm` says.
+    Pitch {
+        /// Median distance of neighbours, millimetres.
+        found_mm: f64,
+        /// What is set, millimetres.
+        expected_mm: f64,
+    },
 }
 
 impl core::fmt::Display for PipelineError {
@@ -82,6 +89,12 @@ impl core::fmt::Display for PipelineError {
                 f,
                 "the rows of the two views disagree by {median_px:.2} px in the median; valid is at most {max_px} px: \
                  the rig does not belong to these cameras, or a row was lost in one view"
+            ),
+            Self::Pitch { found_mm, expected_mm } => write!(
+                f,
+                "the markers stand {found_mm:.3} mm apart in the median, but lattice.pitch_mm is {expected_mm}; valid is \
+                 half to twice what is seen: set lattice.pitch_mm to the print's pitch, or check the rig's baseline and \
+                 focal lengths"
             ),
         }
     }

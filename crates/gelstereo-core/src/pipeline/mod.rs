@@ -218,6 +218,15 @@ impl Pipeline {
         if !(median_px <= max_px) {
             return Err(PipelineError::Epipolar { median_px, max_px });
         }
+        let mut apart_mm: Vec<f64> = stereo
+            .chunks(self.left.cols.max(1))
+            .flat_map(|row| row.windows(2).map(|pair| pair[0].point_mm.distance(pair[1].point_mm)))
+            .collect();
+        let (found_mm, expected_mm) =
+            (crate::math::median(&mut apart_mm).unwrap_or(0.0), self.params.lattice.pitch_mm);
+        if !(found_mm >= expected_mm / PITCH_OFF && found_mm <= expected_mm * PITCH_OFF) {
+            return Err(PipelineError::Pitch { found_mm, expected_mm });
+        }
         self.points_mm.clear();
         self.points_mm.extend(stereo.iter().map(|s| s.point_mm));
         self.covariance_mm2.clear();
@@ -383,6 +392,9 @@ impl Pipeline {
 
 /// How well the decay length must be known to be taken, and from what change on, over itself.
 const DECAY_KNOWN: f64 = 0.02;
+
+/// By how much the pitch that is seen may be off: a rig that ignores its layers is off by less.
+const PITCH_OFF: f64 = 2.0;
 
 fn centres(tracks: &Tracks) -> Centres<'_> {
     Centres { positions_px: &tracks.positions_px, covariance_px2: &tracks.covariance_px2 }
