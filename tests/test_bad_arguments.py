@@ -100,7 +100,8 @@ def beyond(gap_mm: float) -> Rig:
 @pytest.mark.parametrize(
     ("call", "error", "words"),
     [
-        (lambda: turned(9e18), "FrameError", "max_theta_rad is 9.*valid is 0.001 to 1.57"),
+        (lambda: turned(9e18), "FrameError", "max_theta_rad: 9e18.*valid is"),
+        (lambda: turned(2.0), "FrameError", "max_theta_rad is 2; valid is 0.001 to 1.57 rad"),
         (lambda: SensorMount.facing(FingerKinematics.robotiq_2f85(), [4e9, 0, 28]), "FrameError", "valid is"),
         (
             lambda: Params().replace(register={"sigma_start_mm": 1e300}),

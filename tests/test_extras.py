@@ -39,7 +39,7 @@ print(json.dumps(said))
 @pytest.mark.parametrize("library", EXTRAS)
 def test_row_39_what_is_not_installed_is_named_with_its_extra(library: str) -> None:
     child = subprocess.run(
-        [sys.executable, "-c", CHILD, library], capture_output=True, text=True, check=True, timeout=120.0
+        [sys.executable, "-c", CHILD, library], capture_output=True, text=True, check=True, timeout=300.0
     )
     said = json.loads(child.stdout)
     remedy = f"needs {library}, which is not installed: pip install 'gelstereo[{EXTRAS[library]}]'"

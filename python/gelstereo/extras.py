@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 from collections.abc import Iterator
 
 from gelstereo._native import Error
@@ -34,9 +35,15 @@ class MissingExtra(Error, ModuleNotFoundError):
     """A library that an extra of the package brings is not installed; the message names the extra."""
 
 
+def _library(error: ImportError) -> str:
+    """The library that is missing; trimesh raises such errors again with their text alone."""
+    named = re.search(r"No module named '([^']+)'", str(error))
+    return (error.name or (named[1] if named else "")).partition(".")[0]
+
+
 def said(who: str, error: ImportError) -> str:
     """One sentence: who needs which library, and how to get it."""
-    missing = (error.name or "a package").partition(".")[0]
+    missing = _library(error) or "a package"
     extra = EXTRAS.get(missing)
     remedy = f": pip install 'gelstereo[{extra}]'" if extra else ""
     return f"{who} needs {missing}, which is not installed{remedy}"
@@ -59,8 +66,8 @@ def needs(who: str) -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as error:
-        if isinstance(error, MissingExtra) or (error.name or "").partition(".")[0] not in EXTRAS:
+        if isinstance(error, MissingExtra) or _library(error) not in EXTRAS:
             raise
         missing = MissingExtra(said(who, error))
-        missing.name = error.name
+        missing.name = _library(error)
         raise missing from error
