@@ -254,7 +254,7 @@ fn derive(columns: &mut Vec<[f64; COLUMNS]>, disc: &Disc, support: Support, off_
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::{Factor, abs, exp};
+    use crate::math::{abs, exp};
 
     /// Against the response to a disc on the first of both places, when one pixel after the other is brighter by a little,
     /// and the sum over all pairs of pixels. What is neglected is of second order in the distance of the places over
