@@ -117,6 +117,7 @@ fn row_35_memory_is_bounded_for_every_preset_and_lattice() {
                 let as_preset = params.detect.search == search || search == Search::Whole;
                 let most = if is_small(size, markers, as_preset) { MOST } else { MOST_OF_LARGER };
                 params.detect.search = search;
+                params.lattice.pitch_mm = scene.gel.pitch_mm;
                 let bytes = most_held(&scene, &pairs, &params);
                 println!("{size}, {markers} x {markers}, {preset} {search:?}: {bytes} bytes");
                 assert!(bytes < most, "{size}, {markers} x {markers}, {preset} {search:?}: {bytes} bytes");

@@ -94,7 +94,9 @@ fn the_finest_print_is_seen_whole_at_rest() {
     let [left, right] = &mut pair;
     simulator.render(&truth, 0, left, right);
     for preset in ["fast", "balanced", "exact"] {
-        let mut pipeline = Pipeline::new(&scene.rig, &Params::preset(preset).unwrap()).unwrap();
+        let mut params = Params::preset(preset).unwrap();
+        params.lattice.pitch_mm = scene.gel.pitch_mm;
+        let mut pipeline = Pipeline::new(&scene.rig, &params).unwrap();
         assert_eq!(process(&mut pipeline, &pair, &mut frame), WHOLE);
         let seen = frame.state.iter().filter(|&&state| state == MarkerState::Seen).count();
         assert_eq!((seen, frame.left.detected, frame.right.detected), (5041, 5041, 5041), "{preset}");
@@ -112,7 +114,8 @@ fn a_jump_by_more_than_a_pitch_is_noticed_in_windows() {
         let gel_motion = vec![still(0.0, rest_mm), still(0.1, rest_mm), still(4.0 / 30.0, shift_mm)];
         let scene = Scene { gel_motion, ..scene() };
         let mut simulator = Simulator::new(&scene, None).unwrap();
-        let params = params(LabelMethod::Lattice, Search::Windows);
+        let mut params = params(LabelMethod::Lattice, Search::Windows);
+        params.lattice.pitch_mm = scene.gel.pitch_mm;
         let mut pipeline = Pipeline::new(&scene.rig, &params).unwrap();
         let (mut truth, mut frame, mut pair) = (Truth::default(), Frame::default(), Pair::default());
         let mut all = Vec::new();
@@ -169,7 +172,8 @@ fn dense_lattices_are_searched_in_windows() {
     let effects = Effects { sensor_noise: Some(SensorNoise::default()), ..Effects::of_gel() };
     let indenter = Some(Shape::Sphere { radius_mm: 6.0 });
     let scene = Scene { indenter, effects, ..Scene::preset("1280x720-71").unwrap() };
-    let params = params(LabelMethod::Lattice, Search::Windows);
+    let mut params = params(LabelMethod::Lattice, Search::Windows);
+    params.lattice.pitch_mm = scene.gel.pitch_mm;
     let (mut simulator, mut pipeline) =
         (Simulator::new(&scene, None).unwrap(), Pipeline::new(&scene.rig, &params).unwrap());
     let (mut truth, mut frame) = (Truth::default(), Frame::default());
