@@ -299,8 +299,8 @@ proptest! {
     }
 }
 
-/// Found by seed 1165789028306446064 of the test above: with specks about, a column beyond one of which nothing is seen
-/// was left out, and 7 x 12 markers were a lattice of 7 x 10.
+/// Found by seed 1165789028306446064 of the test above. A whole column was unseen by chance, among specks. The column
+/// outside it was then left out, so that 7 x 12 markers were labelled as 7 x 10.
 #[test]
 fn row_15_a_column_beyond_an_empty_one_is_a_column() {
     let lattice = LatticeParams { max_missing_share: 0.4, ..LatticeParams::default() };

@@ -1,4 +1,4 @@
-//! Rows and columns of the print beyond one of which nothing is seen.
+//! Outer rows and columns that a wholly unseen row or column cuts off from the rest.
 
 use super::found::{Place, Sites};
 use crate::math::DVec2;

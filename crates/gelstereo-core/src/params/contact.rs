@@ -29,14 +29,14 @@ pub enum Saliency {
     serde(default, deny_unknown_fields)
 )]
 pub struct ContactParams {
-    /// How markers in contact are told from the others. Default: `depth`. Change it to `pressure` where
-    /// the gel's law and its `decay_mm` are known.
+    /// The rule that decides which markers the part touches. Default: `depth`. Set `pressure` if you know the
+    /// gel's decay length `decay_mm`.
     pub saliency: Saliency,
     /// Length over which the gel's surface comes back to rest beside a contact, for `saliency = pressure` and
-    /// `pressure_quick`, and the longest that `adaptive` tries: half of the gel's thickness is a fair guess. Rather too long than too short: 20 %
-    /// too short takes half of the shoulder. A few presses of any part tell it to some percent:
-    /// [`DecayFit`](crate::contact::DecayFit). Valid: 0.001 to 1000 mm. Default: `2.5` mm. Change it to your
-    /// gel's own length.
+    /// `pressure_quick`, and the longest that `adaptive` tries: half of the gel's thickness is a fair guess.
+    /// Rather too long than too short: 20 % too short takes half of the shoulder. A few presses of any part
+    /// tell it to some percent: [`DecayFit`](crate::contact::DecayFit). Valid: 0.001 to 1000 mm. Default:
+    /// `2.5` mm. Change it to your gel's own length.
     pub decay_mm: f64,
     /// Whether to learn the decay length from contacts, for `saliency = pressure`, beginning with `decay_mm`,
     /// which should then be too long rather than too short. What was learned counts once it is known to 2 %,
