@@ -147,6 +147,8 @@ class Cell:
             f"[source]\n{source}\n"
             f'[gripper]\nkind = "{self.setting.kind}"\nport = "{serial_port}"\n{GRIPPERS[self.setting.kind]}\n'
             f'[robot]\nkind = "bridge"\naddress = "{robot}:{self.robot_port}"\n'
+            # As for `device_timeout_s`: a host that shares its cores was silent for over the default of 1 s.
+            "timeout_ms = 1500\nwatchdog_ms = 2000\n"
             f'[recording]\npath = "{recording}"\n'
         )
         self.config.write_text('rig_file = "rig.toml"\n' + self.setting.task + devices, encoding="utf-8")
