@@ -10,6 +10,7 @@ use crate::math::{DVec3, Pose, sqrt};
 use crate::params::{RegisterMethod, RegisterParams};
 use crate::register::observe::{Sighting, System, dot, stack};
 use crate::register::{FreeDirections, Observability, Registration};
+use core::f64::consts::PI;
 
 /// Past half of what is told being missing, squares do not say how much is.
 const LEAST_CURVED: f64 = 0.5;
@@ -118,8 +119,11 @@ pub(super) fn registration(
         sum_squared += touches * r.distance_mm * r.distance_mm;
         total += touches;
     }
-    let in_object = observe(params, samples, read, readings, end.converged);
     let asked = readings.2.is_some().then_some(readings.1);
+    let mut in_object = observe(params, samples, read, readings, end.converged);
+    if let Some(settled) = asked {
+        in_object = in_object.widened(law_excess(samples, settled.here.touching_misfit(params.outlier_share)));
+    }
     let at_pose = log_odds(params, samples, (scratch, asked));
     // One start looks nowhere else.
     let has_searched = params.method == RegisterMethod::SurfaceSearch;
@@ -146,6 +150,17 @@ pub(super) fn registration(
         gel_decay: None,
         alternatives: Alternatives::NONE,
     }
+}
+
+/// How many times larger the variances are than independent noise makes them, from the mean squared deviation of the
+/// markers that touch, and their number.
+///
+/// What the gel's law has wrong moves neighbours together: over a decay length l, which covers n = π l² / pitch² markers.
+/// Of the mean square, 1 is noise and the rest is that error; a sum over n markers has n + n² (χ² - 1) of variance in
+/// place of n.
+fn law_excess(samples: &Samples, (squared, touching): (f64, f64)) -> f64 {
+    let shared = (PI * samples.gel.stiffness(0.0)).min(touching);
+    1.0 + shared * (squared - 1.0).max(0.0)
 }
 
 /// What the contact determines of a pose and what it leaves free, from the readings there, and whether steps have ended

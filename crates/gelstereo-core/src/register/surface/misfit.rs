@@ -10,7 +10,7 @@ use super::settled::{LIFTED, Prediction, SettledScratch};
 use crate::math::sqrt;
 
 /// A squared deviation counts up to this: an outlier weighs no more than a marker four standard deviations off.
-const MOST: f64 = 16.0;
+pub(super) const MOST: f64 = 16.0;
 /// Steps from a pose that comes from a rung without the gel: it is off by several standard deviations of theirs.
 const STEPS: u32 = 3;
 /// A right pose at its peak is doubted once in e^14, 1.2 million, frames, were its markers independent. What is wrong

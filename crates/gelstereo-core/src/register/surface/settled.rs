@@ -8,6 +8,7 @@ use super::contact::Samples;
 use super::edges::Wall;
 use super::gel::{Gel, Node};
 use super::lattice::Sweeps;
+use super::misfit::MOST;
 use super::noise::{Likelihood, STRAY_MM};
 use super::part::{Coarse, Exact, Foot, Line, UNDER_MM};
 use super::polish::End;
@@ -92,6 +93,17 @@ impl Prediction {
     pub fn misfit(&self) -> f64 {
         let squared = |sight: &Sight| sight.residual_mm * sight.residual_mm / sight.variance_mm2;
         mean(self.at_part().map(|s| s.weight * squared(s) + 1.0 - s.weight)).unwrap_or(f64::INFINITY)
+    }
+
+    /// As [`Self::misfit`], of the markers that touch the part, and how many they are. Outliers beyond the expected share
+    /// are no chance: each counts as much as an outlier may.
+    pub fn touching_misfit(&self, outlier_share: f64) -> (f64, f64) {
+        let touching = || self.sights.iter().filter(|sight| sight.touches);
+        let squared = |sight: &Sight| sight.residual_mm * sight.residual_mm / sight.variance_mm2;
+        let good = mean(touching().map(|s| s.weight * squared(s) + 1.0 - s.weight)).unwrap_or(1.0);
+        let outliers = mean(touching().map(|s| 1.0 - s.weight)).unwrap_or(0.0);
+        let unexpected = (outliers - outlier_share).max(0.0);
+        (good + unexpected * (MOST - 1.0), touching().count() as f64)
     }
 
     /// The markers that touch it or are lifted.
