@@ -72,14 +72,14 @@ fn inserted(report: &JobReport) -> bool {
 /// fingers.
 #[test]
 fn a_blade_that_covers_the_gel_goes_in_after_it_touched_a_known_face() {
-    let mut config = blade(1);
+    let mut config = blade(11);
     config.task.max_looks = 1;
     let report = run(&config);
     assert!(matches!(report.outcome, Outcome::Declined { .. }), "{}", report.why);
     let forecast = report.localized.unwrap().forecast.unwrap();
     assert!(forecast.chance < 0.3 && forecast.weakest.starts_with("slide along"), "{forecast:?}");
 
-    let report = run(&with_wall(1));
+    let report = run(&with_wall(11));
     assert!(inserted(&report), "{}", report.why);
     let localized = report.localized.as_ref().unwrap();
     assert_eq!(localized.touches as usize, touches(&report));
@@ -93,10 +93,10 @@ fn a_blade_that_covers_the_gel_goes_in_after_it_touched_a_known_face() {
 /// Only the left and the right side can be brought to the wall, each once: the third touch is the end's.
 #[test]
 fn the_end_touches_a_level_face_where_both_sides_do_not_tell_enough() {
-    let report = run(&with_wall(10));
+    let report = run(&with_wall(18));
     assert!(matches!(report.outcome, Outcome::Declined { .. }), "{}", report.why);
     assert_eq!(touches(&report), 2);
-    let report = run(&with_wall_and_floor(10));
+    let report = run(&with_wall_and_floor(18));
     assert!(inserted(&report), "{}", report.why);
     assert_eq!(touches(&report), 3);
     let truth = report.truth.unwrap();
@@ -106,7 +106,7 @@ fn the_end_touches_a_level_face_where_both_sides_do_not_tell_enough() {
 #[test]
 fn a_recording_with_a_touch_gives_the_same_bits_again() {
     let folder = tempfile::tempdir().unwrap();
-    let mut config = with_wall(1);
+    let mut config = with_wall(11);
     config.recording.path = folder.path().join("touch.mcap");
     let report = gelstereo_host::run::run(&config, &AtomicBool::new(false), &mut |_| {}).unwrap();
     assert!(touches(&report) > 0, "{}", report.why);
@@ -116,7 +116,7 @@ fn a_recording_with_a_touch_gives_the_same_bits_again() {
 
 #[test]
 fn an_interrupted_touch_stops_the_robot() {
-    let config = with_wall(1);
+    let config = with_wall(11);
     let stages = run(&config).stages;
     let before = stages.iter().position(|stage| stage.stage == Stage::Touch).unwrap();
     let setup = Setup::new(&config).unwrap();
@@ -148,7 +148,7 @@ fn a_round_peg_does_not_touch_a_face_that_is_there() {
 
 #[test]
 fn a_face_that_is_not_there_ends_the_move_and_the_task() {
-    let mut config = with_wall(1);
+    let mut config = with_wall(11);
     config.simulated.edge_offset_mm = Some(-10.0);
     let report = run(&config);
     let Outcome::EdgeNotFelt { edge: 0, travel_mm } = report.outcome else { panic!("{}", report.why) };

@@ -248,7 +248,9 @@ class Markers:
 
 @final
 class Detector:
-    def __new__(cls, params: Params | None = None) -> Detector: ...
+    def __new__(
+        cls, params: Params | None = None, view: Literal["left", "right"] | None = None
+    ) -> Detector: ...
     def detect(self, image: npt.NDArray[np.uint8]) -> Markers: ...
     def detect_near(
         self, image: npt.NDArray[np.uint8], expected_px: npt.ArrayLike, reach_px: float

@@ -167,6 +167,11 @@ impl<'a> GrayView<'a> {
         })
     }
 
+    /// Whether any pixel is as bright as this.
+    pub(crate) fn reaches(&self, level: u8) -> bool {
+        (0..self.height).any(|y| self.row(y).iter().fold(0, |high: u8, &v| high.max(v)) >= level)
+    }
+
     /// The darkest and brightest value.
     #[must_use]
     pub fn range(&self) -> (u8, u8) {

@@ -8,6 +8,7 @@ use gelstereo_core::detect::near::{Found, Sight};
 use gelstereo_core::math::DVec2;
 use gelstereo_core::params::{DetectParams, Polarity};
 use numpy::{PyArray2, PyArray3};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::sync::{Mutex, PoisonError};
 
@@ -72,6 +73,8 @@ impl Markers {
 /// ----------
 /// params : Params, optional
 ///     Its ``detect`` part is used.
+/// view : {"left", "right"}, optional
+///     Whose region of interest (``detect.roi``) is searched; without it the whole image is.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct Detector {
     /// Boxed: its SIMD columns are aligned to 32 bytes, and Python aligns its objects to 16.
@@ -82,10 +85,20 @@ pub struct Detector {
 #[pymethods]
 impl Detector {
     #[new]
-    #[pyo3(signature = (params=None))]
-    fn new(params: Option<&Bound<'_, Params>>) -> Self {
+    #[pyo3(signature = (params=None, view=None))]
+    fn new(params: Option<&Bound<'_, Params>>, view: Option<&str>) -> PyResult<Self> {
         let params = Params::or_default(params).detect;
-        Self { stage: Box::new(Mutex::new(core::Detector::new(&params))), params }
+        let roi_px = match view {
+            None => None,
+            Some("left") => params.roi.left_px,
+            Some("right") => params.roi.right_px,
+            Some(other) => {
+                return Err(PyValueError::new_err(format!(
+                    "the view is {other:?}; valid are 'left' and 'right'"
+                )));
+            }
+        };
+        Ok(Self { stage: Box::new(Mutex::new(core::Detector::new(&params).within(roi_px))), params })
     }
 
     fn __repr__(&self) -> String {

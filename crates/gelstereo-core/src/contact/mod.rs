@@ -16,7 +16,7 @@ pub use quick::QuickPressure;
 pub use slips::LabelSlips;
 
 use crate::math::linalg::{Symmetric, eigen};
-use crate::math::{DVec2, DVec3, centroid};
+use crate::math::{DVec2, DVec3, centroid, median};
 use crate::track::MarkerState;
 use alloc::vec::Vec;
 
@@ -151,6 +151,31 @@ fn check_finite(points_mm: &[DVec3]) -> Result<(), ContactError> {
 pub fn variance_along(covariance_mm2: &Symmetric<3>, direction: DVec3) -> f64 {
     let along = |row: &[f64; 3]| DVec3::from_array(*row).dot(direction);
     DVec3::new(along(&covariance_mm2[0]), along(&covariance_mm2[1]), along(&covariance_mm2[2])).dot(direction)
+}
+
+/// Variances over the median one from which a height tells nothing of the contact: one of a marker under a light's
+/// reflection, or one whose rest height was never seen. Rules that take all heights as equally known would take the
+/// error for a contact. On the path-traced images for work such heights
+/// are known 20 to 1000 times worse in σ, others up to 5 times.
+const MOST_OF_MEDIAN: f64 = 100.0;
+
+/// States by which contact is judged: a marker counts as not seen where its height's variance is more than 100 times the
+/// median of those that were seen. `scratch` and `out` are cleared first.
+pub fn known_states(
+    variance_mm2: &[f64],
+    state: &[MarkerState],
+    scratch: &mut Vec<f64>,
+    out: &mut Vec<MarkerState>,
+) {
+    let markers = || variance_mm2.iter().copied().zip(state.iter().copied());
+    scratch.clear();
+    scratch.extend(markers().filter(|&(_, state)| state == MarkerState::Seen).map(|(variance, _)| variance));
+    let limit_mm2 = median(scratch).map_or(0.0, |median_mm2| MOST_OF_MEDIAN * median_mm2);
+    out.clear();
+    out.extend(markers().map(|(variance_mm2, state)| match state {
+        MarkerState::Seen if variance_mm2 > limit_mm2 => MarkerState::Held,
+        state => state,
+    }));
 }
 
 /// Eq. 4: a marker is salient when it was seen and its indentation exceeds the threshold.

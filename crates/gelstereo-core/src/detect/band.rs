@@ -7,12 +7,13 @@
 
 mod profile;
 
+use super::covered;
 use super::fit::{CLEARANCE_PX, Noise};
 use super::glance::{Eye, Eyes, Kind};
 use super::row_bits::RowBits;
 use super::{Detector, Markers, rows_between, searched};
 use crate::image::GrayView;
-use crate::math::{DVec2, exp};
+use crate::math::DVec2;
 pub(super) use profile::Frame;
 use profile::{Profile, Variances};
 
@@ -20,12 +21,6 @@ use profile::{Profile, Variances};
 const NOISE_ROWS: usize = 80;
 /// Markers from whose windows the profile is taken, spread evenly: some 80 pixels in each ring of the edge.
 const SAMPLES: usize = 12;
-/// Standard deviation of a coordinate without any noise, for weights that begin and end within a pixel follow the grid: dots of 4
-/// to 5 px behind 0.8 px of defocus (simulated). Noise rounds the ends off: over this share of the band the error falls by e
-/// (0.009, 0.0073, 0.0065, 0.0050, 0.0038 px at noise of 0, 0.034, 0.05, 0.1, 0.15 of the band).
-const MODEL_PX: f64 = 0.009;
-const ROUNDED_OFF: f64 = 0.19;
-
 /// Variance of 1 / band² over its square by noise of the band's own size: the band is half the contrast of the darkest pixel, the
 /// least of some twenty, whose deviation is half that of one (Tippett 1925), and of the corners' mean of 36 or so.
 const SCATTER: f64 = 4.0 * 0.25 * (0.25 + 1.0 / 36.0);
@@ -100,8 +95,7 @@ impl BandNoise {
             }
         }
         self.learned = profile.variances(noise).and_then(|variances| {
-            let model_px = MODEL_PX * exp(-variances.noise_share / ROUNDED_OFF);
-            let others_px2 = variances.grain + model_px * model_px;
+            let others_px2 = variances.grain + profile.grid_error_px2(variances.noise_share);
             Some(Learned { variances, others_px2, usual: Usual::of(bands, variances.noise_share)? })
         });
     }
@@ -133,10 +127,16 @@ impl Detector {
         let Self { segments, half, meter, bands, band_noise: Some(learned), .. } = self else { return };
         let (segments, scale) = searched(segments, half.as_ref());
         let cover = |rows, near: &mut RowBits| segments.components.cover(rows, scale, near);
-        let noise = meter.run_rows(image, every, CLEARANCE_PX, cover).unwrap_or_default();
+        let noise = meter.run_rows(image, &out.centres_px, (every, CLEARANCE_PX), cover).unwrap_or_default();
         eyes.learn(learned, image, &noise, &out.centres_px, bands);
-        for (covariance, &mut band) in out.covariance_px2.iter_mut().zip(bands) {
-            let variance = learned.variance_px2(band, typed_px2);
+        let markers = out.covariance_px2.iter_mut().zip(bands).zip(out.centres_px.iter().zip(&out.area_px2));
+        for ((covariance, &mut band), (&centre_px, &area_px2)) in markers {
+            let covered = if band == 0 {
+                covered::variance_px2(image, centre_px, (f64::from(area_px2), kind.usual_area_px2()))
+            } else {
+                0.0
+            };
+            let variance = learned.variance_px2(band, typed_px2) + covered;
             *covariance = [[variance, 0.0], [0.0, variance]];
         }
     }

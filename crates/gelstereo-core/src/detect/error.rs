@@ -12,6 +12,15 @@ pub enum DetectError {
         /// Least side, pixels.
         least: usize,
     },
+    /// The region of interest reaches beyond the image.
+    Region {
+        /// First column and row, width and height of `detect.roi`, pixels.
+        roi_px: [usize; 4],
+        /// Width found, pixels.
+        width: usize,
+        /// Height found, pixels.
+        height: usize,
+    },
     /// No contrast: no pixel can differ from its surround by the threshold.
     Flat {
         /// Darkest grey level found.
@@ -30,6 +39,17 @@ pub enum DetectError {
     },
 }
 
+impl DetectError {
+    /// The error of a region of interest that does not lie within an image of this size (width, height), if it does not.
+    pub(crate) fn beyond(roi_px: [usize; 4], (width, height): (usize, usize)) -> Option<Self> {
+        let [x, y, columns, rows] = roi_px;
+        let fits = |first: usize, count: usize, size: usize| {
+            count > 0 && first.checked_add(count).is_some_and(|end| end <= size)
+        };
+        (!fits(x, columns, width) || !fits(y, rows, height)).then_some(Self::Region { roi_px, width, height })
+    }
+}
+
 impl core::fmt::Display for DetectError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match *self {
@@ -37,6 +57,11 @@ impl core::fmt::Display for DetectError {
                 f,
                 "the image is {width} x {height} pixels; a marker of detect.min_area_px2 with gel around it needs \
                  {least} x {least}"
+            ),
+            Self::Region { roi_px: [x, y, columns, rows], width, height } => write!(
+                f,
+                "detect.roi begins at ({x}, {y}) and is {columns} x {rows} pixels, but the image is {width} x {height}; set \
+                 it within the image"
             ),
             Self::Flat { low, high, threshold_levels } => {
                 write!(

@@ -6,6 +6,7 @@ pub mod blocks;
 pub mod blur;
 pub mod centre;
 pub mod components;
+mod covered;
 mod difference;
 mod error;
 pub mod fit;
@@ -16,7 +17,9 @@ pub mod morphology;
 pub mod near;
 pub mod noise;
 pub mod pieces;
+pub mod region;
 pub mod row_bits;
+mod sampling;
 mod segments;
 mod sieve;
 pub mod smooth;
@@ -86,6 +89,13 @@ impl Markers {
         self.unfitted = 0;
     }
 
+    fn shift(&mut self, by_px: DVec2) {
+        if by_px != DVec2::ZERO {
+            self.centres_px.iter_mut().for_each(|centre| *centre += by_px);
+            self.cut.iter_mut().for_each(|cut| cut.centre_px += by_px);
+        }
+    }
+
     fn reserve(&mut self, markers: usize, cut: usize) {
         self.centres_px.reserve(markers);
         self.covariance_px2.reserve(markers);
@@ -119,7 +129,11 @@ pub struct Detector {
     /// Of each marker that was seen at a glance, [`Spot::band`](glance::Spot::band); else 0.
     bands: Vec<u8>,
     meter: NoiseMeter,
+    /// Region of interest: first column and row, width and height; of the whole image where there is none.
+    roi_px: Option<[usize; 4]>,
+    /// Of the part that is searched.
     size_px: (usize, usize),
+    whole_px: (usize, usize),
     areas_px2: Vec<u32>,
     near: Search,
     glances: Glances,
@@ -139,11 +153,34 @@ impl Detector {
             band_noise: (params.centre == Centre::Band).then(BandNoise::new),
             bands: Vec::new(),
             meter: NoiseMeter::default(),
+            roi_px: None,
             size_px: (0, 0),
+            whole_px: (0, 0),
             areas_px2: Vec::new(),
             near: Search::default(),
             glances: Glances::default(),
         }
+    }
+
+    /// Searches this part of images alone: first column and row, width and height, pixels. All positions stay those of the whole
+    /// image. What the part's border cuts is listed in [`Markers::cut`].
+    #[must_use]
+    pub fn within(self, roi_px: Option<[usize; 4]>) -> Self {
+        Self { roi_px, ..self }
+    }
+
+    /// The part that is searched, and where it begins.
+    fn part<'a>(&mut self, image: GrayView<'a>) -> Result<(GrayView<'a>, DVec2), DetectError> {
+        self.whole_px = (image.width(), image.height());
+        let Some(roi_px) = self.roi_px else { return Ok((image, DVec2::ZERO)) };
+        let [x, y, columns, rows] = roi_px;
+        let part = match DetectError::beyond(roi_px, self.whole_px) {
+            None => image.crop(x, y, columns, rows).ok(),
+            Some(_) => None,
+        };
+        let (width, height) = self.whole_px;
+        let part = part.ok_or(DetectError::Region { roi_px, width, height })?;
+        Ok((part, DVec2::new(x as f64, y as f64)))
     }
 
     /// Forgets what was learned of earlier images (the weights of [`Centre::Matched`], the noise of [`Centre::Band`]), so that the next one has the same
@@ -164,6 +201,13 @@ impl Detector {
     /// [`DetectError`]; `out` is then empty.
     pub fn run(&mut self, image: GrayView<'_>, out: &mut Markers) -> Result<(), DetectError> {
         out.clear();
+        let (image, origin_px) = self.part(image)?;
+        self.run_part(image, out)?;
+        out.shift(origin_px);
+        Ok(())
+    }
+
+    fn run_part(&mut self, image: GrayView<'_>, out: &mut Markers) -> Result<(), DetectError> {
         self.check(image)?;
         self.make_room(image);
         let most = most_markers(&self.params, self.size_px);
@@ -175,7 +219,18 @@ impl Detector {
             self.bands.clear();
             self.bands.reserve(most);
         }
-        if self.run_half(image, out) { Ok(()) } else { self.run_whole(image, out) }
+        if !self.run_half(image, out) {
+            self.run_whole(image, out)?;
+        }
+        self.doubt_under_glare(image, out);
+        Ok(())
+    }
+
+    /// The fit tells by its residuals.
+    fn doubt_under_glare(&mut self, image: GrayView<'_>, out: &mut Markers) {
+        if self.params.centre != Centre::Fit {
+            covered::doubt_under_glare(image, &mut self.areas_px2, out);
+        }
     }
 
     /// The first image of a size is looked at in both sizes, so that no later one needs more room.
@@ -203,6 +258,12 @@ impl Detector {
     pub fn mask(&self, out: &mut Vec<u8>) {
         let (segments, scale) = searched(&self.segments, self.half.as_ref());
         segments.draw_scaled(self.size_px, scale, out);
+        let Some([x, y, columns, _]) = self.roi_px.filter(|_| self.size_px != (0, 0)) else { return };
+        let part = core::mem::take(out);
+        out.resize(self.whole_px.0 * self.whole_px.1, 0);
+        let rows = out.chunks_exact_mut(self.whole_px.0).skip(y);
+        rows.zip(part.chunks_exact(columns))
+            .for_each(|(row, part)| row[x..x + columns].copy_from_slice(part));
     }
 
     /// Variance of a coordinate for rungs that do not measure their own, px².

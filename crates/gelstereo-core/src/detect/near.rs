@@ -90,6 +90,8 @@ pub(super) struct Search {
     pieces: Pieces,
     candidates: Vec<Candidate>,
     areas_px2: Vec<u32>,
+    /// Expected positions within the part of the image that is searched.
+    inside_px: Vec<DVec2>,
     most_candidates: usize,
 }
 
@@ -124,6 +126,26 @@ impl Detector {
         out.markers.clear();
         out.sights.clear();
         out.apart_px = 0.0;
+        let (image, origin_px) = self.part(image)?;
+        self.areas_px2.clear();
+        self.areas_px2.reserve(expected_px.len());
+        let mut inside_px = core::mem::take(&mut self.near.inside_px);
+        inside_px.clear();
+        inside_px.reserve(expected_px.len());
+        inside_px.extend(expected_px.iter().map(|&at| at - origin_px));
+        let found = self.run_near_part(image, &inside_px, reach_px, out);
+        self.near.inside_px = inside_px;
+        out.markers.shift(origin_px);
+        found
+    }
+
+    fn run_near_part(
+        &mut self,
+        image: GrayView<'_>,
+        expected_px: &[DVec2],
+        reach_px: f64,
+        out: &mut Found,
+    ) -> Result<(), DetectError> {
         self.check(image)?;
         self.segments.mask_all(image);
         self.near.start(expected_px.len());
@@ -146,6 +168,7 @@ impl Detector {
         if self.params.centre == Centre::Matched {
             self.match_near(image, expected_px, reach_px, &mut out.markers);
         }
+        self.doubt_under_glare(image, &mut out.markers);
         Ok(())
     }
 
@@ -158,8 +181,8 @@ impl Detector {
         markers: &mut Markers,
     ) {
         let size_px = (image.width(), image.height());
-        let noise =
-            self.meter.run(image, self.segments.mask(), rows_between(size_px.1, ENOUGH_ROWS), CLEARANCE_PX);
+        let gel = (self.segments.mask(), markers.centres_px.as_slice());
+        let noise = self.meter.run(image, gel, rows_between(size_px.1, ENOUGH_ROWS), CLEARANCE_PX);
         self.matched.prepare(image, noise.unwrap_or_default(), markers);
         self.grey_centre.reserve(image.height());
         for k in 0..markers.centres_px.len() {

@@ -2,6 +2,7 @@
 
 use super::fit::{CLEARANCE_PX, ENOUGH_ROWS};
 use super::glance::{Eyes, Kind};
+use super::row_bits::RowBits;
 use super::segments::LEAST_NEIGHBOUR_PX2;
 use super::sieve::Sieve;
 use super::{DetectError, Detector, Markers, centre, most_markers, rows_between};
@@ -89,7 +90,8 @@ impl Detector {
         let Self { segments, matched, meter, grey_centre, params, .. } = self;
         let components = &segments.components;
         let every = rows_between(image.height(), ENOUGH_ROWS);
-        let noise = meter.run_rows(image, every, CLEARANCE_PX, |rows, near| components.cover(rows, 1, near));
+        let cover = |rows, near: &mut RowBits| components.cover(rows, 1, near);
+        let noise = meter.run_rows(image, &out.centres_px, (every, CLEARANCE_PX), cover);
         matched.prepare(image, noise.unwrap_or_default(), out);
         grey_centre.reserve(image.height());
         let whole = components.blobs().iter().filter(|blob| sieve.passes_whole(blob));

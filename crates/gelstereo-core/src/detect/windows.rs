@@ -1,11 +1,11 @@
 //! Markers near predicted positions, each by a window of its own: the rest of the image is not read.
 
 use super::Detector;
-use super::centre;
 use super::glance::{Eye, Glance, Kind, Spot};
 use super::near::{Found, Sight, Window};
 use super::pieces::Pieces;
 use super::sieve::in_shape;
+use super::{centre, covered};
 use crate::image::GrayView;
 use crate::math::DVec2;
 use crate::params::{Centre, Polarity, Threshold};
@@ -77,6 +77,8 @@ impl Detector {
     ) {
         self.glances.reserve(positions, kind, size_px);
         self.grey_centre.reserve(size_px.1);
+        self.areas_px2.clear();
+        self.areas_px2.reserve(positions);
         out.markers.reserve(positions, 0);
         out.sights.reserve(positions);
     }
@@ -104,7 +106,7 @@ impl Detector {
         } else {
             self.look_at_all(&Eye::<32>::new(*kind, flip), image, expected_px, reach_px, out);
         }
-        self.share_out(expected_px, kind, (image.width(), image.height()), out);
+        self.share_out(image, expected_px, kind, out);
         out.apart_px = kind.cell_px();
         if self.params.centre == Centre::Matched {
             // A step may go anywhere.
@@ -118,6 +120,7 @@ impl Detector {
                 out.markers.area_px2[marker] = area_px2;
             }
         }
+        self.doubt_under_glare(image, &mut out.markers);
     }
 
     pub(super) const fn flip(&self) -> u8 {
@@ -203,7 +206,8 @@ impl Detector {
     }
 
     /// Gives each marker to the nearest of the positions that see it.
-    fn share_out(&mut self, expected_px: &[DVec2], kind: &Kind, size_px: (usize, usize), out: &mut Found) {
+    fn share_out(&mut self, image: GrayView<'_>, expected_px: &[DVec2], kind: &Kind, out: &mut Found) {
+        let size_px = (image.width(), image.height());
         let Glances { seen, cells, .. } = &mut self.glances;
         let side = |size: usize| (size as f64 / kind.cell_px()) as usize + 3;
         let cols = side(size_px.0);
@@ -242,7 +246,14 @@ impl Detector {
         let typed = self.params.centre_sigma_px * self.params.centre_sigma_px;
         let noise = self.band_noise.as_ref();
         for marker in seen.iter().filter(|marker| marker.alive) {
-            let variance = noise.map_or(typed, |noise| noise.variance_px2(marker.band, typed));
+            let covered = if marker.band == 0 {
+                let areas_px2 = (f64::from(marker.area_px2), kind.usual_area_px2());
+                covered::variance_px2(image, marker.centre_px, areas_px2)
+            } else {
+                0.0
+            };
+            let stated = noise.map_or(typed, |noise| noise.variance_px2(marker.band, typed));
+            let variance = stated + covered;
             out.sights[marker.position as usize] = Sight::Marker(out.markers.centres_px.len() as u32);
             out.markers.push(marker.centre_px, [[variance, 0.0], [0.0, variance]], marker.area_px2);
         }

@@ -1,6 +1,7 @@
 //! Finding markers in one image.
 
 use super::{ParamsError, check};
+use crate::rig::View;
 
 /// Whether markers are darker or brighter than the gel around them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -116,6 +117,35 @@ impl Default for FitParams {
     }
 }
 
+/// The part of each camera's image in which markers are searched.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(default, deny_unknown_fields)
+)]
+pub struct RoiParams {
+    /// First column and row, width and height of the part of the left image; absent: all of it. Valid: sides
+    /// of 1 px and more, within the image. Default: absent. Set it where a tray or a mount beside the gel has
+    /// spots like markers, and to save time.
+    #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
+    pub left_px: Option<[usize; 4]>,
+    /// The same of the right image. Default: absent. Set it as `left_px`.
+    #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
+    pub right_px: Option<[usize; 4]>,
+}
+
+impl RoiParams {
+    /// Of one view: first column and row, width and height.
+    #[must_use]
+    pub const fn of(&self, view: View) -> Option<[usize; 4]> {
+        match view {
+            View::Left => self.left_px,
+            View::Right => self.right_px,
+        }
+    }
+}
+
 /// Finding markers in one image.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
@@ -166,6 +196,8 @@ pub struct DetectParams {
     /// Standard deviation of a centre per axis, for rungs that do not measure their own. Valid: 0.0001 to 100
     /// px. Default: `0.09` px, the paper's binary centroid. Change it to what a still gel shows.
     pub centre_sigma_px: f64,
+    /// Where in the images markers are.
+    pub roi: RoiParams,
     /// The model fit of `centre = fit`.
     pub fit: FitParams,
 }
@@ -187,6 +219,7 @@ impl Default for DetectParams {
             max_area_px2: 2000,
             min_fill: 0.5,
             centre_sigma_px: 0.09,
+            roi: RoiParams::default(),
             fit: FitParams::default(),
         }
     }
@@ -220,6 +253,12 @@ impl DetectParams {
         check((0.0..=1.0).contains(&self.min_fill), "detect.min_fill", self.min_fill, "from 0 to 1")?;
         let sigma = self.centre_sigma_px;
         check((1e-4..=100.0).contains(&sigma), "detect.centre_sigma_px", sigma, "0.0001 to 100 px")?;
+        for (name, roi) in
+            [("detect.roi.left_px", self.roi.left_px), ("detect.roi.right_px", self.roi.right_px)]
+        {
+            let side = roi.map_or(1, |[_, _, width, height]| width.min(height));
+            check(side > 0, name, side as f64, "a width and a height of 1 px or more")?;
+        }
         if let Some(blur) = self.fit.blur_px {
             check((0.3..=5.0).contains(&blur), "detect.fit.blur_px", blur, "0.3 to 5 px, or absent")?;
         }

@@ -13,7 +13,9 @@ mod track;
 mod triangulate;
 
 pub use contact::{ContactParams, Saliency};
-pub use detect::{Background, Centre, DetectParams, FindAt, FitParams, Polarity, Search, Threshold};
+pub use detect::{
+    Background, Centre, DetectParams, FindAt, FitParams, Polarity, RoiParams, Search, Threshold,
+};
 pub use label::{LabelMethod, LabelParams};
 pub use lattice::LatticeParams;
 pub use register::{RegisterMethod, RegisterParams};

@@ -1,9 +1,10 @@
 //! The sensing stages in order, over scratch that is allocated once.
 
+mod bent;
 mod discs;
+mod epipolar;
 mod error;
 mod frame;
-mod noise_scale;
 mod rest_record;
 mod view;
 mod windows;
@@ -15,6 +16,7 @@ pub use rest_record::{RestRecord, RestRecordError, RestView};
 use crate::contact::{
     self, AdaptiveSaliency, ContactRule, Decay, DecayFit, LabelSlips, Pressure, QuickPressure, RestSurface,
 };
+use crate::detect::DetectError;
 use crate::image::GrayView;
 use crate::label::LatticeFinder;
 use crate::math::linalg::Symmetric;
@@ -25,7 +27,7 @@ use crate::track::{MarkerState, Tracks};
 use crate::triangulate::{Centres, Triangulator};
 use alloc::vec::Vec;
 use discs::Discs;
-use noise_scale::noise_scale;
+use epipolar::{Epipolar, variance_px2};
 use view::ViewStages;
 
 /// Sensing: stereo frames in, tactile point clouds out.
@@ -42,26 +44,42 @@ pub struct Pipeline {
     contact_rule: Option<ContactRule>,
     decay: DecayFit,
     rest_variance_mm2: Vec<f64>,
-    noise_scale: f64,
+    epipolar: Epipolar,
     reference_px: Vec<DVec2>,
     slips: LabelSlips,
     discs: Discs,
     points_mm: Vec<DVec3>,
     covariance_mm2: Vec<Symmetric<3>>,
+    heights: Heights,
     frames: u64,
     /// No frame was processed since the rest frame was taken from a record.
     resumes: bool,
+}
+
+/// How well the heights of one frame are known.
+#[derive(Clone, Debug, Default)]
+struct Heights {
+    variance_mm2: Vec<f64>,
+    state: Vec<MarkerState>,
+    scratch: Vec<f64>,
 }
 
 impl Pipeline {
     /// For this rig, with these settings. The first frame processed is the rest frame: nothing may touch the gel.
     ///
     /// # Errors
-    /// [`PipelineError::Params`], or [`PipelineError::Triangulate`] for an invalid rig.
+    /// [`PipelineError::Params`], [`PipelineError::Triangulate`] for an invalid rig, or [`PipelineError::Detect`] for a
+    /// region of interest beyond a camera's image.
     pub fn new(rig: &Rig, params: &Params) -> Result<Self, PipelineError> {
         params.validate().map_err(PipelineError::Params)?;
         let triangulator = Triangulator::new(rig, &params.triangulate).map_err(PipelineError::Triangulate)?;
         let size = |camera: &crate::camera::Camera| (camera.width_px, camera.height_px);
+        for (view, (width, height)) in [(View::Left, size(&rig.left)), (View::Right, size(&rig.right))] {
+            let roi_px = params.detect.roi.of(view);
+            if let Some(error) = roi_px.and_then(|roi_px| DetectError::beyond(roi_px, (width, height))) {
+                return Err(PipelineError::Detect { view, error });
+            }
+        }
         Ok(Self {
             params: params.clone(),
             triangulator,
@@ -74,12 +92,13 @@ impl Pipeline {
             contact_rule: None,
             decay: DecayFit::default(),
             rest_variance_mm2: Vec::new(),
-            noise_scale: 1.0,
+            epipolar: Epipolar::default(),
             reference_px: Vec::new(),
             slips: LabelSlips::default(),
             discs: Discs::default(),
             points_mm: Vec::new(),
             covariance_mm2: Vec::new(),
+            heights: Heights::default(),
             frames: 0,
             resumes: false,
         })
@@ -121,7 +140,7 @@ impl Pipeline {
     /// residuals of the rest frame show. 1 before it, and where the difference may be chance.
     #[must_use]
     pub const fn noise_scale(&self) -> f64 {
-        self.noise_scale
+        self.epipolar.scale
     }
 
     /// Forgets tracks, rest surface and reference: the next frame is the rest frame.
@@ -129,7 +148,7 @@ impl Pipeline {
         self.rest = None;
         self.decay.start(0);
         self.contact_rule = None;
-        self.noise_scale = 1.0;
+        self.epipolar = Epipolar::default();
         self.frames = 0;
         self.resumes = false;
         self.left.forget();
@@ -233,8 +252,12 @@ impl Pipeline {
         let state = left.state.iter().zip(&right.state).map(|(&l, &r)| l.max(r));
         out.state.clear();
         out.state.extend(state);
-        self.noise_scale = noise_scale(side(&self.left), &stereo, &out.state, centres(left), centres(right));
-        self.covariance_mm2.extend(stereo.iter().map(|s| scaled(&s.covariance_mm2, self.noise_scale)));
+        let views = (centres(left), centres(right));
+        self.epipolar = Epipolar::learn(side(&self.left), &stereo, &out.state, views.0, views.1);
+        self.covariance_mm2.extend(stereo.iter().enumerate().map(|(i, stereo)| {
+            let variance_px2 = variance_px2(views.0, views.1, i);
+            scaled(&stereo.covariance_mm2, self.epipolar.widening(i, stereo.epipolar_px, variance_px2))
+        }));
         self.discs = Discs::default();
         if self.params.triangulate.disc_bias == DiscBias::Corrected {
             let lattice = &self.params.lattice;
@@ -311,7 +334,9 @@ impl Pipeline {
             match ready.point(i, &centres(left).at(i), &centres(right).at(i)) {
                 Ok(stereo) if stereo.epipolar_px.abs() <= max_px => {
                     *point_mm = stereo.point_mm;
-                    out.covariance_mm2[i] = scaled(&stereo.covariance_mm2, self.noise_scale);
+                    let variance_px2 = variance_px2(centres(left), centres(right), i);
+                    let widening = self.epipolar.widening(i, stereo.epipolar_px, variance_px2);
+                    out.covariance_mm2[i] = scaled(&stereo.covariance_mm2, widening);
                     self.discs.fresh.push(i);
                 }
                 _ if state == MarkerState::Seen => {
@@ -331,6 +356,8 @@ impl Pipeline {
         rest.indentation_mm(points_mm, indentation_mm).map_err(PipelineError::Contact)?;
         copy_into(&out.points_mm, &mut self.points_mm);
         copy_into(&out.covariance_mm2, &mut self.covariance_mm2);
+        let clouds = (rest.points_mm(), out.points_mm.as_slice());
+        bent::add(self.left.cols, self.discs.radius_pitches(), clouds, &mut out.covariance_mm2);
         Ok(())
     }
 
@@ -350,26 +377,33 @@ impl Pipeline {
         }
     }
 
+    /// Variances of the heights above rest, and which of the markers are known well enough to judge contact by.
+    fn judge_heights(&mut self, state: &[MarkerState]) {
+        let Self { heights, covariance_mm2, rest_variance_mm2, rest, .. } = self;
+        let normal = rest.as_ref().map_or(DVec3::Z, RestSurface::normal);
+        let now = covariance_mm2.iter().map(|covariance| contact::variance_along(covariance, normal));
+        heights.variance_mm2.clear();
+        heights.variance_mm2.extend(now.zip(rest_variance_mm2).map(|(now, rest)| now + *rest));
+        contact::known_states(&heights.variance_mm2, state, &mut heights.scratch, &mut heights.state);
+    }
+
     fn finish(&mut self, out: &mut Frame) -> Result<(), PipelineError> {
         out.index = self.frames;
         copy_into(&self.left.labelled().positions_px, &mut out.left_px);
         copy_into(&self.right.labelled().positions_px, &mut out.right_px);
         (out.rows, out.cols) = (self.left.rows, self.left.cols);
+        self.judge_heights(&out.state);
         let settings = &self.params.contact;
-        let variances = |normal: DVec3| {
-            let now = self.covariance_mm2.iter().map(move |c| contact::variance_along(c, normal));
-            now.zip(&self.rest_variance_mm2).map(|(now, rest)| now + rest)
-        };
-        let (heights_mm, state, salient) = (&out.indentation_mm, &out.state, &mut out.salient);
+        let (heights_mm, salient) = (&out.indentation_mm, &mut out.salient);
+        let Heights { variance_mm2, state, .. } = &self.heights;
+        let variances = variance_mm2.iter().copied();
         match (settings.saliency, &self.rest) {
-            (Saliency::Pressure, Some(rest)) => {
-                self.pressure.run(heights_mm, variances(rest.normal()), state, salient)
+            (Saliency::Pressure, Some(_)) => self.pressure.run(heights_mm, variances, state, salient),
+            (Saliency::PressureQuick, Some(_)) => {
+                self.quick_pressure.run(heights_mm, variances, state, salient)
             }
-            (Saliency::PressureQuick, Some(rest)) => {
-                self.quick_pressure.run(heights_mm, variances(rest.normal()), state, salient)
-            }
-            (Saliency::Adaptive, Some(rest)) => {
-                let found = self.adaptive.run(heights_mm, variances(rest.normal()), state, salient);
+            (Saliency::Adaptive, Some(_)) => {
+                let found = self.adaptive.run(heights_mm, variances, state, salient);
                 found.map(|rule| self.contact_rule = rule)
             }
             _ => {

@@ -1,5 +1,6 @@
 //! What is kept of a rest frame, so that a later run may begin under contact.
 
+use super::epipolar::{Epipolar, TERMS};
 use super::{Pipeline, PipelineError, View};
 use crate::contact::RestSurface;
 use crate::math::{DVec2, DVec3};
@@ -29,6 +30,10 @@ pub struct RestRecord {
     /// What the variances of the centres were multiplied by ([`Pipeline::noise_scale`]); 1 when absent.
     #[cfg_attr(feature = "serde", serde(default = "unscaled", skip_serializing_if = "is_unscaled"))]
     pub noise_scale: f64,
+    /// What the calibration leaves of the epipolar residuals, px: coefficients of a polynomial over rows and columns, or
+    /// none where it is not known.
+    #[cfg_attr(feature = "serde", serde(default, skip_serializing_if = "Vec::is_empty"))]
+    pub epipolar_px: Vec<f64>,
     /// The left view.
     pub left: RestView,
     /// The right view.
@@ -149,6 +154,8 @@ impl RestRecord {
         let radius = self.dot_radius_pitches.as_slice();
         check("dot_radius_pitches", radius.len(), radius, |r| r > 0.0 && r < 1.0)?;
         check("noise_scale", 1, &[self.noise_scale], |scale| scale.is_finite() && scale > 0.0)?;
+        let terms = if self.epipolar_px.is_empty() { 0 } else { TERMS };
+        check("epipolar_px", terms, &self.epipolar_px, f64::is_finite)?;
         check("left.shown", rows * cols, &self.left.shown, |_| true)?;
         check("right.shown", rows * cols, &self.right.shown, |_| true)?;
         for (view, rest, camera) in
@@ -198,7 +205,8 @@ impl Pipeline {
             cols: self.left.cols,
             points_mm: rest.points_mm().to_vec(),
             variance_mm2: self.rest_variance_mm2.clone(),
-            noise_scale: self.noise_scale,
+            noise_scale: self.epipolar.scale,
+            epipolar_px: self.epipolar.smooth.map(Vec::from).unwrap_or_default(),
             dot_radius_pitches: self.discs.radius_pitches(),
             left: self.left.rest_view(),
             right: self.right.rest_view(),
@@ -231,7 +239,8 @@ impl Pipeline {
         self.discs.resume(lattice, record.dot_radius_pitches);
         self.points_mm.clone_from(&record.points_mm);
         self.rest_variance_mm2.clone_from(&record.variance_mm2);
-        self.noise_scale = record.noise_scale;
+        let smooth = record.epipolar_px.as_slice().try_into().ok();
+        self.epipolar = Epipolar::resume(lattice, record.noise_scale, smooth);
         // The least certain direction is the normal's, nearly.
         self.covariance_mm2.clear();
         self.covariance_mm2.extend(

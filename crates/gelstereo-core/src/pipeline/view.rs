@@ -46,7 +46,7 @@ impl ViewStages {
         Self {
             view,
             size_px,
-            detector: Detector::new(&params.detect),
+            detector: Detector::new(&params.detect).within(params.detect.roi.of(view)),
             markers: Markers::default(),
             detected: Ok(()),
             tracker: Tracker::new(&params.track),

@@ -1,8 +1,8 @@
 //! How a marker's weights fall off with the distance from its centre, and what noise does to the centre of such weights.
 
 use crate::detect::fit::Noise;
-use crate::math::{erf, exp, sqrt};
-use core::f64::consts::{FRAC_1_SQRT_2, TAU};
+use crate::math::{DVec2, erf, exp, floor, sqrt};
+use core::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
 
 /// Rings of equal area: a quarter of a pixel wide at the outline of a disc of any radius.
 const RINGS: usize = 64;
@@ -13,6 +13,11 @@ const ROUNDING_LEVELS2: f64 = 1.0 / 12.0;
 const UNLIKE: f64 = 8.0;
 /// Nor are rings whose pixels answer by less: a ten-thousandth of what those of the edge do.
 const LEAST_ANSWER: f64 = 1e-4;
+
+/// Places along a quarter of a pixel, which has all that others do by symmetry.
+const PLACES: usize = 3;
+/// Least deviation of a share for which its mean is taken.
+const LEAST_DEVIATION: f64 = 1e-3;
 
 /// A window about a marker as its gel is measured: at its corners.
 #[derive(Clone, Copy, Debug)]
@@ -171,6 +176,48 @@ impl Profile {
             power: (white_grows / white_px2).max(1.0),
             noise_share,
         })
+    }
+}
+
+impl Profile {
+    /// Mean squared error of a coordinate without any noise: weights that begin and end within a pixel follow the grid.
+    ///
+    /// That is the mean of (Σ w p / Σ w)² over places of the centre within a pixel, for weights by the distance alone, as
+    /// noise of this deviation rounds them off.
+    pub fn grid_error_px2(&self, noise_share: f64) -> f64 {
+        let deviation = noise_share.max(LEAST_DEVIATION);
+        let weights: [f64; RINGS] = core::array::from_fn(|ring| Kept::of(self.share(ring), deviation).mean);
+        // Rings are of equal area; between their middles weights are taken as straight.
+        let weight_at = |distance_px2: f64| {
+            let at = (distance_px2 * self.per_px2 - 0.5).max(0.0);
+            let (ring, part) = (at as usize, at - floor(at));
+            match (weights.get(ring), weights.get(ring + 1)) {
+                (Some(here), Some(next)) => here + part * (next - here),
+                _ => 0.0,
+            }
+        };
+        let reach = sqrt(RINGS as f64 / self.per_px2) as i32 + 1;
+        let error_px2 = |x: f64, y: f64| {
+            let (mut sum, mut moment) = (0.0, DVec2::ZERO);
+            for row in -reach..=reach {
+                for column in -reach..=reach {
+                    let at = DVec2::new(f64::from(column) - x, f64::from(row) - y);
+                    let weight = weight_at(at.length_squared());
+                    sum += weight;
+                    moment += at * weight;
+                }
+            }
+            0.5 * (moment / sum.max(f64::MIN_POSITIVE)).length_squared()
+        };
+        let places = (0..PLACES * PLACES).map(|n| (n % PLACES, n / PLACES));
+        let place = |n: usize| (n as f64 + 0.5) / (2 * PLACES) as f64;
+        let mean_px2 =
+            places.map(|(x, y)| error_px2(place(x), place(y))).sum::<f64>() / (PLACES * PLACES) as f64;
+        // Means over rings of width w, and lines between them, smooth the weights by a variance of w² / 12 + w² / 6, and what
+        // repeats with the pixels falls in amplitude by exp(-2 π² w² / 4).
+        let outline = weights.iter().position(|&weight| weight < 0.5).unwrap_or(RINGS) as f64;
+        let width_px2 = 0.25 / (outline.max(1.0) * self.per_px2);
+        mean_px2 * exp(PI * PI * width_px2)
     }
 }
 

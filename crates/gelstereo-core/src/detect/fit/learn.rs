@@ -5,6 +5,7 @@ use super::lanes::WIDTH;
 use super::noise::ENOUGH_ROWS;
 use super::{DiscFit, FIRST_BLUR_PX, Matrix, Outline, Start, apply, covariance, plausible, step};
 use crate::detect::fit::contour;
+use crate::detect::sampling;
 use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, Factor, ceil, median, sqrt};
@@ -51,6 +52,7 @@ impl DiscFit {
         self.answers.reserve(MOST_PIXELS.div_ceil(WIDTH));
         // Least squares will do for what is common to all.
         let radius_px = self.median_of(|sample| Some(sample.start.radius_px()));
+        self.usual_px = radius_px;
         self.edge.weigh_alike(self.blur_px);
         if self.learn_blur(image) > LARGEST_BLUR_ERROR * self.blur_px && starts.len() > MORE_SAMPLES {
             self.take_samples(starts, MORE_SAMPLES);
@@ -65,10 +67,15 @@ impl DiscFit {
         let gel_level = self.median_of(|sample| Some(sample.ground));
         let clearance_px = ceil(CLEAR_BLURS * self.blur_px - 0.5).clamp(CLEAR_PX.0, CLEAR_PX.1) as usize;
         let every = (image.height() / ENOUGH_ROWS).max(1);
-        self.noise = self.meter.run(image, mask, every, clearance_px).unwrap_or_default().at(gel_level);
+        self.centres.clear();
+        self.centres.reserve(starts.len());
+        self.centres.extend(starts.iter().map(|start| start.centre_px));
+        let gel = (mask, self.centres.as_slice());
+        self.noise = self.meter.run(image, gel, every, clearance_px).unwrap_or_default().at(gel_level);
         if self.given_blur_px.is_none() {
             self.blur_px = self.unexplained_blur_px(radius_px + self.radius_off_px);
         }
+        self.sampling_px2 = sampling::error_px2(self.blur_px, radius_px + self.radius_off_px);
         self.edge.weigh(self.blur_px, radius_px + self.radius_off_px, &self.noise);
         self.measure_sandwich(image);
         let window_px = self.median_of(|sample| Some(sample.window_px));

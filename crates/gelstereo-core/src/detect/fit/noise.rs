@@ -1,8 +1,10 @@
 //! Noise of the image, measured on the gel between the markers.
 
+use crate::detect::covered::GLARE_LEVEL;
+use crate::detect::region::Region;
 use crate::detect::row_bits::RowBits;
 use crate::image::GrayView;
-use crate::math::{abs, exp, median, sqrt};
+use crate::math::{DVec2, abs, exp, median, sqrt};
 use alloc::vec::Vec;
 use core::f64::consts::PI;
 use core::ops::Range;
@@ -11,9 +13,16 @@ use core::ops::Range;
 const ROUNDING_LEVELS2: f64 = 1.0 / 12.0;
 /// Pixels between the gel that counts and a marker's pixels: out of any blurred edge.
 pub(in crate::detect) const CLEARANCE_PX: usize = 4;
+/// The least of it where markers stand close: 3 px from the outline behind a blur of 0.8 px, 0.01 % of a marker's contrast
+/// is left.
+const LEAST_CLEARANCE_PX: usize = 3;
+/// Pairs of pixels between the markers from which the noise is known to 5 %, twice as well as it must be, and from which faint
+/// grain is too; with fewer all gel of the image counts.
+const ENOUGH_PAIRS: u64 = 1000;
+const PLENTY_PAIRS: u64 = 16_000;
 /// Differences from which the slope of the light is taken: few enough that it is the same for all of them, and enough that
 /// the noise of their mean, of which a share of 4 stretches / differences² is lost with it, is below a percent.
-const SLOPE_DIFFERENCES: usize = 64;
+const SLOPE_DIFFERENCES: usize = 20;
 /// Fewer say nothing.
 const LEAST_DIFFERENCES: usize = 16;
 /// Size of grain of about a pixel behind a lens that blurs by about a pixel, and the spread of its logarithm.
@@ -25,10 +34,7 @@ const LARGEST_LOG_SIZE: f64 = 1.2;
 const MOST_SHARE: f64 = 16.0;
 /// Rows in which even faint grain shows.
 pub(in crate::detect) const ENOUGH_ROWS: usize = 240;
-/// Grain must explain this much more of the sum of squares than none at all (Akaike's criterion, one parameter) where fewer
-/// rows are looked at: chance is then larger than grain that matters, and its share above 0 would count.
-const LEAST_GAIN: f64 = 2.0;
-/// Rows that are farther from the median than this many times the median distance from it show something else than gel.
+/// Pieces that are farther from the median than this many times the median distance from it show something else than gel.
 const MOST_OFF: f64 = 7.0;
 /// Distances at which pixels are compared.
 const LAGS: [usize; 3] = [1, 2, 4];
@@ -85,9 +91,9 @@ impl Noise {
     ///
     /// With x = exp(-1 / (4 l²)), half the variances of the differences of pixels 1, 2 and 4 px apart (a variogram
     /// without its drift) are w + g (1 - x), w + g (1 - x^4), w + g (1 - x^16). Faint grain says too little about its
-    /// size l: that has the usual one as its prior. Without a least gain, grain too faint to be told from chance counts all the
-    /// same: else the noise would be too small in the mean.
-    fn from_variogram(variogram: &Variogram, least_gain: f64) -> Self {
+    /// size l: that has the usual one as its prior. Of grain that explains no more than chance a part counts, as much as is real in
+    /// the mean: with a gain G in the sum of squares G / (1 + G) of it (James and Stein 1961).
+    fn from_variogram(variogram: &Variogram) -> Self {
         let Variogram { one, more: [two, four], sigma } = *variogram;
         let cost = |grain: f64, at: &[f64; 2]| {
             let (e, f) = ((two - grain * at[0]) / sigma, (four - grain * at[1]) / sigma);
@@ -114,10 +120,8 @@ impl Noise {
             }
             reach /= 8.0;
         }
-        if cost(0.0, &[0.0; 2]) - best.0 < least_gain {
-            return Self { white_levels2: one.max(ROUNDING_LEVELS2), ..Self::default() };
-        }
-        let (grain_levels2, grain_size_px) = (best.1, USUAL_SIZE_PX * exp(centre));
+        let gain = (cost(0.0, &[0.0; 2]) - best.0).max(0.0);
+        let (grain_levels2, grain_size_px) = (best.1 * gain / (1.0 + gain), USUAL_SIZE_PX * exp(centre));
         let white_levels2 = (one - grain_levels2 * (1.0 - correlation(grain_size_px))).max(ROUNDING_LEVELS2);
         Self { white_levels2, grain_levels2, grain_size_px, gel_level: 0.0 }
     }
@@ -142,31 +146,49 @@ struct Variogram {
 pub(in crate::detect) struct NoiseMeter {
     /// Set where a row's pixel is near a marker.
     near: RowBits,
-    rows: Vec<Row>,
+    pieces: Vec<Piece>,
     scratch: Vec<f64>,
 }
 
-/// What one row of the image says.
+/// What one piece of gel says.
 #[derive(Clone, Copy, Debug)]
-struct Row {
+struct Piece {
     /// Half the variance of differences at the first lag, and how much more it is at the others.
     entries: [f32; 3],
     pairs: u32,
 }
 
+impl Piece {
+    fn of(differences: &Differences) -> Self {
+        let [one, two, four] = differences.squared().map(|sum| sum / (2 * differences.count) as f64);
+        Self {
+            entries: [one, two - one, four - one].map(|entry| entry as f32),
+            pairs: differences.count as u32,
+        }
+    }
+}
+
+/// What all rows that were taken have.
+#[derive(Clone, Copy, Debug, Default)]
+struct Total {
+    pairs: u64,
+    /// Sum of the levels of each pair's first pixel.
+    levels: u64,
+}
+
 impl NoiseMeter {
-    /// From the pixels of every so many rows of `image` (faint grain shows in no fewer than [`ENOUGH_ROWS`]) that lie so many pixels off
-    /// the set pixels of `mask`: means over the rows, without those that a scratch or a smear reaches. `None` when there is no
-    /// such gel.
+    /// From the pixels of every so many rows of `image` (faint grain shows in no fewer than [`ENOUGH_ROWS`]) that lie so many
+    /// pixels off the set pixels of `mask`, among the markers at `centres_px`: means over the rows, without those that a scratch or a smear
+    /// reaches. `None` when there is no such gel.
     pub fn run(
         &mut self,
         image: GrayView<'_>,
-        mask: &[u8],
+        (mask, centres_px): (&[u8], &[DVec2]),
         every: usize,
         clearance_px: usize,
     ) -> Option<Noise> {
         let width = image.width();
-        self.run_rows(image, every, clearance_px, |rows, near| {
+        self.run_rows(image, centres_px, (every, clearance_px), |rows, near| {
             // A marker is at least two rows high.
             for row in rows.step_by(2) {
                 near.set_where(&mask[row * width..]);
@@ -175,83 +197,132 @@ impl NoiseMeter {
     }
 
     /// As [`Self::run`]; `cover` sets the pixels of one row that have some of the mask in the same column of these rows.
+    ///
+    /// What lies around the lattice (tray, mount, walls, light that falls off) is no gel: it counts only where too little gel
+    /// is clear among the markers.
     pub fn run_rows(
         &mut self,
         image: GrayView<'_>,
-        every: usize,
-        clearance_px: usize,
+        centres_px: &[DVec2],
+        (every, clearance_px): (usize, usize),
         mut cover: impl FnMut(core::ops::RangeInclusive<usize>, &mut RowBits),
     ) -> Option<Noise> {
-        let (width, height) = (image.width(), image.height());
-        self.rows.clear();
-        self.rows.reserve(height);
+        self.pieces.clear();
+        // More rows among the markers are only looked at where these have too few pairs.
+        let rows_px = (image.height() / every + 1) * (image.width() / SLOPE_DIFFERENCES + 1);
+        self.pieces.reserve(rows_px.max(every * PLENTY_PAIRS as usize / LEAST_DIFFERENCES));
         self.scratch.clear();
-        self.scratch.reserve(height);
-        let (mut pairs, mut levels) = (0, 0);
+        self.scratch.reserve(self.pieces.capacity().max(centres_px.len()));
+        let glares = image.reaches(GLARE_LEVEL);
+        let mut cover = |rows: core::ops::RangeInclusive<usize>, near: &mut RowBits| {
+            cover(rows.clone(), near);
+            // A light's reflection is no gel, and hides markers: it is clear of their mask.
+            if glares {
+                rows.step_by(2).for_each(|row| near.set_bright(image.row(row), GLARE_LEVEL));
+            }
+        };
+        if let Some(region) = Region::around(centres_px, &mut self.scratch) {
+            let least_px = clearance_px.min(LEAST_CLEARANCE_PX);
+            // Among close markers few rows are clear, and those that are not cost little.
+            for (every, clearance_px, enough) in [
+                (every, clearance_px, PLENTY_PAIRS),
+                (1, clearance_px, PLENTY_PAIRS),
+                (1, least_px, ENOUGH_PAIRS),
+            ] {
+                let columns = |y| region.columns(y, image.width());
+                let all = self.take_rows(image, columns, (every, clearance_px), &mut cover);
+                if all.pairs >= enough {
+                    return self.noise(&all);
+                }
+            }
+        }
+        let all = self.take_rows(image, |_| 0..image.width(), (every, clearance_px), &mut cover);
+        self.noise(&all)
+    }
+
+    /// Takes what these columns of rows say.
+    fn take_rows(
+        &mut self,
+        image: GrayView<'_>,
+        columns: impl Fn(usize) -> Range<usize>,
+        (every, clearance_px): (usize, usize),
+        cover: &mut impl FnMut(core::ops::RangeInclusive<usize>, &mut RowBits),
+    ) -> Total {
+        let (width, height) = (image.width(), image.height());
+        let mut total = Total::default();
+        self.pieces.clear();
         for y in (clearance_px..height.saturating_sub(clearance_px)).step_by(every) {
+            let counted = columns(y);
+            if counted.is_empty() {
+                continue;
+            }
             self.near.start(width);
             cover(y - clearance_px..=y + clearance_px, &mut self.near);
             // Most gaps between markers are too short to say anything: they close.
             self.near.widen(clearance_px + HALF_LAG_PX);
-            let row = spread_of(image.row(y), &self.near, clearance_px);
-            if row.count >= LEAST_DIFFERENCES {
-                let [one, two, four] = row.sums.map(|sum| sum / (2 * row.count) as f64);
-                let entries = [one, two - one, four - one].map(|entry| entry as f32);
-                self.rows.push(Row { entries, pairs: row.count as u32 });
-                pairs += row.count as u64;
-                levels += row.levels;
-            }
+            self.near.set(0..counted.start);
+            self.near.set(counted.end..width);
+            let Self { near, pieces, .. } = self;
+            each_piece(image.row(y), near, clearance_px, |piece| {
+                total.pairs += piece.count as u64;
+                total.levels += piece.levels;
+                pieces.push(Piece::of(piece));
+            });
         }
-        let (one, more) = (self.mean(0)?, [self.mean(1)?, self.mean(2)?]);
-        // In white noise, as the difference of two covariances of so many pairs.
-        let sigma = (one + more[1].max(0.0)).max(ROUNDING_LEVELS2) * sqrt(2.0 / pairs as f64);
+        total
+    }
 
-        let enough = every == 1 || height / every >= ENOUGH_ROWS;
-        let least_gain = if enough { 0.0 } else { LEAST_GAIN };
-        let noise = Noise::from_variogram(&Variogram { one, more, sigma }, least_gain);
-        Some(Noise { gel_level: levels as f64 / pairs as f64, ..noise })
+    /// Of the rows that were taken.
+    fn noise(&mut self, total: &Total) -> Option<Noise> {
+        let (one, more) = (self.mean(0)?, [self.mean(1)?, self.mean(2)?]);
+        let pairs = total.pairs as f64;
+        // In white noise, as the difference of two covariances of so many pairs.
+        let sigma = (one + more[1].max(0.0)).max(ROUNDING_LEVELS2) * sqrt(2.0 / pairs);
+        let noise = Noise::from_variogram(&Variogram { one, more, sigma });
+        Some(Noise { gel_level: total.levels as f64 / pairs, ..noise })
     }
 
     /// Mean of an entry over the rows, each as often as it has pairs; a median would be too small, for variances are skewed.
     fn mean(&mut self, entry: usize) -> Option<f64> {
-        let Self { rows, scratch, .. } = self;
-        let mut middle = |value: &dyn Fn(&Row) -> f64| {
+        let Self { pieces, scratch, .. } = self;
+        let mut middle = |value: &dyn Fn(&Piece) -> f64| {
             scratch.clear();
-            scratch.extend(rows.iter().map(value));
+            scratch.extend(pieces.iter().map(value));
             median(scratch)
         };
-        let usual = middle(&|row| f64::from(row.entries[entry]))?;
-        let off = |row: &Row| abs(f64::from(row.entries[entry]) - usual);
+        let usual = middle(&|piece| f64::from(piece.entries[entry]))?;
+        let off = |piece: &Piece| abs(f64::from(piece.entries[entry]) - usual);
         let most = MOST_OFF * middle(&off)?;
         let (mut sum, mut pairs) = (0.0, 0.0);
-        for row in rows.iter().filter(|row| off(row) <= most) {
-            sum += f64::from(row.pairs) * f64::from(row.entries[entry]);
-            pairs += f64::from(row.pairs);
+        for piece in pieces.iter().filter(|piece| off(piece) <= most) {
+            sum += f64::from(piece.pairs) * f64::from(piece.entries[entry]);
+            pairs += f64::from(piece.pairs);
         }
         Some(sum / pairs)
     }
 }
 
-/// Differences of the gel of one row, of which all that is `clearance_px` and [`HALF_LAG_PX`] near to a marker is set.
-fn spread_of(levels: &[u8], near: &RowBits, clearance_px: usize) -> Spread {
-    let (mut row, mut group) = (Spread::default(), Differences::default());
+/// Differences of the gel of one row, of which all that is `clearance_px` and [`HALF_LAG_PX`] near to a marker is set: in
+/// pieces in which the slope of the light is one. Too short ones are left out.
+fn each_piece(levels: &[u8], near: &RowBits, clearance_px: usize, mut tell: impl FnMut(&Differences)) {
+    let mut piece = Differences::default();
     for clear in near.clear_stretches() {
         // What is left has its farthest partner clear of the next marker. The row ends as a marker begins.
-        let start = if clear.start == 0 { clearance_px } else { clear.start - HALF_LAG_PX };
-        let end = if clear.end == levels.len() {
-            clear.end.saturating_sub(clearance_px)
-        } else {
-            clear.end + HALF_LAG_PX
-        };
-        if end > start + LAGS[2] {
-            group.add(levels, start..end);
-        }
-        if group.count >= SLOPE_DIFFERENCES {
-            row.add(&core::mem::take(&mut group));
+        let mut start = clear.start.saturating_sub(HALF_LAG_PX).max(clearance_px);
+        let end = (clear.end + HALF_LAG_PX).min(levels.len().saturating_sub(clearance_px));
+        while end > start + LAGS[2] {
+            let left = end - start - LAGS[2];
+            let count = if left < 2 * SLOPE_DIFFERENCES { left } else { SLOPE_DIFFERENCES };
+            piece.add(levels, start..start + count + LAGS[2]);
+            start += count;
+            if piece.count >= SLOPE_DIFFERENCES {
+                tell(&core::mem::take(&mut piece));
+            }
         }
     }
-    row.add(&group);
-    row
+    if piece.count >= LEAST_DIFFERENCES {
+        tell(&piece);
+    }
 }
 
 /// Differences at every lag between pixels of one region of a row.
@@ -267,6 +338,17 @@ struct Differences {
 }
 
 impl Differences {
+    /// Σ (difference - mean difference)² at every lag.
+    fn squared(&self) -> [f64; 3] {
+        let count = self.count as f64;
+        core::array::from_fn(|lag| {
+            let (sum, square) = (self.sums[lag] as f64, self.squares[lag] as f64);
+            // White noise of variance s² leaves 2 s² in each square, and 2 s² for each pair of ends in the square of the
+            // sum. The part that is lost with the mean is larger for far pixels: it would be missed as grain.
+            (square - sum * sum / count) / (1.0 - self.ends[lag] as f64 / (count * count))
+        })
+    }
+
     /// Adds a stretch of gel, longer than the farthest lag, of a row.
     fn add(&mut self, row: &[u8], gel: Range<usize>) {
         let stretch = &row[gel.clone()];
@@ -292,32 +374,6 @@ impl Differences {
             for (sum, squares) in self.squares.iter_mut().zip(squares) {
                 *sum += u64::from(squares(pixels, mask));
             }
-        }
-    }
-}
-
-/// Σ (difference - mean difference)² at every lag.
-#[derive(Clone, Copy, Debug, Default)]
-struct Spread {
-    count: usize,
-    levels: u64,
-    sums: [f64; 3],
-}
-
-impl Spread {
-    /// Adds differences in which the light's slope is one; too few are left out.
-    fn add(&mut self, group: &Differences) {
-        if group.count < LEAST_DIFFERENCES {
-            return;
-        }
-        self.count += group.count;
-        self.levels += group.levels;
-        let count = group.count as f64;
-        for (lag, total) in self.sums.iter_mut().enumerate() {
-            let (sum, square) = (group.sums[lag] as f64, group.squares[lag] as f64);
-            // White noise of variance s² leaves 2 s² in each square, and 2 s² for each pair of ends in the square of the sum. The
-            // part that is lost with the mean is larger for far pixels: it would be missed as grain.
-            *total += (square - sum * sum / count) / (1.0 - group.ends[lag] as f64 / (count * count));
         }
     }
 }
@@ -353,7 +409,7 @@ fn sum_of_levels(pixels: &[u8; SPAN], mask: &[u8; LANES]) -> u32 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Differences, HALF_LAG_PX, LAGS, LANES, spread_of};
+    use super::{Differences, HALF_LAG_PX, LAGS, LANES, each_piece};
     use crate::detect::row_bits::RowBits;
     use crate::math::abs;
     use alloc::vec::Vec;
@@ -374,6 +430,16 @@ mod tests {
         (length, near)
     }
 
+    /// Sums over the pieces of a row: differences, and their squares at every lag.
+    fn spread_of(levels: &[u8], near: &RowBits, clearance: usize) -> (usize, [f64; 3]) {
+        let mut all = (0, [0.0; 3]);
+        each_piece(levels, near, clearance, |piece| {
+            all.0 += piece.count;
+            all.1.iter_mut().zip(piece.squared()).for_each(|(all, one)| *all += one);
+        });
+        all
+    }
+
     proptest! {
         /// White noise has the same variance at all distances, whatever its mean difference took. Of independent pixels
         /// of variance 1 the mean of a sum of squares is the sum of what it is of each pixel alone: no chance is left.
@@ -385,11 +451,11 @@ mod tests {
             let (mut sums, mut levels) = ([0.0; 3], alloc::vec![0; length]);
             for x in 0..length {
                 levels[x] = 1;
-                let alone = spread_of(&levels, &near, clearance).sums;
+                let alone = spread_of(&levels, &near, clearance).1;
                 sums.iter_mut().zip(alone).for_each(|(sum, alone)| *sum += alone);
                 levels[x] = 0;
             }
-            let count = spread_of(&levels, &near, clearance).count as f64;
+            let count = spread_of(&levels, &near, clearance).0 as f64;
             for (sum, lag) in sums.iter().zip(LAGS) {
                 prop_assert!(abs(sum - 2.0 * count) <= 1e-11 * count, "lag {}: {} of {}", lag, sum, 2.0 * count);
             }
@@ -404,7 +470,7 @@ mod tests {
             let (length, near) = masked(&gel, marker, 1);
             let dark = &noise[..length];
             let lit: Vec<u8> = (0_u8..).zip(dark).map(|(x, noise)| noise + level + x).collect();
-            let (dark, lit) = (spread_of(dark, &near, 1).sums, spread_of(&lit, &near, 1).sums);
+            let (dark, lit) = (spread_of(dark, &near, 1).1, spread_of(&lit, &near, 1).1);
             for (a, b) in dark.iter().zip(lit) {
                 // Round-off of squares below 2^17.
                 prop_assert!(abs(a - b) < 1e-9, "{} {}", a, b);

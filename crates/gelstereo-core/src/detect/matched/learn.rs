@@ -4,6 +4,7 @@ use super::tables::{Conditions, Kind, PLACES, REACH_PX};
 use super::{MOST_MISFIT, Matched, Refined, Response, component_px, locate};
 use crate::detect::Markers;
 use crate::detect::fit::Middle;
+use crate::detect::sampling;
 use crate::image::GrayView;
 use crate::math::{DVec2, median};
 use alloc::vec::Vec;
@@ -58,7 +59,7 @@ impl Matched {
     /// Radius, blur and contrast by the weights for them, again with the weights for what they said. Weights once made
     /// are kept as long as they serve: to make others takes some 10 ms.
     pub(super) fn learn(&mut self, image: GrayView<'_>, markers: &Markers) {
-        self.response = Response::default();
+        (self.response, self.sampling_px2) = (Response::default(), 0.0);
         let count = markers.centres_px.len();
         if count == 0 {
             return;
@@ -98,8 +99,8 @@ impl Matched {
         self.learn_response(image, markers);
     }
 
-    /// Response of the weights that were chosen to some of the markers, the same ones in whatever order they are
-    /// listed.
+    /// Response of the weights that were chosen to some of the markers, and how sharp these are: the same ones in
+    /// whatever order they are listed.
     fn learn_response(&mut self, image: GrayView<'_>, markers: &Markers) {
         self.samples.clear();
         let [columns, rows] = RESPONDING;
@@ -112,12 +113,21 @@ impl Matched {
             );
             let Some(k) = nearest(&markers.centres_px, at) else { return };
             let radius_px = self.radius_px(markers.area_px2[k]);
+            if let Some(form) = self.form(image, markers.centres_px[k], radius_px) {
+                self.samples.blur.push(form.blur_px);
+                self.samples.radius.push(form.radius_px);
+            }
             if let Some((along, noise)) = self.responses(image, markers.centres_px[k], radius_px)
                 && along.iter().all(|s| RESPONSES.contains(s))
             {
                 self.samples.response.extend(along);
                 by_noise += along.len() as f64 * noise;
             }
+        }
+        if let (Some(blur_px), Some(radius_px)) =
+            (median(&mut self.samples.blur), median(&mut self.samples.radius))
+        {
+            self.sampling_px2 = sampling::error_px2(blur_px, radius_px);
         }
         let responses = &self.samples.response;
         let count = responses.len() as f64;

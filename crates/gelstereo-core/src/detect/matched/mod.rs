@@ -16,6 +16,7 @@ mod learn;
 mod tables;
 
 use super::Markers;
+use super::covered;
 use super::fit::Noise;
 use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
@@ -63,6 +64,8 @@ pub struct Matched {
     bright: bool,
     noise: Noise,
     blur_px: f64,
+    /// Variance of a coordinate by sampling.
+    sampling_px2: f64,
     /// Radius of discs less that of components of the same area, for the usual one.
     radius_off_px: f64,
     /// Radius of the usual component, and how much larger discs are whose component is a pixel larger in radius: less
@@ -120,6 +123,7 @@ impl Matched {
             bright,
             noise: Noise::default(),
             blur_px: params.fit.blur_px.unwrap_or(learn::FIRST_BLUR_PX),
+            sampling_px2: 0.0,
             radius_off_px: 0.0,
             usual_px: 0.0,
             radius_per_px: 1.0,
@@ -136,7 +140,7 @@ impl Matched {
     pub fn forget(&mut self) {
         self.noise = Noise::default();
         self.blur_px = self.given_blur_px.unwrap_or(learn::FIRST_BLUR_PX);
-        (self.radius_off_px, self.contrast_levels) = (0.0, 0.0);
+        (self.radius_off_px, self.contrast_levels, self.sampling_px2) = (0.0, 0.0, 0.0);
         (self.usual_px, self.radius_per_px) = (0.0, 1.0);
         self.per_ground = if self.bright { learn::BRIGHT_PER_GROUND } else { learn::DARK_PER_GROUND };
         self.response = Response::default();
@@ -176,8 +180,11 @@ impl Matched {
             None => {
                 markers.unfitted += 1;
                 let least = self.unfitted_variance_px2(radius_px);
+                let usual_px2 = core::f64::consts::PI * self.usual_px * self.usual_px;
+                let areas_px2 = (f64::from(markers.area_px2[index]), usual_px2);
+                let covered = covered::variance_px2(image, near_px, areas_px2);
                 let [[xx, _], [_, yy]] = &mut markers.covariance_px2[index];
-                (*xx, *yy) = (xx.max(least), yy.max(least));
+                (*xx, *yy) = (xx.max(least) + covered, yy.max(least) + covered);
             }
         }
         found.is_some()
@@ -271,7 +278,7 @@ impl Matched {
         let bent = bend * g.length_squared();
         let even = all_px2 * (1.0 + bent) * (1.0 + bent);
         let along = all_px2 * 4.0 * bend * (1.0 + 2.0 * bent) + scatter * per_square;
-        let entry = |one: f64, product: f64| even * one + along * product;
+        let entry = |one: f64, product: f64| (even + self.sampling_px2) * one + along * product;
         let xy = entry(0.0, g.x * g.y);
         [[entry(1.0, g.x * g.x), xy], [xy, entry(1.0, g.y * g.y)]]
     }

@@ -122,7 +122,8 @@ pub(super) fn registration(
     let asked = readings.2.is_some().then_some(readings.1);
     let mut in_object = observe(params, samples, read, readings, end.converged);
     if let Some(settled) = asked {
-        in_object = in_object.widened(law_excess(samples, settled.here.touching_misfit(params.outlier_share)));
+        in_object =
+            in_object.widened(law_excess(samples, settled.here.touching_misfit(params.outlier_share)));
     }
     let at_pose = log_odds(params, samples, (scratch, asked));
     // One start looks nowhere else.

@@ -1,0 +1,274 @@
+//! How much noisier the centres are than they state, from the rest frame.
+//!
+//! A marker's rows in both views fit together but for the noise of its centres, whatever the print and the gel. So
+//! the epipolar residuals of the rest frame measure that noise, with all that the model of the image leaves out: a
+//! marker's place within the pixel, the lens, compression, noise that was measured beside the gel. What the rig's
+//! calibration leaves is smooth over the image, and a polynomial takes it away.
+
+use crate::math::{Factor, abs, median, sqrt};
+use crate::track::MarkerState;
+use crate::triangulate::{Centres, StereoPoint};
+use alloc::vec::Vec;
+
+/// Order of the polynomial along rows and columns together. On path-traced images 3 leaves refraction in the
+/// residuals, up to ten times the noise; 4 to 8 agree to 4 %.
+const ORDER: usize = 4;
+/// Its terms.
+pub(super) const TERMS: usize = (ORDER + 1) * (ORDER + 2) / 2;
+/// Rows and columns from which it is determined, with some to spare.
+const LEAST_SIDE: usize = ORDER + 3;
+/// Residuals of more times the median one are of no marker that was measured well, such as one under a glint.
+const MOST_OFF: f64 = 6.0;
+/// Rounds of leaving such out.
+const ROUNDS: usize = 3;
+/// Standard deviations of a residual that are chance: beyond are 1 in 16 000.
+const CHANCE: f64 = 4.0;
+/// Standard deviations by which the mean squared residual must exceed 1 to be believed.
+const SURE: f64 = 4.0;
+/// Largest factor that is believed. Path-traced images have shown up to 1.5, and 35 with JPEG.
+const MOST: f64 = 1000.0;
+
+/// What the rest frame's epipolar residuals say of the centres.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Epipolar {
+    /// What the variances of the centres are to be multiplied by; 1 where too little is seen to say, or nothing is wrong.
+    pub scale: f64,
+    /// What the calibration leaves, as coefficients of [`terms`]; `None` where too little is seen to say.
+    pub smooth: Option<[f64; TERMS]>,
+    /// The same at every marker, px.
+    smooth_px: Vec<f64>,
+}
+
+impl Default for Epipolar {
+    fn default() -> Self {
+        Self { scale: 1.0, smooth: None, smooth_px: Vec::new() }
+    }
+}
+
+impl Epipolar {
+    /// From the rest frame of a lattice of so many rows and columns.
+    pub fn learn(
+        (rows, cols): (usize, usize),
+        stereo: &[StereoPoint],
+        state: &[MarkerState],
+        left: Centres<'_>,
+        right: Centres<'_>,
+    ) -> Self {
+        if rows < LEAST_SIDE || cols < LEAST_SIDE {
+            return Self::default();
+        }
+        let sample = |i: usize| Sample {
+            terms: terms_at((rows, cols), i),
+            residual_px: stereo[i].epipolar_px,
+            variance_px2: variance_px2(left, right, i),
+        };
+        let mut samples: Vec<Sample> =
+            (0..stereo.len()).filter(|&i| state[i] == MarkerState::Seen).map(sample).collect();
+        for _ in 0..ROUNDS {
+            let Some(smooth) = fit(&samples) else { return Self::default() };
+            let off = |sample: &Sample| abs(sample.residual_px - dot(&smooth, &sample.terms));
+            let Some(usual) = median(&mut samples.iter().map(off).collect::<Vec<_>>()) else { break };
+            let count = samples.len();
+            samples.retain(|sample| off(sample) <= MOST_OFF * usual);
+            if samples.len() == count {
+                break;
+            }
+        }
+        let (Some(smooth), Some(free)) = (fit(&samples), samples.len().checked_sub(TERMS + 1)) else {
+            return Self::default();
+        };
+        let squared = |sample: &Sample| {
+            let off = sample.residual_px - dot(&smooth, &sample.terms);
+            off * off / sample.variance_px2
+        };
+        let scale = samples.iter().map(squared).sum::<f64>() / (free + 1) as f64;
+        let chance = SURE * sqrt(2.0 / (free + 1) as f64);
+        // Errors that both views share, by the grid of pixels, cancel in the residuals: smaller ones prove nothing.
+        let is_noisier = scale - 1.0 > chance;
+        Self::resume((rows, cols), if is_noisier { scale.min(MOST) } else { 1.0 }, Some(smooth))
+    }
+
+    /// As learned before.
+    pub fn resume((rows, cols): (usize, usize), scale: f64, smooth: Option<[f64; TERMS]>) -> Self {
+        let at =
+            |smooth: [f64; TERMS]| (0..rows * cols).map(move |i| dot(&smooth, &terms_at((rows, cols), i)));
+        Self { scale, smooth, smooth_px: smooth.map(|smooth| at(smooth).collect()).unwrap_or_default() }
+    }
+
+    /// What the variance of a marker's point is to be multiplied by, with this epipolar residual: more than the scale where
+    /// the residual is more than chance. Something else than noise moved a centre then, a light's reflection or dirt, and
+    /// along the row about as far (Birge 1932).
+    pub fn widening(&self, i: usize, epipolar_px: f64, variance_px2: f64) -> f64 {
+        let Some(smooth_px) = self.smooth_px.get(i) else { return self.scale };
+        let off_px = epipolar_px - smooth_px;
+        let squared = off_px * off_px / variance_px2.max(f64::MIN_POSITIVE);
+        if squared > CHANCE * CHANCE * self.scale { squared } else { self.scale }
+    }
+}
+
+/// Variance of a marker's epipolar residual as its centres state it, px².
+pub(super) fn variance_px2(left: Centres<'_>, right: Centres<'_>, i: usize) -> f64 {
+    left.covariance_px2[i][1][1] + right.covariance_px2[i][1][1]
+}
+
+/// The terms at a marker.
+fn terms_at((rows, cols): (usize, usize), i: usize) -> [f64; TERMS] {
+    let along = |at: usize, count: usize| 2.0 * at as f64 / (count - 1) as f64 - 1.0;
+    terms(along(i % cols, cols), along(i / cols, rows))
+}
+
+/// One marker of the rest frame.
+struct Sample {
+    terms: [f64; TERMS],
+    residual_px: f64,
+    variance_px2: f64,
+}
+
+/// Products of Chebyshev's polynomials up to the order, for coordinates from -1 to 1.
+fn terms(x: f64, y: f64) -> [f64; TERMS] {
+    let chebyshev = |x: f64| {
+        let mut values = [1.0; ORDER + 1];
+        values[1] = x;
+        for k in 2..=ORDER {
+            values[k] = 2.0 * x * values[k - 1] - values[k - 2];
+        }
+        values
+    };
+    let (across, down) = (chebyshev(x), chebyshev(y));
+    let (mut terms, mut next) = ([0.0; TERMS], 0);
+    for a in 0..=ORDER {
+        for b in 0..=ORDER - a {
+            terms[next] = across[a] * down[b];
+            next += 1;
+        }
+    }
+    terms
+}
+
+/// Least squares; `None` where the samples leave a term open.
+fn fit(samples: &[Sample]) -> Option<[f64; TERMS]> {
+    let (mut matrix, mut right) = ([[0.0; TERMS]; TERMS], [0.0; TERMS]);
+    for Sample { terms, residual_px, .. } in samples {
+        for i in 0..TERMS {
+            right[i] += terms[i] * residual_px;
+            for j in 0..=i {
+                matrix[i][j] += terms[i] * terms[j];
+            }
+        }
+    }
+    Some(Factor::new(&matrix)?.solve(&right))
+}
+
+fn dot(a: &[f64; TERMS], b: &[f64; TERMS]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::random::Stream;
+    use crate::math::{DVec2, DVec3};
+    use alloc::vec;
+    use proptest::prelude::*;
+
+    const SIDE: usize = 25;
+    const MARKERS: usize = SIDE * SIDE;
+    const STATED_PX2: f64 = 4e-4;
+
+    /// Residuals of centres that are `factor` times as noisy as they state, with what a poor calibration leaves.
+    fn residuals_px(seed: u64, factor: f64, calibration_px: f64) -> Vec<f64> {
+        let mut stream = Stream::new(seed, "epipolar residuals");
+        let sigma_px = sqrt(2.0 * STATED_PX2 * factor);
+        (0..MARKERS)
+            .map(|i| {
+                let [x, y] = [i % SIDE, i / SIDE].map(|at| at as f64 / 12.0 - 1.0);
+                calibration_px * (1.0 + x - y * y + x * y * y * y) + sigma_px * stream.normal()
+            })
+            .collect()
+    }
+
+    fn scale_of(residuals_px: &[f64], state: &[MarkerState]) -> f64 {
+        let covariance_mm2 = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        let stereo: Vec<StereoPoint> = residuals_px
+            .iter()
+            .map(|&epipolar_px| StereoPoint { point_mm: DVec3::ZERO, covariance_mm2, epipolar_px })
+            .collect();
+        let (positions_px, covariance_px2) =
+            ([DVec2::ZERO; MARKERS], [[[STATED_PX2, 0.0], [0.0, STATED_PX2]]; MARKERS]);
+        let centres = Centres { positions_px: &positions_px, covariance_px2: &covariance_px2 };
+        Epipolar::learn((SIDE, SIDE), &stereo, state, centres, centres).scale
+    }
+
+    proptest! {
+        /// The mean of 610 squares is known to 6 %; five times that is believed.
+        #[test]
+        fn the_noise_is_found_whatever_the_calibration_leaves(
+            seed in any::<u64>(),
+            log_factor in 0.5..3.0_f64,
+            calibration_px in -2.0..2.0_f64,
+        ) {
+            let factor = crate::math::exp(log_factor);
+            let scale = scale_of(&residuals_px(seed, factor, calibration_px), &[MarkerState::Seen; MARKERS]);
+            prop_assert!((0.7..1.3).contains(&(scale / factor)), "{scale} for {factor}");
+        }
+
+        #[test]
+        fn noise_as_stated_or_less_changes_no_bit(
+            seed in any::<u64>(),
+            factor in 0.01..1.0_f64,
+            calibration_px in -2.0..2.0_f64,
+        ) {
+            let scale = scale_of(&residuals_px(seed, factor, calibration_px), &[MarkerState::Seen; MARKERS]);
+            prop_assert_eq!(scale, 1.0);
+        }
+
+        /// Markers under a glint, and those that are not seen, do not count.
+        #[test]
+        fn wild_residuals_do_not_count(seed in any::<u64>(), at in prop::collection::vec(0..MARKERS, 60)) {
+            let mut residuals_px = residuals_px(seed, 1.0, 0.3);
+            let mut state = vec![MarkerState::Seen; MARKERS];
+            for (k, &i) in at.iter().enumerate() {
+                residuals_px[i] = if k % 2 == 0 { 0.5 } else { -0.4 };
+                if k % 3 == 0 {
+                    (residuals_px[i], state[i]) = (f64::NAN, MarkerState::Held);
+                }
+            }
+            let scale = scale_of(&residuals_px, &state);
+            prop_assert!((0.7..1.3).contains(&scale), "{scale}");
+        }
+    }
+
+    /// A marker whose rows do not fit together is as uncertain as that says; chance changes nothing, and a record keeps it.
+    #[test]
+    fn a_residual_beyond_chance_widens_its_own_point() {
+        let factor = 4.0;
+        let residuals_px = residuals_px(7, factor, 0.3);
+        let covariance_mm2 = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        let stereo: Vec<StereoPoint> = residuals_px
+            .iter()
+            .map(|&epipolar_px| StereoPoint { point_mm: DVec3::ZERO, covariance_mm2, epipolar_px })
+            .collect();
+        let covariance_px2 = [[[STATED_PX2, 0.0], [0.0, STATED_PX2]]; MARKERS];
+        let centres = Centres { positions_px: &[DVec2::ZERO; MARKERS], covariance_px2: &covariance_px2 };
+        let learned = Epipolar::learn((SIDE, SIDE), &stereo, &[MarkerState::Seen; MARKERS], centres, centres);
+        let kept = Epipolar::resume((SIDE, SIDE), learned.scale, learned.smooth);
+        assert_eq!(kept, learned);
+        let sigma_px = sqrt(2.0 * STATED_PX2 * learned.scale);
+        let at = |i: usize, sigmas: f64| {
+            let smooth_px = learned.smooth_px[i];
+            learned.widening(i, smooth_px + sigmas * sigma_px, variance_px2(centres, centres, i))
+        };
+        for i in [0, 17, MARKERS - 1] {
+            assert_eq!(at(i, 3.9), learned.scale);
+            assert!(abs(at(i, 20.0) / (400.0 * learned.scale) - 1.0) < 1e-9);
+        }
+        assert_eq!(Epipolar::default().widening(3, 50.0, STATED_PX2), 1.0);
+    }
+
+    #[test]
+    fn a_few_markers_say_nothing() {
+        let mut state = [MarkerState::Held; MARKERS];
+        state[..TERMS].fill(MarkerState::Seen);
+        assert_eq!(scale_of(&[0.3; MARKERS], &state), 1.0);
+    }
+}
