@@ -223,16 +223,21 @@ impl NoiseMeter {
         };
         if let Some(region) = Region::around(centres_px, &mut self.scratch) {
             let least_px = clearance_px.min(LEAST_CLEARANCE_PX);
-            // Among close markers few rows are clear, and those that are not cost little.
-            for (every, clearance_px, enough) in [
-                (every, clearance_px, PLENTY_PAIRS),
-                (1, clearance_px, PLENTY_PAIRS),
-                (1, least_px, ENOUGH_PAIRS),
-            ] {
-                let columns = |y| region.columns(y, image.width());
-                let all = self.take_rows(image, columns, (every, clearance_px), &mut cover);
-                if all.pairs >= enough {
-                    return self.noise(&all);
+            let columns = |y| region.columns(y, image.width());
+            let some = self.take_rows(image, columns, (every, clearance_px), &mut cover);
+            if some.pairs >= PLENTY_PAIRS {
+                return self.noise(&some);
+            }
+            // Among close markers few rows are clear: all are looked at, and closer to the markers where these are still few.
+            let expected = every as u64 * some.pairs;
+            for (clearance_px, is_worth_it, enough) in
+                [(clearance_px, expected >= PLENTY_PAIRS, PLENTY_PAIRS), (least_px, true, ENOUGH_PAIRS)]
+            {
+                if is_worth_it {
+                    let all = self.take_rows(image, columns, (1, clearance_px), &mut cover);
+                    if all.pairs >= enough {
+                        return self.noise(&all);
+                    }
                 }
             }
         }
