@@ -21,6 +21,7 @@ use profile::{Profile, Variances};
 const NOISE_ROWS: usize = 80;
 /// Markers from whose windows the profile is taken, spread evenly: some 80 pixels in each ring of the edge.
 const SAMPLES: usize = 12;
+
 /// Variance of 1 / band² over its square by noise of the band's own size: the band is half the contrast of the darkest pixel, the
 /// least of some twenty, whose deviation is half that of one (Tippett 1925), and of the corners' mean of 36 or so.
 const SCATTER: f64 = 4.0 * 0.25 * (0.25 + 1.0 / 36.0);
@@ -131,11 +132,8 @@ impl Detector {
         eyes.learn(learned, image, &noise, &out.centres_px, bands);
         let markers = out.covariance_px2.iter_mut().zip(bands).zip(out.centres_px.iter().zip(&out.area_px2));
         for ((covariance, &mut band), (&centre_px, &area_px2)) in markers {
-            let covered = if band == 0 {
-                covered::variance_px2(image, centre_px, (f64::from(area_px2), kind.usual_area_px2()))
-            } else {
-                0.0
-            };
+            let areas_px2 = (area_px2, kind.usual_area_px2());
+            let covered = covered::without_band_px2(band, image, centre_px, areas_px2);
             let variance = learned.variance_px2(band, typed_px2) + covered;
             *covariance = [[variance, 0.0], [0.0, variance]];
         }

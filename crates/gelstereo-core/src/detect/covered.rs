@@ -66,3 +66,13 @@ pub(super) fn variance_px2(image: GrayView<'_>, centre_px: DVec2, (area_px2, usu
     };
     (radius_px * hidden) * (radius_px * hidden)
 }
+
+/// As [`variance_px2`], of a marker that something touches, so that it has no band; 0 of others.
+pub(super) fn without_band_px2(
+    band: u8,
+    image: GrayView<'_>,
+    centre_px: DVec2,
+    (area_px2, usual_px2): (u32, f64),
+) -> f64 {
+    if band == 0 { variance_px2(image, centre_px, (f64::from(area_px2), usual_px2)) } else { 0.0 }
+}

@@ -246,12 +246,8 @@ impl Detector {
         let typed = self.params.centre_sigma_px * self.params.centre_sigma_px;
         let noise = self.band_noise.as_ref();
         for marker in seen.iter().filter(|marker| marker.alive) {
-            let covered = if marker.band == 0 {
-                let areas_px2 = (f64::from(marker.area_px2), kind.usual_area_px2());
-                covered::variance_px2(image, marker.centre_px, areas_px2)
-            } else {
-                0.0
-            };
+            let areas_px2 = (marker.area_px2, kind.usual_area_px2());
+            let covered = covered::without_band_px2(marker.band, image, marker.centre_px, areas_px2);
             let stated = noise.map_or(typed, |noise| noise.variance_px2(marker.band, typed));
             let variance = stated + covered;
             out.sights[marker.position as usize] = Sight::Marker(out.markers.centres_px.len() as u32);

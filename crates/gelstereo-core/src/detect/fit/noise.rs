@@ -7,7 +7,7 @@ use crate::image::GrayView;
 use crate::math::{DVec2, abs, exp, median, sqrt};
 use alloc::vec::Vec;
 use core::f64::consts::PI;
-use core::ops::Range;
+use core::ops::{Range, RangeInclusive};
 
 /// Variance of rounding to whole grey levels: no image has less noise.
 const ROUNDING_LEVELS2: f64 = 1.0 / 12.0;
@@ -177,9 +177,8 @@ struct Total {
 }
 
 impl NoiseMeter {
-    /// From the pixels of every so many rows of `image` (faint grain shows in no fewer than [`ENOUGH_ROWS`]) that lie so many
-    /// pixels off the set pixels of `mask`, among the markers at `centres_px`: means over the rows, without those that a scratch or a smear
-    /// reaches. `None` when there is no such gel.
+    /// From the pixels of every so many rows of `image` that lie so many pixels off the set pixels of `mask`, among the markers
+    /// at `centres_px`: means over pieces, without those that a scratch or an edge reaches. `None` when there is no such gel.
     pub fn run(
         &mut self,
         image: GrayView<'_>,
@@ -205,7 +204,7 @@ impl NoiseMeter {
         image: GrayView<'_>,
         centres_px: &[DVec2],
         (every, clearance_px): (usize, usize),
-        mut cover: impl FnMut(core::ops::RangeInclusive<usize>, &mut RowBits),
+        mut cover: impl FnMut(RangeInclusive<usize>, &mut RowBits),
     ) -> Option<Noise> {
         self.pieces.clear();
         // More rows among the markers are only looked at where these have too few pairs.
@@ -214,7 +213,7 @@ impl NoiseMeter {
         self.scratch.clear();
         self.scratch.reserve(self.pieces.capacity().max(centres_px.len()));
         let glares = image.reaches(GLARE_LEVEL);
-        let mut cover = |rows: core::ops::RangeInclusive<usize>, near: &mut RowBits| {
+        let mut cover = |rows: RangeInclusive<usize>, near: &mut RowBits| {
             cover(rows.clone(), near);
             // A light's reflection is no gel, and hides markers: it is clear of their mask.
             if glares {
@@ -251,7 +250,7 @@ impl NoiseMeter {
         image: GrayView<'_>,
         columns: impl Fn(usize) -> Range<usize>,
         (every, clearance_px): (usize, usize),
-        cover: &mut impl FnMut(core::ops::RangeInclusive<usize>, &mut RowBits),
+        cover: &mut impl FnMut(RangeInclusive<usize>, &mut RowBits),
     ) -> Total {
         let (width, height) = (image.width(), image.height());
         let mut total = Total::default();
