@@ -111,6 +111,13 @@ def test_localize_from_images_and_from_points(folder: Path, capsys: pytest.Captu
     out = folder / "pose.json"
     assert main([str(w) for w in ["localize", "--points", folder / "patch.csv", *part, "--output", out]]) == 0
     assert json.loads(out.read_text())["t_sensor_object"][2][3] == pytest.approx(37.2, abs=0.01)
+    # With a guess that the part cannot have come from, the best pose explains nothing, and a script can tell.
+    part[part.index("--guess-deg") + 1] = 90
+    words = ["localize", "--images", folder / "frames", *part]
+    capsys.readouterr()
+    assert main([str(w) for w in words]) == 1
+    said = capsys.readouterr()
+    assert json.loads(said.out)["verdict"] == "does_not_fit" and "does not explain the contact" in said.err
 
 
 @pytest.mark.parametrize("kind", [".npy", ".ply", ".csv", ".txt"])

@@ -51,7 +51,8 @@ def test_a_far_guess_finds_a_corner_with_every_marker(template: Template) -> Non
     centre = np.append(salient.mean(axis=0), 1.0)
     moved = (found.t_sensor_object @ np.linalg.inv(truth) @ centre - centre)[:3]
     assert found.converged and np.isfinite(found.log_likelihood)
-    # This gel is back at rest beside the part, so that nothing is asked of it, and nothing answered.
+    # This gel is back at rest beside the part: its model does not hold, is not used, and leaves a doubt.
+    assert found.log_odds > 0.0 and found.verdict == "unsure"
     assert found.gel_decay_mm is None and found.gel_decay_at_limit is None
     # Success as elsewhere: 2 degrees and 0.3 mm at the patch.
     assert np.linalg.norm(error[:3]) < np.deg2rad(2.0) and np.linalg.norm(moved) < 0.3

@@ -8,8 +8,8 @@ across. By law, over starts of 5 degrees and 1 mm, 10 and 2, 20 and 3.5, 30 and 
 - within 95 %: successes of which the truth lies in the region that their covariance states for 95 %;
 - NEES: squared error of successes over the stated variance, per direction, median and mean; 1 is right;
 - beyond 3x: successes of which the truth lies farther than three times that region's radius;
-- doubted: successes with `log_odds` of 0 or less;
-- wrong believed: answers with `log_odds` above 0, of another part; of guesses on another face, turned end
+- right: successes by verdict, `unsure` and `does_not_fit`;
+- wrong believed: answers with the verdict `fits`, of another part; of guesses on another face, turned end
   for end or by a quarter; of ordinary starts that did not succeed, where no alternative is the truth.
 
 Answers that lie on the part as the truth does count in none of these: no height could tell them apart.
@@ -117,7 +117,7 @@ class Figures:
     success: dict[str, list[bool]] = field(default_factory=lambda: defaultdict(list))
     over_bound: list[float] = field(default_factory=list)
     nees: Nees = field(default_factory=Nees)
-    doubted: list[bool] = field(default_factory=list)
+    verdicts: list[str] = field(default_factory=list)
     other_part: list[bool] = field(default_factory=list)
     other_face: list[bool] = field(default_factory=list)
     failed_believed: list[bool] = field(default_factory=list)
@@ -134,7 +134,9 @@ class Figures:
             f"{self.nees.within:.0f}",
             f"{np.median(squared / counts):.2f} / {self.nees.mean:.2f}",
             f"{percent(beyond):.1f}",
-            f"{percent(self.doubted):.1f}",
+            " / ".join(
+                f"{percent([it == name for it in self.verdicts]):.1f}" for name in ("unsure", "does_not_fit")
+            ),
             f"{percent(self.other_part):.1f}",
             f"{percent(self.other_face):.1f} of {len(self.other_face)}",
             f"{sum(self.failed_believed)} of {len(self.failed_believed)}",
@@ -144,7 +146,7 @@ class Figures:
 
 HEAD = (
     "| law | contacts | success, % | over the bound, median | within 95 %, % | NEES, median / mean | beyond 3x, % "
-    "| right doubted, % | other part believed, % | other face believed, % | failed believed |\n"
+    "| right unsure / doubted, % | other part believed, % | other face believed, % | failed believed |\n"
     + 11 * "|---"
     + "|\n"
 )
@@ -174,7 +176,7 @@ def registered(one: Judged, template: Template, guess: Array, params: Params) ->
 
 def believed(found: Localization | None) -> bool:
     """Whether a pose is said to explain the contact."""
-    return found is not None and found.log_odds is not None and found.log_odds > 0.0
+    return found is not None and found.verdict == "fits"
 
 
 def judge(one: Judged, other: Grasp, params: Params, figures: Figures) -> None:
@@ -189,7 +191,7 @@ def judge(one: Judged, other: Grasp, params: Params, figures: Figures) -> None:
         if right and found is not None and score is not None:
             figures.over_bound.append(float(np.sqrt(score.squared / max(score.observable, 1))))
             figures.nees.add(found, grasp.t_sensor_object)
-            figures.doubted.append(not believed(found))
+            figures.verdicts.append(found.verdict)
         elif found is not None and pose is not None and not one.is_alike(pose):
             listed = any(grasp.score(np.asarray(pose)).success for pose, _ in found.alternatives)
             figures.failed_believed.append(believed(found) and not listed)

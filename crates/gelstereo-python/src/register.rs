@@ -139,8 +139,18 @@ impl Localization {
         self.found.log_likelihood
     }
 
-    /// Logarithm of the odds that the part is here over that no part is, both as likely beforehand; None but for the
-    /// surface methods. Below 0 the pose does not explain the contact: the part is elsewhere, or another. Those of
+    /// Whether the pose explains the contact.
+    ///
+    /// ``"fits"``: ``log_odds`` are above 0, the markers that touch the part miss it by no more than their noise explains
+    /// (chi-squared test at 1 %), and the method came to rest. ``"unsure"``: the odds are above 0, but one of the other two
+    /// does not hold; methods on samples always say so. ``"does_not_fit"``: the part is elsewhere, or another.
+    #[getter]
+    const fn verdict(&self) -> &'static str {
+        self.found.verdict.name()
+    }
+
+    /// Logarithm of the odds that the part is here over something else, both as likely beforehand; None but for the
+    /// surface methods. At 0 or below the pose does not explain the contact: the part is elsewhere, or another. Those of
     /// ``surface_search`` are charged for taking the best pose of all that the guess allows; the others' are not.
     #[getter]
     const fn log_odds(&self) -> Option<f64> {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,14 @@ EXAMPLES = """examples:
   gelstereo localize --images out/press --rig rig.toml --template plug.stl --units m --guess-mm 4 0 31
 
 Points are millimetres in the sensor frame (x right, y down, z away from the camera). With images, the first pair is
-the rest frame and the contact of the last one is localized. The pose is printed as JSON.
+the rest frame and the contact of the last one is localized. The pose is printed as JSON. The exit code is 1 where
+the part does not explain the contact.
 """
+
+DOES_NOT_FIT = (
+    "the part does not explain the contact (log_odds {odds:.1f}, a part that does has more than 0): it is another "
+    "part, another face of it, or farther from the guess than register.start_sigma_deg and register.start_sigma_mm say"
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -66,6 +73,9 @@ def run(arguments: argparse.Namespace) -> int:
         print(text)
     else:
         arguments.output.write_text(text + "\n")
+    if found.verdict == "does_not_fit":
+        print(f"gelstereo: {DOES_NOT_FIT.format(odds=found.log_odds)}", file=sys.stderr)
+        return 1
     return 0
 
 
@@ -89,6 +99,7 @@ def as_json(found: Localization) -> dict[str, Any]:
         "rmse_mm": found.rmse_mm,
         "free": [str(direction) for direction in found.free],
         "log_likelihood": found.log_likelihood,
+        "verdict": found.verdict,
         "log_odds": found.log_odds,
         "gel_decay_mm": found.gel_decay_mm,
         "gel_decay_at_limit": found.gel_decay_at_limit,

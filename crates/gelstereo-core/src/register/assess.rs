@@ -7,7 +7,8 @@ use super::observe::{PatchFrame, Sighting, System};
 use super::one_sided::OneSided;
 use super::soft::soft_match;
 use super::{
-    Alternatives, FreeDirections, Outcome, Problem, RegisterError, Registration, Scratch, check_reach,
+    Alternatives, FreeDirections, Outcome, Problem, RegisterError, Registration, Scratch, Verdict,
+    check_reach,
 };
 use crate::math::{centroid, sqrt};
 use crate::params::RegisterMethod;
@@ -68,6 +69,7 @@ pub(super) fn registration(
         // Normals are read at samples, and so at most half a spacing off.
         log_likelihood: None,
         log_odds: None,
+        verdict: Verdict::Unsure,
         gel_decay: None,
         alternatives: Alternatives::NONE,
         free: FreeDirections::new(&in_object, params.point_sigma_mm.max(0.5 * template.spacing_mm()), &[]),

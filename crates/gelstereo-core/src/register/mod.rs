@@ -26,6 +26,7 @@ mod surfels;
 mod symmetry;
 mod template;
 mod tree;
+mod verdict;
 
 pub use codec::TemplateBytesError;
 pub use error::{RegisterError, TemplateError};
@@ -41,6 +42,7 @@ pub use surface::{
 pub use symmetry::Symmetry;
 pub use template::Template;
 pub use tree::Tree;
+pub use verdict::Verdict;
 
 use crate::digest::Digest;
 use crate::math::linalg::Symmetric;
@@ -81,15 +83,19 @@ pub struct Registration {
     /// Natural logarithm of the pose's likelihood over that of a perfect fit, known to
     /// the rungs on the surface alone. It compares poses of one contact, and no more.
     pub log_likelihood: Option<f64>,
-    /// Natural logarithm of the odds that the part is here over that no part is, both as likely beforehand; known to
-    /// the rungs on the surface alone. Below 0 the pose does not explain the contact: the part is elsewhere, or another.
+    /// Natural logarithm of the odds that the part is here over something else, both as likely beforehand; known to
+    /// the rungs on the surface alone. At 0 or below the pose does not explain the contact: the part is elsewhere, or
+    /// another. [`Self::verdict`] asks for more than that.
     ///
-    /// Where the gel was asked its heights tell; elsewhere distances from the part, and the gel's shoulder, as far beside
-    /// the part as twice the contact's decay length, says little of either. A search takes the pose that fits best of all
-    /// within `register.start_sigma_deg` and `register.start_sigma_mm`, and its odds are charged for that: noise seldom
+    /// Where the gel's model was used, markers that touch or are lifted tell whatever the law of the gel. The markers beside
+    /// the part count where they agree with the model. Elsewhere distances from the part, and the gel's shoulder, as far
+    /// beside the part as twice the contact's decay length, say little of either. A search takes the pose that fits best of
+    /// all within `register.start_sigma_deg` and `register.start_sigma_mm`, and its odds are charged for that: noise seldom
     /// has odds above 0. Those of the rungs from one start are not: of noise they have odds above 0
     /// once in 25 times (`surface_close`) or in 100 (`surface_track`; simulated).
     pub log_odds: Option<f64>,
+    /// Whether the pose explains the contact.
+    pub verdict: Verdict,
     /// The gel's decay length that explains the contact best; `None` where the gel was not asked, which `surface_search`
     /// alone does, and it only where markers show what the gel does.
     pub gel_decay: Option<GelDecay>,
@@ -146,6 +152,7 @@ impl Registration {
             .f64s(free.flat_map(|v| v.to_array()))
             .f64s(self.log_likelihood)
             .f64s(self.log_odds)
+            .u64(self.verdict as u64)
             .f64s(self.gel_decay.map(|gel| gel.length_mm))
             .f64s(others)
             .u64(u64::from(self.alternatives.is_cut()))

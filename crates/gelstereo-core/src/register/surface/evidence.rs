@@ -1,7 +1,7 @@
 //! What the contact says about the pose that was found: information, free directions, and other poses as likely.
 
 use super::contact::Samples;
-use super::odds::{log_odds, searched};
+use super::odds::{odds, searched};
 use super::polish::{End, PolishScratch};
 use super::search::Candidate;
 use super::settled::SettledScratch;
@@ -9,7 +9,7 @@ use crate::math::linalg::Symmetric;
 use crate::math::{DVec3, Pose, sqrt};
 use crate::params::{RegisterMethod, RegisterParams};
 use crate::register::observe::{Sighting, System, dot, stack};
-use crate::register::{FreeDirections, Observability, Registration};
+use crate::register::{FreeDirections, Observability, Registration, Verdict};
 use core::f64::consts::PI;
 
 /// Past half of what is told being missing, squares do not say how much is.
@@ -122,10 +122,19 @@ pub(super) fn registration(
     let asked = readings.2.is_some().then_some(readings.1);
     let mut in_object = observe(params, samples, read, readings, end.converged);
     if let Some(settled) = asked {
-        in_object =
-            in_object.widened(law_excess(samples, settled.here.touching_misfit(params.outlier_share)));
+        let touching = settled.here.touching_misfit(params.outlier_share, |_| false);
+        in_object = in_object.widened(law_excess(samples, touching));
     }
-    let at_pose = log_odds(params, samples, (scratch, asked));
+    // Salient markers carry pressure, and should touch. Where the gel is known and its model explains too little, they do not.
+    let is_salient = |k: usize| samples.gel.nodes[k].index < samples.pressed.len();
+    let tested = match asked {
+        Some(settled) => Some(settled.here.touching_misfit(params.outlier_share, is_salient)),
+        None if params.method == RegisterMethod::SurfaceSearch && samples.gel.is_known() => {
+            Some((f64::INFINITY, 0.0))
+        }
+        None => None,
+    };
+    let at_pose = odds(params, samples, (scratch, asked)).log;
     // One start looks nowhere else.
     let has_searched = params.method == RegisterMethod::SurfaceSearch;
     let elsewhere = if has_searched { searched(params, &in_object, candidates) } else { 0.0 };
@@ -148,6 +157,7 @@ pub(super) fn registration(
         ),
         log_likelihood: Some(-best.cost),
         log_odds: Some(at_pose - elsewhere),
+        verdict: Verdict::new(at_pose - elsewhere, tested, end.converged),
         gel_decay: None,
         alternatives: Alternatives::NONE,
     }

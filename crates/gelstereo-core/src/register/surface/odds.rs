@@ -1,10 +1,10 @@
-//! Whether the part is where it is said to be: the odds of that over no part being there.
+//! Whether the part is where it is said to be: the odds of that over something else being there.
 
 use super::contact::Samples;
 use super::noise::{LEAST_OUTLIERS, Likelihood, STRAY_MM};
 use super::polish::{PolishScratch, Reading};
 use super::search::Candidate;
-use super::settled::{SettledScratch, Sight};
+use super::settled::SettledScratch;
 use crate::math::{exp, ln, sqrt};
 use crate::params::RegisterParams;
 use crate::register::Observability;
@@ -16,17 +16,29 @@ const BESIDE: f64 = 2.0;
 /// The share of points that touch is what the points themselves say; it starts close and settles at once.
 const STEPS: u32 = 2;
 
-/// What was read at a pose: distances, and the gel's heights if it was asked.
+/// A marker is lifted when it stands so many standard deviations over its rest height.
+const LIFTED: f64 = 3.0;
+/// Markers beside the part that follow no law of the gel are so many standard deviations less likely than noise makes them.
+const LAW_BROKEN: f64 = 3.0;
+
+/// What was read at a pose: distances, and the gel's heights if its model was used.
 pub(super) type Read<'a> = (&'a PolishScratch, Option<&'a SettledScratch>);
 
-/// ln P(markers | part at the pose) - ln P(markers | no part), the prior odds even.
-///
-/// Without the part the salient points are anywhere within the patch's height, and something else has lifted those
-/// around. Points count as independent: far from even odds the figure is too sure of itself.
-pub(super) fn log_odds(params: &RegisterParams, samples: &Samples, (scratch, settled): Read<'_>) -> f64 {
+/// What the markers say of a pose.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Odds {
+    /// ln P(markers | part at the pose) - ln P(markers | something else), both as likely beforehand. Points count as
+    /// independent: far from even odds the figure is too sure of itself.
+    pub log: f64,
+    /// Whether the gel beside the part does what its model says.
+    pub is_law_kept: bool,
+}
+
+/// The odds at a pose, before they are charged for the search.
+pub(super) fn odds(params: &RegisterParams, samples: &Samples, (scratch, settled): Read<'_>) -> Odds {
     match settled {
         Some(settled) => by_heights(samples, settled, params.outlier_share),
-        None => by_distances(samples, scratch, params.outlier_share),
+        None => Odds { log: by_distances(samples, scratch, params.outlier_share), is_law_kept: true },
     }
 }
 
@@ -46,24 +58,31 @@ pub(super) fn searched(params: &RegisterParams, seen: &Observability, answers: &
     seen.directions.iter().zip(seen.values).map(narrowed).sum::<f64>() - ln(peaks)
 }
 
-/// By the heights of the gel with the part in it. Of a marker that is not salient the gel on whatever lifts it tells as well
-/// as noise lets it: half a squared deviation of 1.
-fn by_heights(samples: &Samples, settled: &SettledScratch, outliers: f64) -> f64 {
-    let salient = samples.pressed.len();
+/// By the heights of the gel with the part in it.
+///
+/// Markers that touch, or are lifted, stand where the part puts them, or anywhere within the patch's height. That holds
+/// whatever the law of the gel. Of the other markers the model of the gel is right or wrong: where they agree with it they
+/// count as evidence (half a squared deviation of 1 is what noise makes), and where they do not, the law is at fault.
+fn by_heights(samples: &Samples, settled: &SettledScratch, outliers: f64) -> Odds {
     let stray = outliers.max(LEAST_OUTLIERS) / (STRAY_MM * samples.gel_scale);
     let gain = |with: f64, without: f64| {
         ln(((1.0 - outliers) * with + stray) / ((1.0 - outliers) * without + stray))
     };
-    let one = |(k, sight): (usize, &Sight)| {
-        let peak = 1.0 / sqrt(TAU * sight.variance_mm2);
+    let (mut part, mut beside, mut count) = (0.0, 0.0, 0.0);
+    for (sight, height_mm) in settled.here.sights.iter().zip(&settled.here.heights_mm) {
+        let sigma_mm = sqrt(sight.variance_mm2);
+        let peak = 1.0 / (sqrt(TAU) * sigma_mm);
         let half_squared = 0.5 * sight.residual_mm * sight.residual_mm / sight.variance_mm2;
-        if k < salient {
-            gain(peak * exp(-half_squared), 1.0 / samples.height_mm)
+        let measured_mm = sight.residual_mm + height_mm;
+        if sight.touches || measured_mm > LIFTED * sigma_mm {
+            part += gain(peak * exp(-half_squared), 1.0 / samples.height_mm);
         } else {
-            gain(peak * exp(0.5 - half_squared), peak)
+            beside += gain(peak * exp(0.5 - half_squared), peak);
+            count += 1.0;
         }
-    };
-    samples.gel.nodes.iter().map(|node| node.index).zip(&settled.here.sights).map(one).sum()
+    }
+    // Half a squared deviation has a variance of 1/2.
+    Odds { log: part + beside.max(0.0), is_law_kept: beside > -LAW_BROKEN * sqrt(0.5 * count) }
 }
 
 /// By distances from the part. A salient point touches it, within its noise, or hangs up to as high over it as the patch

@@ -3,7 +3,7 @@
 use super::contact::Samples;
 use super::evidence::Told;
 use super::fit::View;
-use super::odds::log_odds;
+use super::odds::odds;
 use super::others::Others;
 use super::part::{Coarse, Distances, Exact};
 use super::polish::{End, OUT_OF_REACH_MM, Polish, PolishScratch};
@@ -151,10 +151,17 @@ impl Search<'_> {
         if self.samples.gel.is_known() {
             let before: [Option<Candidate>; KEPT] = core::array::from_fn(|k| candidates.get(k).copied());
             let end = self.settle_few(candidates, settled);
+            let is_spent = self.has_spent();
+            let without = before[0].filter(|_| is_spent).map_or(f64::INFINITY, |one| {
+                let (cost, work) = self.polish(self.faces).compare(&one.placement, scratch);
+                self.work += work;
+                cost
+            });
             settled.show(candidates[0].slot);
-            self.work += self.polish(self.faces).compare(&candidates[0].placement, scratch).1;
-            // A pose that was not reached explains little, and there is nothing left to do without the gel.
-            self.is_settled = self.has_spent() || settled.here.explained() >= EXPLAINED;
+            let (with, work) = self.polish(self.faces).compare(&candidates[0].placement, scratch);
+            self.work += work;
+            // Steps that were cut short may have left the pose worse than they found it, and nothing is left to mend it.
+            self.is_settled = if is_spent { with <= without } else { settled.here.explained() >= EXPLAINED };
             if self.is_settled {
                 return self.others(candidates, runners_up, end, (scratch, settled));
             }
@@ -188,14 +195,24 @@ impl Search<'_> {
     ) -> End {
         let before = self.work;
         self.is_cut = self.has_spent();
-        // Where the part is not what touches the gel, nothing explains the contact as well.
         let asked = self.is_settled.then_some(&*settled);
-        if log_odds(self.params, self.samples, (scratch, asked)) <= 0.0 {
+        let odds = odds(self.params, self.samples, (scratch, asked));
+        // Where the part is not what touches the gel, nothing explains the contact as well.
+        if odds.log <= 0.0 {
             candidates.truncate(1);
             return end;
         }
+        // Where the gel follows another law, likelihoods of poses do not compare: turns that show the part alike are all that
+        // is known.
+        if !odds.is_law_kept {
+            candidates.truncate(1);
+            runners_up.clear();
+            self.is_cut = true;
+        }
         let mut others = Others::new(self, (&candidates[0], end), (scratch, settled));
-        others.hold(&mut candidates[0]);
+        if odds.is_law_kept {
+            others.hold(&mut candidates[0]);
+        }
         let ((mut read, end), is_cut) = others.find(candidates, runners_up);
         self.is_cut |= is_cut;
         if self.work > before {

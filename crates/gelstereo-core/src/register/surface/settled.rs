@@ -95,15 +95,18 @@ impl Prediction {
         mean(self.at_part().map(|s| s.weight * squared(s) + 1.0 - s.weight)).unwrap_or(f64::INFINITY)
     }
 
-    /// As [`Self::misfit`], of the markers that touch the part, and how many they are. Outliers beyond the expected share
-    /// are no chance: each counts as much as an outlier may.
-    pub fn touching_misfit(&self, outlier_share: f64) -> (f64, f64) {
-        let touching = || self.sights.iter().filter(|sight| sight.touches);
+    /// As [`Self::misfit`], of the markers that touch the part, and of others by their place in the list, and how many they
+    /// are. Outliers beyond the expected share are no chance: each counts as much as an outlier may.
+    pub fn touching_misfit(&self, outlier_share: f64, and: impl Fn(usize) -> bool) -> (f64, f64) {
+        let tested = || {
+            let all = self.sights.iter().enumerate();
+            all.filter(|(k, sight)| sight.touches || and(*k)).map(|(_, sight)| sight)
+        };
         let squared = |sight: &Sight| sight.residual_mm * sight.residual_mm / sight.variance_mm2;
-        let good = mean(touching().map(|s| s.weight * squared(s) + 1.0 - s.weight)).unwrap_or(1.0);
-        let outliers = mean(touching().map(|s| 1.0 - s.weight)).unwrap_or(0.0);
+        let good = mean(tested().map(|s| s.weight * squared(s) + 1.0 - s.weight)).unwrap_or(1.0);
+        let outliers = mean(tested().map(|s| 1.0 - s.weight)).unwrap_or(0.0);
         let unexpected = (outliers - outlier_share).max(0.0);
-        (good + unexpected * (MOST - 1.0), touching().count() as f64)
+        (good + unexpected * (MOST - 1.0), tested().count() as f64)
     }
 
     /// The markers that touch it or are lifted.
