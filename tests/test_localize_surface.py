@@ -76,3 +76,47 @@ def test_a_template_of_points_is_as_good_as_its_mesh(template: Template) -> None
     found = localize(salient, scan, t_sensor_object=guess, all_points_mm=everything, params=SEARCH)
     error = np.array(se3_log(np.linalg.inv(found.t_sensor_object) @ truth))
     assert np.linalg.norm(error[:3]) < np.deg2rad(2.0) and found.log_odds > 0
+
+
+def edge(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """A patch on a box's face of 8 by 30 mm, pressed toward the camera: the pose, and the salient points."""
+    rng = np.random.default_rng(seed)
+    truth = np.array(se3_exp([-0.5 * np.pi, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    truth[2, 3] = 30.0
+    across, along = np.meshgrid(np.arange(-3.6, 3.7, 0.9), np.arange(-9.0, 9.1, 0.9))
+    points = np.column_stack([across.ravel(), along.ravel(), np.full(across.size, 27.0)])
+    return truth, points + 0.02 * rng.normal(size=points.shape)
+
+
+@pytest.mark.parametrize("method", ["surface_search", "surface_close", "surface_track"])
+@pytest.mark.parametrize("seed", range(4))
+def test_row_50_a_patch_is_registered_whichever_way_it_was_pressed(
+    template: Template, seed: int, method: str
+) -> None:
+    """The sensor's frame turned at will: the press direction that turns with it gives the turned pose."""
+    params = SEARCH.replace({"register.method": method})
+    truth, salient = edge(seed)
+    turn = np.array(se3_exp([*np.random.default_rng(seed).uniform(-3.0, 3.0, 3), 0.0, 0.0, 0.0]))
+    guess = turn @ truth @ se3_exp([0.05, -0.05, 0.05, 0.3, -0.3, 0.3])
+    turned, way = salient @ turn[:3, :3].T, -2.0 * turn[:3, 2]
+    found = localize(turned, template, t_sensor_object=guess, params=params, press_direction=way)
+    # The face lies on the patch, to the noise of 0.02 mm; a marker at a corner may hang by some sigma.
+    back = (turned - found.t_sensor_object[:3, 3]) @ found.t_sensor_object[:3, :3]
+    distances = template.closest(back).distances_mm
+    assert found.verdict != "does_not_fit" and np.sqrt(np.mean(np.square(distances))) < 0.03
+
+
+@pytest.mark.parametrize("method", ["surface_search", "surface_close", "surface_track"])
+@pytest.mark.parametrize("angle_deg", [65.0, 90.0, 115.0])
+def test_row_50_a_patch_that_lies_across_the_press_is_refused(
+    template: Template, angle_deg: float, method: str
+) -> None:
+    truth, salient = edge(0)
+    for axis in np.eye(3)[:2]:
+        turn = np.array(se3_exp([*np.radians(angle_deg) * axis, 0.0, 0.0, 0.0]))
+        turned, guess = salient @ turn[:3, :3].T, turn @ truth
+        params = SEARCH.replace({"register.method": method})
+        with pytest.raises(RegisterError, match=r"valid is up to 60: hand over press_direction"):
+            localize(turned, template, t_sensor_object=guess, params=params)
+    with pytest.raises(RegisterError, match="no unit vector"):
+        localize(salient, template, t_sensor_object=truth, params=SEARCH, press_direction=(0.0, 0.0, 0.0))

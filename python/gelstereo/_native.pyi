@@ -634,7 +634,12 @@ class Localization:
 @final
 class Localizer:
     def __new__(
-        cls, template: Template, *, t_sensor_object: npt.ArrayLike, params: Params | None = None
+        cls,
+        template: Template,
+        *,
+        t_sensor_object: npt.ArrayLike,
+        params: Params | None = None,
+        press_direction: npt.ArrayLike | None = None,
     ) -> Localizer: ...
     @property
     def template(self) -> Template: ...
@@ -657,6 +662,7 @@ def localize(
     all_points_mm: npt.ArrayLike | None = None,
     covariance_mm2: npt.ArrayLike | None = None,
     params: Params | None = None,
+    press_direction: npt.ArrayLike | None = None,
 ) -> Localization: ...
 
 @final

@@ -6,7 +6,7 @@ use crate::interrupt::stoppable;
 use crate::params::Params;
 use crate::pickle;
 use crate::template::Template;
-use gelstereo_core::math::DVec3;
+use gelstereo_core::math::{DVec3, sqrt};
 use gelstereo_core::params::{RegisterMethod, RegisterParams};
 use gelstereo_core::register as core;
 use gelstereo_core::stop::Stop;
@@ -258,6 +258,9 @@ const MOST_POINTS: usize = 20_000;
 ///     Covariance of each of `points_mm`, for the same methods; without it ``register.point_sigma_mm`` holds for all.
 /// params : Params, optional
 ///     Its ``register`` part is used, and ``contact.decay_mm``.
+/// press_direction : (3,) array_like, optional
+///     The way from the part into the gel, sensor frame, of any length; toward the camera, (0, 0, -1), if left out. Only
+///     faces that look this way can be touched. The methods on the part's surface use it.
 ///
 /// Returns
 /// -------
@@ -266,9 +269,13 @@ const MOST_POINTS: usize = 20_000;
 /// Raises
 /// ------
 /// RegisterError
-///     If the patch cannot be registered, for example with too few points, or if it is not among all markers.
+///     If the patch cannot be registered, for example with too few points, if it is not among all markers, or if it lies
+///     across the press direction.
 #[pyfunction]
-#[pyo3(signature = (points_mm, template, *, t_sensor_object, all_points_mm=None, covariance_mm2=None, params=None))]
+#[pyo3(signature = (
+    points_mm, template, *, t_sensor_object, all_points_mm=None, covariance_mm2=None, params=None, press_direction=None
+))]
+#[expect(clippy::too_many_arguments, reason = "keyword arguments of Python")]
 pub fn localize(
     py: Python<'_>,
     points_mm: &Bound<'_, PyAny>,
@@ -277,6 +284,7 @@ pub fn localize(
     all_points_mm: Option<&Bound<'_, PyAny>>,
     covariance_mm2: Option<&Bound<'_, PyAny>>,
     params: Option<&Bound<'_, Params>>,
+    press_direction: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<Localization> {
     let guess = arrays::pose(t_sensor_object, "t_sensor_object")?;
     let template = template.get().inner();
@@ -287,10 +295,10 @@ pub fn localize(
             stage.register_unless(contact, template, &guess, stop)
         })
     };
-    let decay_mm = params.contact.decay_mm;
+    let gel = Gel::new(&params, press_direction)?;
     let method = params.register.method;
     let markers = (points_mm, all_points_mm, covariance_mm2);
-    let found = with_contact(py, markers, method, decay_mm, register)?;
+    let found = with_contact(py, markers, method, gel, register)?;
     Ok(Localization { found, standing: None, misfit: None })
 }
 
@@ -302,12 +310,38 @@ thread_local! {
 /// Salient points, all points and covariances, as they are handed over.
 type Markers<'a, 'py> = (&'a Bound<'py, PyAny>, Option<&'a Bound<'py, PyAny>>, Option<&'a Bound<'py, PyAny>>);
 
+/// What is said of the gel.
+#[derive(Clone, Copy)]
+struct Gel {
+    decay_mm: f64,
+    /// Unit vector from the part into the gel, sensor frame.
+    press_direction: DVec3,
+}
+
+impl Gel {
+    fn new(
+        params: &gelstereo_core::params::Params,
+        press_direction: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Self> {
+        let press_direction = match press_direction {
+            None => DVec3::NEG_Z,
+            Some(given) => {
+                let given = DVec3::from_array(Numbers::new(given, "press_direction")?.vector::<3>()?);
+                // What has no length is refused as no unit vector.
+                let scaled = given / given.abs().max_element();
+                scaled / sqrt(scaled.length_squared())
+            }
+        };
+        Ok(Self { decay_mm: params.contact.decay_mm, press_direction })
+    }
+}
+
 /// Runs what needs a contact for a method, with the interpreter released, until a signal stops it.
 fn with_contact<T: Send>(
     py: Python<'_>,
     (points_mm, all_points_mm, covariance_mm2): Markers<'_, '_>,
     method: RegisterMethod,
-    decay_mm: f64,
+    gel: Gel,
     run: impl FnOnce(&core::Contact<'_>, Stop<'_>) -> Result<T, core::RegisterError> + Send,
 ) -> PyResult<T> {
     let points = Numbers::new(points_mm, "points_mm")?;
@@ -331,7 +365,8 @@ fn with_contact<T: Send>(
         let contact = core::Contact {
             covariance_mm2: covariances,
             unpressed_mm: &unpressed_mm,
-            decay_mm,
+            decay_mm: gel.decay_mm,
+            press_direction: gel.press_direction,
             ..core::Contact::new(points)
         };
         run(&contact, stop)
@@ -358,7 +393,9 @@ fn with_contact<T: Send>(
 /// t_sensor_object : (4, 4) array_like
 ///     Where the part is expected: maps object coordinates to sensor coordinates.
 /// params : Params, optional
-///     Its ``register`` part is used.
+///     Its ``register`` part is used, and ``contact.decay_mm``.
+/// press_direction : (3,) array_like, optional
+///     As of `localize`.
 ///
 /// Examples
 /// --------
@@ -373,7 +410,7 @@ fn with_contact<T: Send>(
 #[pyclass(frozen, module = "gelstereo")]
 pub struct Localizer {
     stage: Mutex<core::Localizer>,
-    decay_mm: f64,
+    gel: Gel,
     template: Py<Template>,
 }
 
@@ -386,16 +423,17 @@ impl Localizer {
 #[pymethods]
 impl Localizer {
     #[new]
-    #[pyo3(signature = (template, *, t_sensor_object, params=None))]
+    #[pyo3(signature = (template, *, t_sensor_object, params=None, press_direction=None))]
     fn new(
         template: Py<Template>,
         t_sensor_object: &Bound<'_, PyAny>,
         params: Option<&Bound<'_, Params>>,
+        press_direction: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
         let expected = arrays::pose(t_sensor_object, "t_sensor_object")?;
         let params = Params::or_default(params);
         let stage = core::Localizer::new(&params.register, &expected);
-        Ok(Self { stage: Mutex::new(stage), decay_mm: params.contact.decay_mm, template })
+        Ok(Self { stage: Mutex::new(stage), gel: Gel::new(&params, press_direction)?, template })
     }
 
     /// The part that is followed.
@@ -459,7 +497,7 @@ impl Localizer {
         // What is lost is searched for.
         let method = RegisterMethod::SurfaceSearch;
         let markers = (points_mm, all_points_mm, covariance_mm2);
-        let located = with_contact(py, markers, method, self.decay_mm, run)?;
+        let located = with_contact(py, markers, method, self.gel, run)?;
         Ok(Localization {
             found: located.registration,
             standing: Some(located.standing),

@@ -141,6 +141,15 @@ pub enum RegisterError {
     },
     /// The way of the press is no unit vector.
     PressDirection,
+    /// The patch lies across the way of the press: no part pressed that way leaves it.
+    PatchAside {
+        /// Angle between the patch's normal and the way of the press.
+        angle_deg: f64,
+        /// The largest that is taken.
+        most_deg: f64,
+        /// The way of the press.
+        press_direction: [f64; 3],
+    },
     /// A decay length that no gel has.
     Decay {
         /// The length found.
@@ -209,6 +218,12 @@ impl core::fmt::Display for RegisterError {
             Self::PressDirection => {
                 write!(f, "the press direction is no unit vector; give the way from the part into the gel")
             }
+            Self::PatchAside { angle_deg, most_deg, press_direction: [x, y, z] } => write!(
+                f,
+                "the patch's normal is {angle_deg:.0} degrees from the way of the press, ({x:.2}, {y:.2}, {z:.2}); valid is \
+                 up to {most_deg:.0}: hand over press_direction, the way from the part into the gel, if the part was not \
+                 pressed toward the camera, or check the frame of the points"
+            ),
             Self::Decay { found_mm } => {
                 write!(
                     f,

@@ -4,7 +4,7 @@ use super::buckets::Buckets;
 use super::gel::Gel;
 use super::hanging::Pressures;
 use crate::math::linalg::{Symmetric, eigen};
-use crate::math::{DVec3, sqrt};
+use crate::math::{DVec3, acos, asin, centroid, sqrt};
 use crate::params::{ContactParams, RegisterParams};
 use crate::register::RegisterError;
 use crate::register::template::REACH_MM;
@@ -42,6 +42,7 @@ impl<'a> Contact<'a> {
         if !((self.press_direction.length_squared() - 1.0).abs() < 1e-6) {
             return Err(RegisterError::PressDirection);
         }
+        self.check_facing()?;
         if !(self.decay_mm > 0.0 && self.decay_mm <= REACH_MM) {
             return Err(RegisterError::Decay { found_mm: self.decay_mm });
         }
@@ -63,7 +64,40 @@ impl<'a> Contact<'a> {
             None => Ok(()),
         }
     }
+
+    /// Refuses a patch that lies across the way of the press: a thin one by its normal, a long one by its length.
+    fn check_facing(&self) -> Result<(), RegisterError> {
+        let centre_mm = centroid(self.points_mm);
+        let mut spread = [[0.0; 3]; 3];
+        for p in self.points_mm {
+            let off = (*p - centre_mm).to_array();
+            for (row, x) in spread.iter_mut().zip(off) {
+                row.iter_mut().zip(off).for_each(|(entry, y)| *entry += x * y);
+            }
+        }
+        let found = eigen(&spread);
+        let along = |k: usize| DVec3::from_array(found.vectors[k]).dot(self.press_direction).abs().min(1.0);
+        let most = MOST_ASIDE_DEG.to_radians();
+        let is_thin = found.values[1] > TOLD * found.values[0];
+        let is_long = found.values[2] > TOLD * found.values[1];
+        let angle_rad = if is_thin { acos(along(0)) } else { 0.0 };
+        let angle_rad = if is_long { angle_rad.max(asin(along(2))) } else { angle_rad };
+        if angle_rad <= most {
+            return Ok(());
+        }
+        Err(RegisterError::PatchAside {
+            angle_deg: angle_rad.to_degrees(),
+            most_deg: MOST_ASIDE_DEG,
+            press_direction: self.press_direction.to_array(),
+        })
+    }
 }
+
+/// A patch farther from facing the press than this was not pressed that way. Gel follows slopes of at most about 45 degrees,
+/// and a patch's normal is a mean.
+const MOST_ASIDE_DEG: f64 = 60.0;
+/// A direction of the patch is told from the next when it is spread twice as far: its variance is four times as large.
+const TOLD: f64 = 4.0;
 
 /// Whether a marker can be where it is said to be; what is not a number is not within.
 pub(super) fn is_within(p_mm: &DVec3) -> bool {
