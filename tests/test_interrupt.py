@@ -92,6 +92,19 @@ NEAREST = (
     f"{UNCHANGED}; assert len(template.nearest(away[:9])[0]) == 9",
 )
 POINTS = ("points, _ = shell(4_000_000)", "geometry.nearest(points[:50_000], points)", "")
+TREE = ("points, _ = shell(3_000_000)", "geometry.nearest(points, points[:9])", "")
+GRID_DISTANCE = (
+    TEMPLATE.format(5)
+    + "; template = template.with_grid(); before = template.digest; away, _ = shell(6_000_000)",
+    "template.grid_distance(away)",
+    UNCHANGED,
+)
+DENSE = (
+    "from gelstereo import DenseSurface; y, x = np.mgrid[:25, :25] * 0.9; "
+    "rest = np.column_stack([x.ravel(), y.ravel()])",
+    "DenseSurface(rest, 0.011)",
+    "",
+)
 LAYER = (
     "layer = LayerContact(thickness_mm=4.0, poisson_ratio=0.48, rows=256, cols=256, cell_mm=0.1, friction=0.5); "
     "y, x = np.mgrid[:256, :256] * 0.1 - 12.8; heights = 1.0 - (x * x + y * y) / 8.0; "
@@ -148,6 +161,9 @@ CASES = {
     "closest": CLOSEST,
     "nearest": NEAREST,
     "points": POINTS,
+    "tree": TREE,
+    "grid_distance": GRID_DISTANCE,
+    "dense": DENSE,
     "layer": LAYER,
     "localizer": LOCALIZER,
     **SAMPLES,

@@ -2,6 +2,7 @@
 
 use crate::arrays::{self, Array1, Matrix, Numbers};
 use crate::errors::raise;
+use crate::interrupt::stoppable;
 use gelstereo_core::math::{DVec2, DVec3};
 use gelstereo_core::surface as core;
 use numpy::{PyArray2, PyArray3};
@@ -34,9 +35,11 @@ pub struct DenseSurface {
 #[pymethods]
 impl DenseSurface {
     #[new]
-    fn new(rest_mm: &Bound<'_, PyAny>, step_mm: f64) -> PyResult<Self> {
+    fn new(py: Python<'_>, rest_mm: &Bound<'_, PyAny>, step_mm: f64) -> PyResult<Self> {
         let rest = Numbers::new(rest_mm, "rest_mm")?;
-        Ok(Self { inner: core::DenseSurface::new(rest.rows::<DVec2, 2>()?, step_mm).map_err(raise)? })
+        let rest = rest.rows::<DVec2, 2>()?;
+        let made = stoppable(py, |stop| core::DenseSurface::new_unless(rest, step_mm, stop))?;
+        Ok(Self { inner: made.map_err(raise)? })
     }
 
     fn __repr__(&self) -> String {

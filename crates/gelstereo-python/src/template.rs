@@ -295,8 +295,8 @@ impl Template {
         let points = Numbers::new(points_mm, "points_mm")?;
         let points = finite(points.rows::<DVec3, 3>()?, "point")?;
         let unknown = (f64::NAN, DVec3::NAN);
-        let (distances, gradients): (Vec<f64>, Vec<DVec3>) =
-            py.detach(|| points.iter().map(|&p| field.distance(p).unwrap_or(unknown)).unzip());
+        let found = stoppable_each(py, points, |&p| field.distance(p).unwrap_or(unknown))?;
+        let (distances, gradients): (Vec<f64>, Vec<DVec3>) = found.into_iter().unzip();
         Ok((arrays::list(py, distances), arrays::rows::<_, 3>(py, gradients)?))
     }
 

@@ -92,7 +92,7 @@ impl Template {
         spacing_mm: f64,
         stop: Stop<'_>,
     ) -> Result<Self, Stopped> {
-        let tree = Tree::new(&points_mm);
+        let tree = Tree::new_unless(&points_mm, stop)?;
         let curvatures_per_mm = curvatures(&points_mm, &normals, &tree, spacing_mm, stop)?;
         let blocks = blocks::blocks(&points_mm, &normals, &tree);
         Ok(Self {

@@ -1,6 +1,7 @@
 //! A static nearest-neighbour tree (Friedman, Bentley and Finkel 1977).
 
 use crate::math::DVec3;
+use crate::stop::{NEVER, Stop, Stopped};
 use alloc::vec::Vec;
 use core::array;
 use core::ops::Range;
@@ -19,7 +20,7 @@ const ROOT: usize = 1;
 ///
 /// A branch is passed over by the plane that cuts it off, which is one product, and then by its box. A point that is off
 /// a surface is about as far from every cell of the planes beside it as from the plane; the boxes lie in the surface.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Tree {
     /// The points in the order of the tree; of the last one some lanes may be left.
     leaves: Vec<Leaf>,
@@ -63,10 +64,18 @@ impl Tree {
     /// Over these points, which must be finite and fewer than 2³².
     #[must_use]
     pub fn new(points: &[DVec3]) -> Self {
+        Self::new_unless(points, NEVER).unwrap_or_default()
+    }
+
+    /// As [`Self::new`], unless it is stopped.
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    pub fn new_unless(points: &[DVec3], stop: Stop<'_>) -> Result<Self, Stopped> {
         let mut order: Vec<u32> = (0..points.len() as u32).collect();
         let first_leaf = points.len().div_ceil(LEAF).next_power_of_two();
         let mut cuts = alloc::vec![Cut { value: 0.0, axis: 0 }; first_leaf];
-        split(points, &mut order, ROOT, &mut cuts);
+        split(points, &mut order, (ROOT, &mut cuts), stop)?;
         let mut boxes = alloc::vec![Bounds::EMPTY; 2 * first_leaf];
         for (bounds, indices) in boxes[first_leaf..].iter_mut().zip(order.chunks(LEAF)) {
             *bounds = Bounds::of(points, indices);
@@ -75,7 +84,7 @@ impl Tree {
             boxes[node] = boxes[2 * node].with(&boxes[2 * node + 1]);
         }
         let leaves = order.chunks(LEAF).map(|indices| Leaf::new(points, indices)).collect();
-        Self { leaves, cuts, boxes, len: points.len() }
+        Ok(Self { leaves, cuts, boxes, len: points.len() })
     }
 
     /// Index of the nearest point and its squared distance; `None` for a tree without points.
@@ -232,10 +241,21 @@ impl Bounds {
     }
 }
 
+/// With fewer points below a node it is soon done, and nothing is asked.
+const MANY: usize = 4096;
+
 /// Orders the indices below a node as a tree and notes the cuts.
-fn split(points: &[DVec3], order: &mut [u32], node: usize, cuts: &mut [Cut]) {
+fn split(
+    points: &[DVec3],
+    order: &mut [u32],
+    (node, cuts): (usize, &mut [Cut]),
+    stop: Stop<'_>,
+) -> Result<(), Stopped> {
     if order.is_empty() || node >= cuts.len() {
-        return;
+        return Ok(());
+    }
+    if order.len() > MANY && stop() {
+        return Err(Stopped);
     }
     // A node at depth d holds the leaves of a full tree whose root is there.
     let leaves = cuts.len() >> node.ilog2();
@@ -243,8 +263,7 @@ fn split(points: &[DVec3], order: &mut [u32], node: usize, cuts: &mut [Cut]) {
     if order.len() <= middle {
         // All are on the left.
         cuts[node].value = f64::INFINITY;
-        split(points, order, 2 * node, cuts);
-        return;
+        return split(points, order, (2 * node, cuts), stop);
     }
     let axis = Bounds::of(points, order).widest_axis();
     let (_, &mut first, _) = order.select_nth_unstable_by(middle, |&a, &b| {
@@ -252,6 +271,6 @@ fn split(points: &[DVec3], order: &mut [u32], node: usize, cuts: &mut [Cut]) {
     });
     cuts[node] = Cut { value: points[first as usize][axis], axis: axis as u32 };
     let (left, right) = order.split_at_mut(middle);
-    split(points, left, 2 * node, cuts);
-    split(points, right, 2 * node + 1, cuts);
+    split(points, left, (2 * node, cuts), stop)?;
+    split(points, right, (2 * node + 1, cuts), stop)
 }

@@ -2,6 +2,7 @@
 
 use super::{MarkerMesh, MarkerMeshError};
 use crate::math::{DVec2, DVec3, ceil};
+use crate::stop::{NEVER, Stop, Stopped, ask};
 use alloc::vec::Vec;
 use spade::handles::FixedVertexHandle;
 use spade::{DelaunayTriangulation, FloatTriangulation, Point2, Triangulation};
@@ -59,6 +60,8 @@ pub enum DenseSurfaceError {
         /// Which cell.
         cell: usize,
     },
+    /// The caller stopped the work ([`crate::stop`]).
+    Stopped,
 }
 
 impl core::fmt::Display for DenseSurfaceError {
@@ -70,6 +73,7 @@ impl core::fmt::Display for DenseSurfaceError {
                 "a step of {step_mm} mm makes {cells} cells; valid is a length above 0, at most the longer \
                  side of the markers' box, that makes at most {MOST_CELLS}"
             ),
+            Self::Stopped => Stopped.fmt(f),
             Self::NotFinite { marker } => {
                 write!(f, "marker {marker} has a coordinate that is NaN or infinite")
             }
@@ -95,6 +99,14 @@ impl DenseSurface {
     /// # Errors
     /// [`DenseSurfaceError::Step`], or [`DenseSurfaceError::Mesh`] for markers without a mesh.
     pub fn new(rest_mm: &[DVec2], step_mm: f64) -> Result<Self, DenseSurfaceError> {
+        Self::new_unless(rest_mm, step_mm, NEVER)
+    }
+
+    /// As [`Self::new`], unless it is stopped.
+    ///
+    /// # Errors
+    /// As [`Self::new`], and [`DenseSurfaceError::Stopped`].
+    pub fn new_unless(rest_mm: &[DVec2], step_mm: f64, stop: Stop<'_>) -> Result<Self, DenseSurfaceError> {
         let mesh = MarkerMesh::new(rest_mm).map_err(DenseSurfaceError::Mesh)?;
         let (low, high) = rest_mm.iter().fold((rest_mm[0], rest_mm[0]), |(l, h), &p| (l.min(p), h.max(p)));
         // A side that is a whole number of steps but for round-off keeps its last cell.
@@ -116,7 +128,7 @@ impl DenseSurface {
             weights: Vec::new(),
             normals: Vec::new(),
         };
-        surface.weigh(rest_mm).map_err(DenseSurfaceError::Mesh)?;
+        surface.weigh(rest_mm, stop)?;
         Ok(surface)
     }
 
@@ -219,7 +231,7 @@ impl DenseSurface {
 
     /// Weights of all cells.
     /// Refuses markers that are the same or lie in a line but for the last digits of a step.
-    fn weigh(&mut self, rest_mm: &[DVec2]) -> Result<(), MarkerMeshError> {
+    fn weigh(&mut self, rest_mm: &[DVec2], stop: Stop<'_>) -> Result<(), DenseSurfaceError> {
         // About the grid's first cell, in steps: positions far away or tiny keep their digits.
         let place = |p: DVec2| (p - self.origin_mm) / self.step_mm;
         let mut delaunay = DelaunayTriangulation::<Point2<f64>>::new();
@@ -230,18 +242,21 @@ impl DenseSurface {
             match delaunay.insert(Point2::new(tiny(p.x), tiny(p.y))) {
                 Ok(vertex) if vertex.index() == marker => {}
                 Ok(vertex) => {
-                    return Err(MarkerMeshError::Duplicate { first: vertex.index(), second: marker });
+                    let (first, second) = (vertex.index(), marker);
+                    return Err(DenseSurfaceError::Mesh(MarkerMeshError::Duplicate { first, second }));
                 }
-                Err(_) => return Err(MarkerMeshError::NotFinite { marker }),
+                Err(_) => return Err(DenseSurfaceError::Mesh(MarkerMeshError::NotFinite { marker })),
             }
         }
         if delaunay.num_inner_faces() == 0 {
-            return Err(MarkerMeshError::Collinear { markers: rest_mm.len() });
+            let markers = rest_mm.len();
+            return Err(DenseSurfaceError::Mesh(MarkerMeshError::Collinear { markers }));
         }
         let (natural, flat) = (delaunay.natural_neighbor(), delaunay.barycentric());
         let mut found = Vec::new();
         for row in 0..self.rows {
             for col in 0..self.cols {
+                ask(stop, col).map_err(|Stopped| DenseSurfaceError::Stopped)?;
                 let cell = DVec2::new(col as f64, row as f64);
                 natural.get_weights(Point2::new(cell.x, cell.y), &mut found);
                 // Within round-off of the hull Voronoi regions are endless or empty: there the triangle's own weights,
