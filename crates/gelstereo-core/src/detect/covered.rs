@@ -17,6 +17,8 @@ const AROUND_PX: f64 = 3.0;
 const AREA_SPREAD: f64 = 0.2;
 /// Share of a marker that a reflection beside it hides at least, by where its light is spread.
 const LEAST_HIDDEN: f64 = 0.1;
+/// Nearest others that tell the usual area at a marker: those around it on a square lattice.
+const AROUND: usize = 8;
 
 /// Whether a light's reflection is in the square around a marker of this radius.
 pub(super) fn is_under_glare(image: GrayView<'_>, centre_px: DVec2, radius_px: f64) -> bool {
@@ -65,6 +67,33 @@ pub(super) fn variance_px2(image: GrayView<'_>, centre_px: DVec2, (area_px2, usu
         (differs - AREA_SPREAD).max(0.0)
     };
     (radius_px * hidden) * (radius_px * hidden)
+}
+
+/// As [`variance_px2`], of a marker of the list that no model fits, beside the areas of the markers around it: perspective and
+/// a curved gel make areas differ over the image without anything over the markers.
+pub(super) fn unfitted_px2(image: GrayView<'_>, markers: &Markers, index: usize) -> f64 {
+    let (centre_px, area_px2) = (markers.centres_px[index], markers.area_px2[index]);
+    let (least, most) = areas_around_px2(markers, index);
+    let usual_px2 = area_px2.clamp(least, most);
+    variance_px2(image, centre_px, (f64::from(area_px2), f64::from(usual_px2)))
+}
+
+/// Range of the areas of the markers nearest to one of the list, without the smallest and the largest: one of them may be
+/// covered too. Any area without so many markers.
+fn areas_around_px2(markers: &Markers, index: usize) -> (u32, u32) {
+    let mut nearest = [(f64::INFINITY, 0); AROUND];
+    let others = markers.centres_px.iter().zip(&markers.area_px2).enumerate().filter(|&(k, _)| k != index);
+    for (_, (centre_px, &area_px2)) in others {
+        let far_px2 = centre_px.distance_squared(markers.centres_px[index]);
+        let place = nearest.partition_point(|&(nearer_px2, _)| nearer_px2 <= far_px2);
+        if place < AROUND {
+            nearest[place..].rotate_right(1);
+            nearest[place] = (far_px2, area_px2);
+        }
+    }
+    nearest.sort_unstable_by_key(|&(_, area_px2)| area_px2);
+    let [(first_px2, _), ..] = nearest;
+    if first_px2.is_finite() { (nearest[1].1, nearest[AROUND - 2].1) } else { (0, u32::MAX) }
 }
 
 /// As [`variance_px2`], of a marker that something touches, so that it has no band; 0 of others.

@@ -186,7 +186,7 @@ impl Detector {
         self.matched.prepare(image, noise.unwrap_or_default(), markers);
         self.grey_centre.reserve(image.height());
         for k in 0..markers.centres_px.len() {
-            if self.matched.replace(image, k, markers) {
+            if self.matched.replace(image, (k, markers.area_px2[k]), markers) {
                 continue;
             }
             let Candidate { position, key, .. } = self.near.candidates[k];

@@ -96,7 +96,7 @@ impl Detector {
         grey_centre.reserve(image.height());
         let whole = components.blobs().iter().filter(|blob| sieve.passes_whole(blob));
         for (k, blob) in whole.enumerate() {
-            if !matched.replace(image, k, out) {
+            if !matched.replace(image, (k, out.area_px2[k]), out) {
                 out.centres_px[k] = grey_centre.run(image, blob, components.runs(blob), params.polarity);
             }
         }

@@ -115,9 +115,7 @@ impl Detector {
             // which is known better than that of a single window.
             let usual_px2 = crate::math::round(kind.usual_area_px2()) as u32;
             for marker in 0..out.markers.centres_px.len() {
-                let area_px2 = core::mem::replace(&mut out.markers.area_px2[marker], usual_px2);
-                self.matched.replace(image, marker, &mut out.markers);
-                out.markers.area_px2[marker] = area_px2;
+                self.matched.replace(image, (marker, usual_px2), &mut out.markers);
             }
         }
         self.doubt_under_glare(image, &mut out.markers);

@@ -30,7 +30,7 @@ use crate::math::{DVec2, Factor, round, sqrt};
 use crate::params::DetectParams;
 use crate::track::grid::Grid;
 use alloc::vec::Vec;
-use core::f64::consts::{FRAC_1_PI, PI};
+use core::f64::consts::FRAC_1_PI;
 use disc::{Answers, Levels, Matrix, Outline, Window};
 use edge::Edge;
 use influence::Variances;
@@ -358,17 +358,17 @@ impl DiscFit {
         self.find_neighbours(image, others_px);
         let starts = core::mem::take(&mut self.starts);
         self.learn(image, mask, &starts);
-        let found = markers.centres_px.iter_mut().zip(&mut markers.covariance_px2);
-        for (k, (start, (centre, covariance))) in (0..).zip(starts.iter().zip(found)) {
+        for (k, start) in starts.iter().enumerate() {
             match self.run(image, start) {
-                Some(fitted) => (*centre, *covariance) = (fitted.centre_px, fitted.covariance_px2),
+                Some(fitted) => {
+                    markers.centres_px[k] = fitted.centre_px;
+                    markers.covariance_px2[k] = fitted.covariance_px2;
+                }
                 None => {
-                    self.unfitted.push(k);
+                    self.unfitted.push(k as u32);
                     let least = self.unfitted_variance_px2(start);
-                    let squared = |radius_px: f64| radius_px * radius_px * PI;
-                    let areas_px2 = (squared(start.radius_px()), squared(self.usual_px));
-                    let covered = covered::variance_px2(image, *centre, areas_px2);
-                    let [[xx, _], [_, yy]] = covariance;
+                    let covered = covered::unfitted_px2(image, markers, k);
+                    let [[xx, _], [_, yy]] = &mut markers.covariance_px2[k];
                     (*xx, *yy) = (xx.max(least) + covered, yy.max(least) + covered);
                 }
             }

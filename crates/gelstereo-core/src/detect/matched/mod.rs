@@ -32,8 +32,9 @@ const MOST_STEPS: usize = 6;
 const SETTLED: f64 = 0.27;
 /// The same for later steps, which begin near a place of the weights.
 const SETTLED_LATER_PX: f64 = 0.4;
-/// Standard deviation of a grey centroid over that of a step, where the step did not serve.
-const UNFITTED: f64 = 4.0;
+/// Standard deviation of a grey centroid over that of a step, where the step did not serve: 2.0 on leaning markers of a rendered
+/// dome. Twice as much stated four times their variance.
+const UNFITTED: f64 = 2.0;
 /// Standard deviations of what noise leaves that are chance.
 const CHANCE: f64 = 3.0;
 /// Longest step.
@@ -168,9 +169,15 @@ impl Matched {
         self.usual_px + self.radius_off_px + self.radius_per_px * larger_px
     }
 
-    /// Replaces centre and covariance of a marker of the list, of which centre and area are known; whether it could.
-    pub(super) fn replace(&mut self, image: GrayView<'_>, index: usize, markers: &mut Markers) -> bool {
-        let (near_px, radius_px) = (markers.centres_px[index], self.radius_px(markers.area_px2[index]));
+    /// Replaces centre and covariance of a marker of the list, as a disc whose component has about this area; whether it
+    /// could.
+    pub(super) fn replace(
+        &mut self,
+        image: GrayView<'_>,
+        (index, area_px2): (usize, u32),
+        markers: &mut Markers,
+    ) -> bool {
+        let (near_px, radius_px) = (markers.centres_px[index], self.radius_px(area_px2));
         let found = self.refine(image, near_px, radius_px).filter(|refined| refined.misfit <= MOST_MISFIT);
         match found {
             Some(refined) => {
@@ -180,9 +187,7 @@ impl Matched {
             None => {
                 markers.unfitted += 1;
                 let least = self.unfitted_variance_px2(radius_px);
-                let usual_px2 = core::f64::consts::PI * self.usual_px * self.usual_px;
-                let areas_px2 = (f64::from(markers.area_px2[index]), usual_px2);
-                let covered = covered::variance_px2(image, near_px, areas_px2);
+                let covered = covered::unfitted_px2(image, markers, index);
                 let [[xx, _], [_, yy]] = &mut markers.covariance_px2[index];
                 (*xx, *yy) = (xx.max(least) + covered, yy.max(least) + covered);
             }
