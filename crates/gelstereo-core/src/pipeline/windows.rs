@@ -14,13 +14,14 @@ const REACH_PITCHES: f64 = 0.5;
 /// One marker in so many may be missing from its window: a smear covers few, a motion that was not expected uncovers many.
 const ONE_MISSING_IN: usize = 32;
 
-/// One sentinel in so many may be unclear, by dirt or the gel's edge.
+/// One sentinel of a side in so many may be unclear, by dirt or the gel's edge. Where more are, such as along a tray's wall,
+/// at most one marker in so many of the opposite border may be missing.
 const ONE_UNCLEAR_IN: usize = 4;
 
 /// Windows around the markers, and around sentinels: places one pitch outside the lattice, where nothing should be.
 ///
 /// A lattice that moved by a pitch fills all windows but those along one side. A sentinel on the other side then sees a
-/// marker.
+/// marker, or what is around the gel hides it.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Windows {
     /// Markers row by row, then sentinels.
@@ -73,22 +74,69 @@ impl Windows {
             None => detector.run_near(image, &self.places_px, reach_px, &mut self.found)?,
         }
         self.tracks.clone_from(tracks);
-        Ok(self.is_as_expected(tracks, (image.width(), image.height())))
+        Ok(self.is_as_expected(tracks, cols, (image.width(), image.height())))
     }
 
-    fn is_as_expected(&self, tracks: &Tracks, (width, height): (usize, usize)) -> bool {
+    fn is_as_expected(&self, tracks: &Tracks, cols: usize, (width, height): (usize, usize)) -> bool {
         let markers = tracks.state.len();
         let (sights, sentinels) = self.found.sights.split_at(markers);
-        let missing = sights
-            .iter()
-            .zip(&tracks.state)
-            .filter(|&(sight, &state)| state == MarkerState::Seen && !matches!(sight, Sight::Marker(_)));
+        let is_missing = |k: usize| !matches!(sights[k], Sight::Marker(_));
+        let missing = (0..markers).filter(|&k| tracks.state[k] == MarkerState::Seen && is_missing(k)).count();
         let inside = |p: &DVec2| p.x >= 0.0 && p.y >= 0.0 && p.x < width as f64 && p.y < height as f64;
-        let seen = sentinels.iter().zip(&self.places_px[markers..]).filter(|&(_, p)| inside(p));
-        let alarm = seen.clone().any(|(sight, _)| matches!(sight, Sight::Marker(_) | Sight::Several));
-        let unclear = seen.filter(|&(&sight, _)| sight == Sight::Unclear).count();
-        !alarm && ONE_MISSING_IN * missing.count() <= markers && ONE_UNCLEAR_IN * unclear <= sentinels.len()
+        let seen = |k: usize| inside(&self.places_px[markers + k]).then_some(sentinels[k]);
+        let alarm = (0..sentinels.len()).any(|k| matches!(seen(k), Some(Sight::Marker(_) | Sight::Several)));
+        let is_told = || {
+            sides(markers, cols).into_iter().flatten().all(|side| {
+                let unclear = side.sentinels().filter(|&k| seen(k) == Some(Sight::Unclear)).count();
+                ONE_UNCLEAR_IN * unclear <= side.count
+                    || ONE_UNCLEAR_IN * side.opposite().filter(|&k| is_missing(k)).count() <= side.count
+            })
+        };
+        !alarm && ONE_MISSING_IN * missing <= markers && is_told()
     }
+}
+
+/// Sentinels along one side of the lattice, and the markers of the opposite border.
+#[derive(Clone, Copy, Debug)]
+struct Side {
+    count: usize,
+    first_sentinel: usize,
+    first_opposite: usize,
+    /// From one marker of a border to the next.
+    stride: usize,
+}
+
+impl Side {
+    fn sentinels(&self) -> impl Iterator<Item = usize> {
+        (self.first_sentinel..).step_by(2).take(self.count)
+    }
+
+    fn opposite(&self) -> impl Iterator<Item = usize> {
+        (self.first_opposite..).step_by(self.stride).take(self.count)
+    }
+}
+
+/// First and last row, first and last column, in the order of [`add_sentinels`]; none of a single row or column.
+fn sides(markers: usize, cols: usize) -> Option<[Side; 4]> {
+    let rows = lattice_rows(markers, cols)?;
+    let side = |count, first_sentinel, first_opposite, stride| Side {
+        count,
+        first_sentinel,
+        first_opposite,
+        stride,
+    };
+    Some([
+        side(cols, 0, (rows - 1) * cols, 1),
+        side(cols, 1, 0, 1),
+        side(rows, 2 * cols, cols - 1, cols),
+        side(rows, 2 * cols + 1, 0, cols),
+    ])
+}
+
+/// Rows of a lattice that has sentinels.
+fn lattice_rows(markers: usize, cols: usize) -> Option<usize> {
+    let rows = markers.checked_div(cols)?;
+    (rows >= 2 && cols >= 2).then_some(rows)
 }
 
 /// Median area; 0 for none.
@@ -99,10 +147,7 @@ fn usual_area_px2(markers: &Markers) -> f64 {
 
 /// Adds the places one pitch outside the lattice's four sides, each in line with its two nearest markers.
 fn add_sentinels(lattice_px: &[DVec2], cols: usize, out: &mut Vec<DVec2>) {
-    let rows = lattice_px.len().checked_div(cols).unwrap_or(0);
-    if rows < 2 || cols < 2 {
-        return;
-    }
+    let Some(rows) = lattice_rows(lattice_px.len(), cols) else { return };
     let at = |row: usize, col: usize| lattice_px[row * cols + col];
     let beyond = |border: DVec2, inner: DVec2| border + (border - inner);
     for col in 0..cols {
@@ -112,5 +157,57 @@ fn add_sentinels(lattice_px: &[DVec2], cols: usize, out: &mut Vec<DVec2>) {
     for row in 0..rows {
         out.push(beyond(at(row, 0), at(row, 1)));
         out.push(beyond(at(row, cols - 1), at(row, cols - 2)));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use alloc::vec;
+
+    const COLS: usize = 40;
+    const ROWS: usize = 36;
+
+    /// What windows see of a lattice that has moved by so many columns: gel where it was, and beside it gel or a wall.
+    fn seen(moved_cols: usize, is_walled: bool) -> (Windows, Tracks) {
+        let lattice_px: Vec<DVec2> = (0..ROWS * COLS)
+            .map(|k| DVec2::new(20.0 + 10.0 * (k % COLS) as f64, 20.0 + 10.0 * (k / COLS) as f64))
+            .collect();
+        let mut windows = Windows { places_px: lattice_px.clone(), ..Windows::default() };
+        add_sentinels(&lattice_px, COLS, &mut windows.places_px);
+        let col = |p: &DVec2| crate::math::round((p.x - 20.0) / 10.0) as i32;
+        let row = |p: &DVec2| crate::math::round((p.y - 20.0) / 10.0) as i32;
+        windows.found.sights = windows
+            .places_px
+            .iter()
+            .map(|p| {
+                let (col, row) = (col(p) - moved_cols as i32, row(p));
+                let is_beside = !(0..COLS as i32).contains(&(col + moved_cols as i32))
+                    || !(0..ROWS as i32).contains(&row);
+                match (0..COLS as i32).contains(&col) && (0..ROWS as i32).contains(&row) {
+                    _ if is_walled && is_beside => Sight::Unclear,
+                    true => Sight::Marker(0),
+                    false => Sight::Nothing,
+                }
+            })
+            .collect();
+        let mut tracks = Tracks::default();
+        tracks.state = vec![MarkerState::Seen; ROWS * COLS];
+        (windows, tracks)
+    }
+
+    /// Of 36 markers at a border that are missing none may count as a few of 1440.
+    #[test]
+    fn a_lattice_that_moved_by_a_pitch_is_told_from_one_beside_a_wall() {
+        for is_walled in [false, true] {
+            for (moved_cols, expected) in [(0, true), (1, false), (2, false)] {
+                let (windows, tracks) = seen(moved_cols, is_walled);
+                assert_eq!(
+                    windows.is_as_expected(&tracks, COLS, (640, 480)),
+                    expected,
+                    "{moved_cols} {is_walled}"
+                );
+            }
+        }
     }
 }
