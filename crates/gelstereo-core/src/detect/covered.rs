@@ -6,6 +6,7 @@ use crate::image::GrayView;
 use crate::math::{DVec2, abs, ceil, sqrt};
 use alloc::vec::Vec;
 use core::f64::consts::FRAC_1_PI;
+use core::ops::Range;
 
 /// Grey level from which on a pixel shows a light's reflection: it saturates the sensor, and gel does not.
 pub(super) const GLARE_LEVEL: u8 = 250;
@@ -19,36 +20,82 @@ const AREA_SPREAD: f64 = 0.2;
 const LEAST_HIDDEN: f64 = 0.1;
 /// Nearest others that tell the usual area at a marker: those around it on a square lattice.
 const AROUND: usize = 8;
+/// Side of a cell in which reflections are noted: about that of a marker's square.
+const CELL_PX: usize = 16;
 
-/// Whether a light's reflection is in the square around a marker of this radius.
-pub(super) fn is_under_glare(image: GrayView<'_>, centre_px: DVec2, radius_px: f64) -> bool {
+/// Columns and rows of the square that the centre of a marker of this radius depends on.
+fn square(image: GrayView<'_>, centre_px: DVec2, radius_px: f64) -> (Range<usize>, Range<usize>) {
     let reach = ceil(radius_px + AROUND_PX);
     let range = |at: f64, size: usize| {
         let (first, end) =
             ((at - reach).max(0.0) as usize, (at + reach + 1.0).clamp(0.0, size as f64) as usize);
         first.min(end)..end
     };
-    let (columns, rows) = (range(centre_px.x, image.width()), range(centre_px.y, image.height()));
+    (range(centre_px.x, image.width()), range(centre_px.y, image.height()))
+}
+
+/// Whether a light's reflection is in the square around a marker of this radius.
+pub(super) fn is_under_glare(image: GrayView<'_>, centre_px: DVec2, radius_px: f64) -> bool {
+    let (columns, rows) = square(image, centre_px, radius_px);
     let bright =
         |y: usize| image.row(y)[columns.clone()].iter().filter(|&&level| level >= GLARE_LEVEL).count();
     rows.map(bright).sum::<usize>() > FEW
 }
 
-/// Tells markers beside a light's reflection that it may hide a part of them; `areas_px2` is scratch. Models of a marker
-/// that take a share of its pixels' contrast do not see what is missing at its rim.
-pub(super) fn doubt_under_glare(image: GrayView<'_>, areas_px2: &mut Vec<u32>, markers: &mut Markers) {
-    if !image.reaches(GLARE_LEVEL) {
-        return;
+/// Where in an image light's reflections are, in square cells.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Glares {
+    has_any: Vec<bool>,
+    columns: usize,
+}
+
+impl Glares {
+    /// Makes room for images of this size.
+    pub fn reserve(&mut self, (width, height): (usize, usize)) {
+        self.columns = width.div_ceil(CELL_PX);
+        self.has_any.clear();
+        self.has_any.resize(self.columns * height.div_ceil(CELL_PX), false);
     }
-    areas_px2.clear();
-    areas_px2.extend_from_slice(&markers.area_px2);
-    let usual_px2 = usual_area_px2(areas_px2);
-    let radius_px = sqrt(usual_px2 * FRAC_1_PI);
-    let places = markers.centres_px.iter().zip(&markers.area_px2);
-    for ((&centre_px, &area_px2), [[xx, _], [_, yy]]) in places.zip(&mut markers.covariance_px2) {
-        if usual_px2 > 0.0 && is_under_glare(image, centre_px, radius_px) {
-            let least = variance_px2(image, centre_px, (f64::from(area_px2), usual_px2));
-            (*xx, *yy) = (xx.max(least), yy.max(least));
+
+    /// Finds them; whether there are any. No allocation for an image as large as one before.
+    fn find(&mut self, image: GrayView<'_>) -> bool {
+        self.reserve((image.width(), image.height()));
+        let is_bright =
+            |pixels: &[u8]| pixels.iter().fold(0, |high: u8, &level| high.max(level)) >= GLARE_LEVEL;
+        let mut found = false;
+        for y in (0..image.height()).filter(|&y| is_bright(image.row(y))) {
+            found = true;
+            let cells = &mut self.has_any[y / CELL_PX * self.columns..];
+            for (cell, pixels) in cells.iter_mut().zip(image.row(y).chunks(CELL_PX)) {
+                *cell |= is_bright(pixels);
+            }
+        }
+        found
+    }
+
+    /// Whether some may be in the square that a marker of this radius depends on.
+    fn may_reach(&self, (columns, rows): &(Range<usize>, Range<usize>)) -> bool {
+        let cells = |range: &Range<usize>| range.start / CELL_PX..range.end.div_ceil(CELL_PX);
+        cells(rows).any(|row| self.has_any[row * self.columns..][cells(columns)].contains(&true))
+    }
+
+    /// Tells markers beside a light's reflection that it may hide a part of them; `areas_px2` is scratch. Models of a marker
+    /// that take a share of its pixels' contrast do not see what is missing at its rim.
+    pub fn doubt(&mut self, image: GrayView<'_>, areas_px2: &mut Vec<u32>, markers: &mut Markers) {
+        if !self.find(image) {
+            return;
+        }
+        areas_px2.clear();
+        areas_px2.extend_from_slice(&markers.area_px2);
+        let usual_px2 = usual_area_px2(areas_px2);
+        let radius_px = sqrt(usual_px2 * FRAC_1_PI);
+        let places = markers.centres_px.iter().zip(&markers.area_px2);
+        for ((&centre_px, &area_px2), [[xx, _], [_, yy]]) in places.zip(&mut markers.covariance_px2) {
+            let is_near = usual_px2 > 0.0 && self.may_reach(&square(image, centre_px, radius_px));
+            if is_near && is_under_glare(image, centre_px, radius_px) {
+                let least = variance_px2(image, centre_px, (f64::from(area_px2), usual_px2));
+                (*xx, *yy) = (xx.max(least), yy.max(least));
+            }
         }
     }
 }

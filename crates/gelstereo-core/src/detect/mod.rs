@@ -37,6 +37,7 @@ use alloc::vec;
 use alloc::vec::Vec;
 use band::BandNoise;
 use centre::GreyCentre;
+use covered::Glares;
 use fit::{DiscFit, NoiseMeter};
 use half::HalfSize;
 use matched::Matched;
@@ -135,6 +136,7 @@ pub struct Detector {
     size_px: (usize, usize),
     whole_px: (usize, usize),
     areas_px2: Vec<u32>,
+    glares: Glares,
     near: Search,
     glances: Glances,
 }
@@ -157,6 +159,7 @@ impl Detector {
             size_px: (0, 0),
             whole_px: (0, 0),
             areas_px2: Vec::new(),
+            glares: Glares::default(),
             near: Search::default(),
             glances: Glances::default(),
         }
@@ -229,7 +232,7 @@ impl Detector {
     /// The fit tells by its residuals.
     fn doubt_under_glare(&mut self, image: GrayView<'_>, out: &mut Markers) {
         if self.params.centre != Centre::Fit {
-            covered::doubt_under_glare(image, &mut self.areas_px2, out);
+            self.glares.doubt(image, &mut self.areas_px2, out);
         }
     }
 

@@ -41,20 +41,27 @@ impl RowBits {
 
     /// Sets the pixels whose byte is 255 and not 0.
     pub fn set_where(&mut self, row: &[u8]) {
-        self.set_bytes(row, |bytes| bytes);
-    }
-
-    /// Sets the pixels whose level is this or more.
-    pub fn set_bright(&mut self, row: &[u8], level: u8) {
-        self.set_bytes(row, |bytes| bytes.map(|byte| if byte >= level { u8::MAX } else { 0 }));
-    }
-
-    fn set_bytes(&mut self, row: &[u8], mask: impl Fn([u8; 8]) -> [u8; 8]) {
         let (wholes, rest) = row[..self.width].as_chunks::<8>();
         let mut last = [0; 8];
         last[..rest.len()].copy_from_slice(rest);
         for (at, &bytes) in (0..).step_by(8).zip(wholes.iter().chain((!rest.is_empty()).then_some(&last))) {
-            self.words[at / WORD] |= u64::from(bits(mask(bytes))) << (at % WORD);
+            self.words[at / WORD] |= u64::from(bits(bytes)) << (at % WORD);
+        }
+    }
+
+    /// Sets the pixels whose level is this or more.
+    pub fn set_bright(&mut self, row: &[u8], level: u8) {
+        let row = &row[..self.width];
+        // Few rows have any, and few words of these.
+        if !reaches(row, level) {
+            return;
+        }
+        for (word, pixels) in
+            self.words.iter_mut().zip(row.chunks(WORD)).filter(|(_, pixels)| reaches(pixels, level))
+        {
+            for (bit, &pixel) in pixels.iter().enumerate() {
+                *word |= u64::from(pixel >= level) << bit;
+            }
         }
     }
 
@@ -102,6 +109,11 @@ impl RowBits {
         }
         None
     }
+}
+
+/// Whether any pixel is as bright as this.
+fn reaches(pixels: &[u8], level: u8) -> bool {
+    pixels.iter().fold(0, |high: u8, &pixel| high.max(pixel)) >= level
 }
 
 #[cfg(test)]

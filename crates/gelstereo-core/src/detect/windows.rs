@@ -77,6 +77,7 @@ impl Detector {
     ) {
         self.glances.reserve(positions, kind, size_px);
         self.grey_centre.reserve(size_px.1);
+        self.glares.reserve(size_px);
         self.areas_px2.clear();
         self.areas_px2.reserve(positions);
         out.markers.reserve(positions, 0);
