@@ -154,8 +154,8 @@ def test_noise_is_seeded_and_as_large_as_stated() -> None:
 MEDIAN_OF_MEAN_SQUARE = 0.7887
 
 
-# Preset `fast` learns its variance at rest from twelve markers: with three noises of four prints it stated 0.7 to 2.1 times
-# the true one.
+# Preset `fast` learns its variance at rest from twelve markers: with three noises of four prints it stated 0.7 to 2.1
+# times the true one.
 @pytest.mark.parametrize(("preset", "least"), [("fast", 1 / 2.1), ("balanced", 0.8), ("exact", 0.8)])
 def test_row_41_a_tray_in_view_changes_no_variance_of_a_point(preset: str, least: float) -> None:
     """Within the bounds of sensing for the mean, for the typical point: glints and dirt are in the tail."""
