@@ -27,7 +27,7 @@ from .errors import (
     UndeterminedLayersError,
     UnpairedImagesError,
 )
-from .layers import Combination, LayersCalibration, SeatedFrame, calibrate_layers
+from .layers import Combination, Doubt, LayersCalibration, SeatedFrame, calibrate_layers
 from .observe import Observation, Progress, observe
 from .pairs import ImagePair, pair_images
 from .report import HeldOut, PairReport, Rectification, StereoCalibration
@@ -37,6 +37,7 @@ __all__ = [
     "BoardNotFoundError",
     "CalibrationError",
     "Combination",
+    "Doubt",
     "HeldOut",
     "ImageError",
     "ImagePair",

@@ -1,9 +1,15 @@
-"""Least squares in which each marker has parameters of its own (Triggs et al., "Bundle adjustment", 2000)."""
+"""Least squares in which each marker has parameters of its own (Triggs et al., "Bundle adjustment", 2000).
+
+A marker's own parameters are eliminated by the singular values of its derivatives by them. With singular values d and
+a prior variance v, the residuals have the covariance 1 + d² v along the left singular vectors, and 1 across: divided by
+its root they are independent again. What is not known beforehand has an infinite v, and drops out.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -28,45 +34,74 @@ class Linearised:
     jacobian
         (N, 4, P) derivatives of the prediction by the shared parameters.
     own
-        (M, 4, 2) those by a marker's own parameters, for the markers that have any.
-    has_own
-        (N,) which these are.
+        (N, 4, 2) those by the marker's own parameters.
+    own_variance
+        (N,) what these vary by, beforehand: infinite where nothing is known.
     prior_residual, prior_jacobian
-        (K,) and (K, P) of what is known beforehand.
+        (K,) and (K, P) of what is known beforehand of the shared parameters.
     """
 
     residual: Array
     jacobian: Array
     own: Array
-    has_own: npt.NDArray[np.bool_]
+    own_variance: Array
     prior_residual: Array
     prior_jacobian: Array
 
-    def _across(self) -> Array:
-        """(M, 4, 2) basis of what a marker's own parameters cannot change."""
-        basis: Array = np.linalg.qr(self.own, mode="complete")[0]
-        return basis[:, :, 2:]
+    @property
+    def is_free(self) -> npt.NDArray[np.bool_]:
+        """(N,) where nothing is known of the marker's own parameters."""
+        return np.isinf(self.own_variance)
+
+    @cached_property
+    def turned(self) -> tuple[Array, Array, Array]:
+        """(N, 2) singular values of `own`; residual and Jacobian along its four left singular vectors."""
+        left, values, _ = np.linalg.svd(self.own, full_matrices=True)
+        across = left.transpose(0, 2, 1)
+        return values, np.einsum("mji,mi->mj", across, self.residual), across @ self.jacobian
+
+    def _weights(self) -> Array:
+        """(N, 4) one over the standard deviation along each left singular vector; 0 where it is infinite."""
+        values = self.turned[0]
+        known = np.where(self.is_free, 0.0, self.own_variance)[:, None]
+        weights = np.ones(self.residual.shape)
+        weights[:, :2] = np.where(self.is_free[:, None], 0.0, (1.0 + known * values**2) ** -0.5)
+        return weights
 
     def reduced_jacobian(self) -> Array:
         """Rows by the shared parameters, with every marker's own ones eliminated."""
-        width = self.jacobian.shape[2]
-        free = np.einsum("mij,mip->mjp", self._across(), self.jacobian[self.has_own])
-        return np.concatenate([self.jacobian[~self.has_own].reshape(-1, width), free.reshape(-1, width)])
+        weights = self._weights()
+        rows: Array = (self.turned[2] * weights[:, :, None])[weights > 0.0]
+        return rows
 
     def marker_residual(self) -> Array:
         """Residuals that belong to `reduced_jacobian`."""
-        free = np.einsum("mij,mi->mj", self._across(), self.residual[self.has_own])
-        return np.concatenate([self.residual[~self.has_own].ravel(), free.ravel()])
+        weights = self._weights()
+        rows: Array = (self.turned[1] * weights)[weights > 0.0]
+        return rows
 
     def whole(self) -> tuple[Array, Array]:
         """Jacobian and residual with the priors."""
         jacobian = np.concatenate([self.reduced_jacobian(), self.prior_jacobian])
         return jacobian, np.concatenate([self.marker_residual(), self.prior_residual])
 
+    def chi2(self) -> float:
+        """Sum of squares at the markers' own parameters as they are."""
+        known = self.turned[1] * np.where(self.is_free[:, None], 1.0, self._weights())
+        return float((known**2).sum() + (self.prior_residual**2).sum())
+
+    def covariance(self, times: float = 1.0) -> Array:
+        """Of the shared parameters, with so many times the noise that was stated; 0 where there is no rank."""
+        jacobian = np.concatenate([self.reduced_jacobian() / times, self.prior_jacobian])
+        scale = 1.0 / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+        inverse = np.linalg.pinv(jacobian * scale, rcond=1e-12)
+        found: Array = (inverse @ inverse.T) * np.outer(scale, scale)
+        return found
+
     def own_step(self, shared_step: Array) -> Array:
-        """(M, 2) best change of the markers' own parameters beside a change of the shared ones."""
-        left = self.residual[self.has_own] - self.jacobian[self.has_own] @ shared_step
-        step: Array = np.einsum("mij,mj->mi", np.linalg.pinv(self.own), left)
+        """(M, 2) best change of the free markers' own parameters beside a change of the shared ones."""
+        left = self.residual[self.is_free] - self.jacobian[self.is_free] @ shared_step
+        step: Array = np.einsum("mij,mj->mi", np.linalg.pinv(self.own[self.is_free]), left)
         return step
 
 
@@ -76,10 +111,10 @@ class Solution:
 
     Attributes
     ----------
-    shared
-        Shared parameters.
+    shared, own
+        Shared parameters, and those of the free markers.
     covariance
-        Of these; where the problem has no rank it is 0, which the caller must have ruled out.
+        Of the shared ones; where the problem has no rank it is 0, which the caller must have ruled out.
     linearised
         The problem there.
     chi2, degrees_of_freedom
@@ -87,6 +122,7 @@ class Solution:
     """
 
     shared: Array
+    own: Array
     covariance: Array
     linearised: Linearised
     chi2: float
@@ -112,7 +148,7 @@ def minimise(linearise: Callable[[Array, Array], Linearised], start: tuple[Array
         there = _try(linearise, shared + step, own + at.own_step(step))
         # Expected change of the sum, in units of the noise: 1e-4 of a standard deviation is rest.
         at_rest = float(np.linalg.norm(jacobian @ step)) < 1e-4
-        if there is not None and _chi2(there) <= _chi2(at) * (1 + 1e-9):
+        if there is not None and there.chi2() <= at.chi2() * (1 + 1e-9):
             shared, own, at, damping = (
                 shared + step,
                 own + at.own_step(step),
@@ -123,10 +159,10 @@ def minimise(linearise: Callable[[Array, Array], Linearised], start: tuple[Array
             damping *= 10.0
             continue
         if at_rest:
-            return _solution(shared, at)
+            return _solution(shared, own, at)
     raise CalibrationError(
-        "no layers explain the markers: the search does not come to rest; check the rig, the pitch, the boards' "
-        "heights and the layers it starts from"
+        "no layers explain the markers: the search does not come to rest; check the rig, the boards' heights and the "
+        "layers it starts from"
     )
 
 
@@ -138,13 +174,7 @@ def _try(linearise: Callable[[Array, Array], Linearised], shared: Array, own: Ar
         return None
 
 
-def _chi2(at: Linearised) -> float:
-    return float((at.residual**2).sum() + (at.prior_residual**2).sum())
-
-
-def _solution(shared: Array, at: Linearised) -> Solution:
-    jacobian, residual = at.whole()
-    scale = 1.0 / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
-    inverse = np.linalg.pinv(jacobian * scale, rcond=1e-12)
-    covariance = (inverse @ inverse.T) * np.outer(scale, scale)
-    return Solution(shared, covariance, at, float(residual @ residual), len(residual) - len(shared))
+def _solution(shared: Array, own: Array, at: Linearised) -> Solution:
+    residual = at.whole()[1]
+    chi2 = float(residual @ residual)
+    return Solution(shared, own, at.covariance(), at, chi2, len(residual) - len(shared))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 from gelstereo import Frame, Pipeline, Rig
@@ -20,7 +21,8 @@ EXAMPLES = """examples:
 
 The rig file holds the cameras as calibrated in air, and under [layers] the layers as designed. Nothing touches the gel
 in --rest; in --board it is seated on a flat board of that protrusion in mm. Boards make the gel's index known, the
-higher the better; thickness and index of a plate need priors.
+higher the better; thickness and index of a plate need priors. The exit code is 1 where the frames contradict the model
+(doubts of kind pitch, prior, misfit or print); the rig file is written all the same.
 """
 
 
@@ -47,6 +49,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=SIGMA",
         help="what is known beforehand",
     )
+    parser.add_argument(
+        "--pitch-sigma-mm",
+        type=float,
+        help="tolerance of lattice.pitch_mm (half a per cent of it if left out)",
+    )
     parser.add_argument("--out", type=Path, help="rig file to write (TOML)")
     add_params(parser)
 
@@ -58,6 +65,10 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.out is not None:
         found.rig.save(arguments.out)
         print(f"wrote {arguments.out}")
+    if found.doubts:
+        kinds = ", ".join(sorted({doubt.kind for doubt in found.doubts}))
+        print(f"gelstereo: the frames contradict the layers found ({kinds}); see the report", file=sys.stderr)
+        return 1
     return 0
 
 
@@ -79,6 +90,7 @@ def calibrate_images(arguments: argparse.Namespace) -> LayersCalibration:
         rig,
         frames,
         pitch_mm=tree["lattice"]["pitch_mm"],
+        pitch_sigma_mm=arguments.pitch_sigma_mm,
         priors=dict(arguments.prior),
         sigma_px=tree["detect"]["centre_sigma_px"],
     )

@@ -53,8 +53,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit code: 0 when all went well, 1 when a part does not explain the contact, 2 when something handed over
-        cannot be used, 130 after Ctrl-C.
+        Exit code: 0 when all went well, 1 when a part does not explain the contact or frames contradict the layers
+        found, 2 when something handed over cannot be used, 130 after Ctrl-C.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:

@@ -1,0 +1,186 @@
+"""What a calibration of layers contradicts, and by how much more than its model allows.
+
+Every test here has a distribution under the model, so that its limit follows from how often it may be wrong.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from statistics import NormalDist
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from .bundle import Solution
+from .layers_model import Model
+from .print_error import place_errors
+
+__all__ = ["Doubt", "Kind", "doubts_of"]
+
+Array = npt.NDArray[np.float64]
+Kind = Literal["pitch", "prior", "misfit", "print"]
+
+#: How many calibrations that follow the model may be doubted: one in a thousand, by all tests together.
+RATE = 1e-3
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """A reason not to believe a calibration.
+
+    Attributes
+    ----------
+    kind
+        ``"pitch"``: the pitch found is not the one stated. ``"prior"``: another value ended farther from its prior
+        than the prior allows. ``"misfit"``: residuals are larger than the noise, or those of neighbouring markers go
+        together, so that the model is wrong. ``"print"``: markers lie too far from their places in the lattice.
+    message
+        What was found, what is plausible, and what to check.
+    """
+
+    kind: Kind
+    message: str
+
+    def __str__(self) -> str:
+        return f"{self.kind}: {self.message}"
+
+
+def doubts_of(model: Model, solution: Solution, print_sigma_mm: float) -> tuple[Doubt, ...]:
+    """All doubts, in the order of their tests."""
+    priors = model.priors()
+    # One for each prior, and the four of misfit and print.
+    rate = RATE / (len(priors) + 4)
+    found = _priors(model, solution, rate) + _misfit(model, solution, rate)
+    place = _Places.of(model, solution, print_sigma_mm)
+    return tuple(found + place.together(rate) + place.alone(rate) + place.size(rate))
+
+
+def _priors(model: Model, solution: Solution, rate: float) -> list[Doubt]:
+    """Values that the frames take farther from their priors than chance does.
+
+    The distance from the prior's mean has the variance by which the frames narrowed the prior.
+    """
+    limit = NormalDist().inv_cdf(1.0 - 0.5 * rate)
+    found = []
+    for place, mean, sigma, name in model.priors():
+        off = float(solution.shared[place]) - mean
+        narrowed = sigma**2 - float(solution.covariance[place, place])
+        if off**2 <= limit**2 * max(narrowed, 0.0) or off**2 < 1e-18:
+            continue
+        kind: Kind = "pitch" if name == "pitch_mm" else "prior"
+        found.append(
+            Doubt(
+                kind,
+                f"{name} is off by {off:+.4f} from what was stated with a tolerance of {sigma:.4f}; chance allows "
+                f"{limit * max(narrowed, 0.0) ** 0.5:.4f}",
+            )
+        )
+    return found
+
+
+def _misfit(model: Model, solution: Solution, rate: float) -> list[Doubt]:
+    chi2 = solution.chi2 + model.scatter_chi2
+    degrees = solution.degrees_of_freedom + model.scatter_degrees
+    limit = chi2_quantile(degrees, 1.0 - rate)
+    if chi2 <= limit:
+        return []
+    times = (chi2 / degrees) ** 0.5
+    return [
+        Doubt(
+            "misfit",
+            f"residuals are {times:.2f} times the noise of {model.known.centre_sigma_px} px (chi2 {chi2:.0f} of "
+            f"{degrees}; chance allows {limit:.0f}): centres are noisier than that, or the cameras, the boards or the "
+            "flat layers are not as the model has them",
+        )
+    ]
+
+
+def chi2_quantile(degrees: int, probability: float) -> float:
+    """Quantile of the chi-squared distribution (Wilson and Hilferty, 1931)."""
+    spread = 2.0 / (9.0 * max(degrees, 1))
+    root = max(1.0 - spread + NormalDist().inv_cdf(probability) * float(np.sqrt(spread)), 0.0)
+    return degrees * root * root * root
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Errors of the markers' places at rest, in standard deviations.
+
+    Attributes
+    ----------
+    places
+        (M, 2) column and row.
+    errors
+        (M, 2) normal numbers of variance 1, if the model holds.
+    """
+
+    places: Array
+    errors: Array
+    pitch_mm: float
+    print_sigma_mm: float
+
+    @classmethod
+    def of(cls, model: Model, solution: Solution, print_sigma_mm: float) -> _Places:
+        errors_mm, variances = place_errors(solution.linearised)
+        errors = errors_mm / np.sqrt(variances + print_sigma_mm**2)
+        return cls(
+            model.places[: len(errors)].astype(int), errors, float(solution.shared[-1]), print_sigma_mm
+        )
+
+    def together(self, rate: float) -> list[Doubt]:
+        """Whether neighbours are off alike.
+
+        Products of independent normal numbers have mean 0 and variance 1, and are uncorrelated if no pair of numbers
+        is in two of them.
+        """
+        at = {(int(c), int(r)): i for i, (c, r) in enumerate(self.places)}
+        pairs = [
+            (i, at[c + dc, r + dr])
+            for (c, r), i in at.items()
+            for dc, dr in ((1, 0), (0, 1))
+            if (c + dc, r + dr) in at
+        ]
+        if not pairs:
+            return []
+        one, other = np.array(pairs).T
+        products = (self.errors[one] * self.errors[other]).ravel()
+        alike, limit = float(products.mean()), NormalDist().inv_cdf(1.0 - rate) / len(products) ** 0.5
+        if alike <= limit:
+            return []
+        return [
+            Doubt(
+                "misfit",
+                f"places of neighbouring markers are off alike (correlation {alike:.2f}; chance allows {limit:.2f}), "
+                "as errors of a print are not: the lattice is stretched, sheared or not flat, or the cameras are off",
+            )
+        ]
+
+    def alone(self, rate: float) -> list[Doubt]:
+        """Whether one marker stands out: the square of its error has two degrees of freedom."""
+        squares = (self.errors**2).sum(axis=1)
+        limit, worst = 2.0 * float(np.log(len(squares) / rate)), int(squares.argmax())
+        if squares[worst] <= limit:
+            return []
+        col, row = self.places[worst]
+        return [
+            Doubt(
+                "print",
+                f"the marker in row {row}, column {col} is {squares[worst] ** 0.5:.1f} standard deviations from its "
+                f"place; chance allows {limit**0.5:.1f} (and {int((squares > limit).sum())} in all are beyond it): it "
+                "was named or printed wrong, or its centre is hidden; leave it out",
+            )
+        ]
+
+    def size(self, rate: float) -> list[Doubt]:
+        """Whether errors are so large that one of these markers is likely to lie nearer to another's place."""
+        limit = 0.5 * self.pitch_mm / (2.0 * float(np.log(len(self.errors) / rate))) ** 0.5
+        if self.print_sigma_mm <= limit:
+            return []
+        return [
+            Doubt(
+                "print",
+                f"markers are off by {self.print_sigma_mm:.3f} mm a direction; beyond {limit:.3f} some of a lattice of "
+                f"{self.pitch_mm:.3f} mm lie nearer to another's place: rows and columns are named wrong",
+            )
+        ]

@@ -1,0 +1,334 @@
+"""Pixels of the sensor's own markers as a function of its layers, for `gelstereo.calibrate.layers`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gelstereo import Frame, MarkerState, Params, Rig, geometry, triangulate
+
+from .bundle import Linearised, Solution, minimise
+from .errors import CalibrationError
+from .print_error import print_variance
+
+__all__ = ["SCALES", "Combination", "Model", "SeatedFrame"]
+
+Array = npt.NDArray[np.float64]
+
+#: How well each kind of parameter must be known, at least: a combination of more than this, by its data sheet and the
+#: frames together, is undetermined. A wrong index by 0.01 costs 8 um per mm of height.
+SCALES = {"tilt": 0.01, "gap_mm": 0.3, "gel_index": 0.01, "thickness_mm": 0.3, "index": 0.05}
+
+#: Steps of the numerical derivatives: their error is its square, 1e-10, and round-off over it, 1e-8 px.
+STEP = 1e-5
+
+#: Rounds of search and print error: the change of the variance from one to the next shrinks by orders of magnitude.
+ROUNDS = 8
+
+
+@dataclass(frozen=True)
+class SeatedFrame:
+    """Markers of one stereo frame whose height above the rest plane is known.
+
+    Attributes
+    ----------
+    height_mm
+        Protrusion of the board that the gel is seated on, towards the cameras; 0 for a frame at rest.
+    rows, cols
+        (N,) place of every marker in the lattice.
+    left_px, right_px
+        (N, 2) their centres.
+    """
+
+    height_mm: float
+    rows: npt.NDArray[np.int64]
+    cols: npt.NDArray[np.int64]
+    left_px: Array
+    right_px: Array
+
+    @classmethod
+    def from_frame(cls, frame: Frame, height_mm: float = 0.0, *, share: float = 0.9) -> SeatedFrame:
+        """Markers of a pipeline's frame: at rest all that are seen, on a board those that lie on it.
+
+        On the board are the markers that rise by ``share`` of its 90 % quantile, together with all their neighbours:
+        the gel bends beside an edge.
+        """
+        use = np.asarray(frame.state) == MarkerState.SEEN
+        if height_mm > 0.0:
+            heights = np.asarray(frame.indentation_mm).reshape(frame.rows, frame.cols)
+            top = heights >= share * np.quantile(heights[heights > 0.5 * heights.max()], 0.9)
+            inner = np.zeros_like(top)
+            inner[1:-1, 1:-1] = np.logical_and.reduce(
+                [
+                    top[1 + i : top.shape[0] - 1 + i, 1 + j : top.shape[1] - 1 + j]
+                    for i in (-1, 0, 1)
+                    for j in (-1, 0, 1)
+                ]
+            )
+            use &= inner.ravel()
+        rows, cols = np.divmod(np.flatnonzero(use), frame.cols)
+        return cls(height_mm, rows, cols, np.asarray(frame.left_px)[use], np.asarray(frame.right_px)[use])
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A direction in the layers' parameters and how well the frames alone determine it.
+
+    Attributes
+    ----------
+    weights
+        Share of every parameter, each in units of its scale (`SCALES`); a unit vector.
+    sigma
+        Standard deviation along it from the frames alone, in the same units: above 1 they do not determine it.
+    total_sigma
+        That from frames and priors together.
+    """
+
+    weights: Mapping[str, float]
+    sigma: float
+    total_sigma: float
+
+    def __str__(self) -> str:
+        parts = [f"{w:+.2f} {name}" for name, w in self.weights.items() if abs(w) > 0.1]
+        return f"{' '.join(parts)}: {self.sigma:.2g} from the frames, {self.total_sigma:.2g} with the priors"
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known before the frames are seen, as standard deviations.
+
+    Attributes
+    ----------
+    layers
+        By the name of a parameter; 0 holds it fixed.
+    pitch_mm, pitch_sigma_mm
+        As stated for the print, and its tolerance.
+    height_sigma_mm
+        Of a board's protrusion.
+    centre_sigma_px
+        Noise of a centre along each axis.
+    """
+
+    layers: Mapping[str, float]
+    pitch_mm: float
+    pitch_sigma_mm: float
+    height_sigma_mm: float
+    centre_sigma_px: float
+
+
+class Model:
+    """Pixels as a function of the layers, the lattice's pose, the boards' heights, the pitch and the markers.
+
+    Shared parameters are the free ones of the layers, six of the pose, an offset for each board, and the pitch. A
+    marker at rest is where it was printed in all frames, which count as one with the mean of its centres. On a board it
+    is where friction took it, in every frame anew.
+    """
+
+    def __init__(
+        self, rig: Rig, frames: Sequence[SeatedFrame], layers: Mapping[str, Any], known: Known
+    ) -> None:
+        self.rig, self.known = rig, known
+        self.nominal = parameters_of(layers)
+        unknown = set(known.layers) - set(self.nominal)
+        if unknown:
+            raise CalibrationError(f"there is no parameter {sorted(unknown)}; valid are {list(self.nominal)}")
+        self.free = [name for name in self.nominal if known.layers.get(name) != 0.0]
+        self.boards = sorted({f.height_mm for f in frames if f.height_mm > 0.0})
+        rest = [f for f in frames if f.height_mm == 0.0]
+        seated = [f for f in frames if f.height_mm > 0.0]
+        places, observed, count, scatter = _means(rest)
+        self.scatter_chi2 = float((scatter**2).sum()) / known.centre_sigma_px**2
+        self.scatter_degrees = 4 * (len(scatter) - len(count))
+        self.places = np.concatenate([places, *(_places(f) for f in seated)])
+        self.observed = np.concatenate([observed, *(_centres(f) for f in seated)])
+        board = [np.full(len(f.rows), self.boards.index(f.height_mm)) for f in seated]
+        self.board = np.concatenate([np.full(len(count), -1), *board])
+        self.on_board = self.board >= 0
+        self.height = np.append(self.boards, 0.0)[self.board]
+        self.root = np.sqrt(np.append(count, np.ones(len(self.board) - len(count))))
+
+    def start(self) -> tuple[Array, Array]:
+        """Parameters to begin with: the design, the lattice fitted to the rest frames, the markers on their planes."""
+        rig = self.rig_with(np.array([self.nominal[name] for name in self.free]))
+        # Through layers as designed, a marker's two rays need not meet.
+        rays = Params().replace({"triangulate.method": "rays", "triangulate.max_epipolar_px": 100.0})
+        points = triangulate(rig, self.observed[:, :2], self.observed[:, 2:], rays)
+        rest = ~self.on_board
+        flat = np.column_stack([self.known.pitch_mm * self.places, np.zeros(len(self.places))])
+        pose = np.asarray(geometry.rigid_fit(flat[rest], points[rest]))
+        local = (points - pose[:3, 3]) @ pose[:3, :3]
+        layers = [self.nominal[n] for n in self.free]
+        shared = [*layers, *geometry.se3_log(pose).tolist(), *[0.0] * len(self.boards), self.known.pitch_mm]
+        return np.array(shared), local[self.on_board, :2]
+
+    def solve(self, start: tuple[Array, Array]) -> tuple[Solution, float]:
+        """The likeliest parameters, and the standard deviation of the print's errors, mm.
+
+        The variance and the parameters under it are found in turn until the variance rests to a thousandth.
+        """
+        # A hundredth of the pitch, from where the first round finds its way.
+        variance, (shared, own) = (0.01 * self.known.pitch_mm) ** 2, start
+        for _ in range(ROUNDS):
+            solution = minimise(self.linearise(variance), (shared, own))
+            shared, own = solution.shared, solution.own
+            before, variance = (
+                variance,
+                print_variance(solution.linearised, self.known.pitch_mm * float(np.ptp(self.places))),
+            )
+            if abs(variance - before) <= 1e-3 * max(variance, before):
+                break
+        return solution, float(np.sqrt(before))
+
+    def linearise(self, print_variance: float) -> Callable[[Array, Array], Linearised]:
+        """Residuals in units of their noise with derivatives, for errors of the print of a variance, mm²."""
+
+        def at(shared: Array, local: Array) -> Linearised:
+            return self._linearised(shared, local, print_variance)
+
+        return at
+
+    def _linearised(self, shared: Array, local: Array, print_variance: float) -> Linearised:
+        count = len(self.free)
+        layers, pose, offsets, pitch_mm = np.split(shared, [count, count + 6, len(shared) - 1])
+        rig, motion = self.rig_with(layers), np.asarray(geometry.se3_exp(pose))
+        place = np.column_stack([pitch_mm * self.places, -self.height])
+        place[self.on_board, :2] = local
+        place[self.on_board, 2] -= offsets[self.board[self.on_board]]
+        points = place @ motion[:3, :3].T + motion[:3, 3]
+        residual = self.observed - _pixels(rig, points)
+        by_point = np.stack(
+            [(_pixels(rig, points + d) - _pixels(rig, points - d)) / (2 * STEP) for d in STEP * np.eye(3)],
+            axis=-1,
+        )
+        columns = []
+        for step in STEP * np.eye(count):
+            change = _pixels(self.rig_with(layers + step), points) - _pixels(
+                self.rig_with(layers - step), points
+            )
+            columns.append(change / (2 * STEP))
+        for step in STEP * np.eye(6):
+            ends = [np.asarray(geometry.se3_exp(pose + s)) for s in (step, -step)]
+            moved = [place @ end[:3, :3].T + end[:3, 3] for end in ends]
+            columns.append(np.einsum("npk,nk->np", by_point, (moved[0] - moved[1]) / (2 * STEP)))
+        up = -by_point @ motion[:3, 2]
+        columns += [up * (self.board == k)[:, None] for k in range(len(self.boards))]
+        own = by_point @ motion[:3, :2]
+        columns.append(np.einsum("npk,nk->np", own, self.places * ~self.on_board[:, None]))
+        scale = self.root[:, None] / self.known.centre_sigma_px
+        priors = self.priors()
+        return Linearised(
+            residual * scale,
+            np.stack(columns, axis=-1) * scale[:, :, None],
+            own * scale[:, :, None],
+            np.where(self.on_board, np.inf, print_variance),
+            np.array([(mean - shared[i]) / sigma for i, mean, sigma, _ in priors]),
+            np.array([np.eye(len(shared))[i] / sigma for i, _, sigma, _ in priors]),
+        )
+
+    def priors(self) -> list[tuple[int, float, float, str]]:
+        """What is known beforehand: place of the shared parameter, mean, standard deviation and name."""
+        count, known = len(self.free), self.known
+        found = [(self.free.index(n), self.nominal[n], s, n) for n, s in known.layers.items() if s > 0.0]
+        for k, height_mm in enumerate(self.boards):
+            found.append(
+                (count + 6 + k, 0.0, known.height_sigma_mm, f"height of the board of {height_mm} mm")
+            )
+        found.append((count + 6 + len(self.boards), known.pitch_mm, known.pitch_sigma_mm, "pitch_mm"))
+        return found
+
+    def combinations(self, linearised: Linearised) -> tuple[Combination, ...]:
+        """Eigenvectors of the layers' information, all else left free, the least determined first."""
+        count = len(self.free)
+        if count == 0:
+            return ()
+        scale = np.array([_scale(name) for name in self.free])
+        rows = linearised.reduced_jacobian()
+        data = rows.T @ rows
+        for place, _, sigma, _ in self.priors():
+            if place >= count:
+                data[place, place] += sigma**-2
+        alone = _marginal(data, count) * np.outer(scale, scale)
+        prior = np.diag([_information(self.known.layers.get(name)) for name in self.free]) * np.outer(
+            scale, scale
+        )
+        values, vectors = np.linalg.eigh(alone + prior)
+        found = []
+        for value, vector in zip(values, vectors.T, strict=True):
+            informed = max(float(vector @ alone @ vector), 1e-300)
+            weights = dict(zip(self.free, vector.tolist(), strict=True))
+            found.append(Combination(weights, informed**-0.5, float(max(value, 1e-300)) ** -0.5))
+        return tuple(sorted(found, key=lambda c: -c.total_sigma))
+
+    def rig_with(self, layers: Array) -> Rig:
+        """The rig with these values of the free parameters."""
+        return self.rig.with_layers(
+            _layers({**self.nominal, **dict(zip(self.free, layers.tolist(), strict=True))})
+        )
+
+
+def _places(frame: SeatedFrame) -> Array:
+    return np.column_stack([frame.cols, frame.rows]).astype(float)
+
+
+def _centres(frame: SeatedFrame) -> Array:
+    return np.hstack([frame.left_px, frame.right_px])
+
+
+def _means(rest: Sequence[SeatedFrame]) -> tuple[Array, Array, Array, Array]:
+    """Places of the markers at rest, their mean centres, in how many frames, and how centres scatter about them."""
+    places = np.concatenate([_places(f) for f in rest])
+    seen = np.concatenate([_centres(f) for f in rest])
+    unique, index, count = np.unique(places, axis=0, return_inverse=True, return_counts=True)
+    index = index.ravel()
+    mean = np.zeros((len(unique), 4))
+    np.add.at(mean, index, seen)
+    mean /= count[:, None]
+    return unique, mean, count.astype(float), seen - mean[index]
+
+
+def _pixels(rig: Rig, points_mm: Array) -> Array:
+    return np.column_stack(rig.project(points_mm))
+
+
+def parameters_of(layers: Mapping[str, Any]) -> dict[str, float]:
+    x, y, z = layers["normal"]
+    found = {"tilt_x": x / z, "tilt_y": y / z, "gap_mm": layers["gap_mm"], "gel_index": layers["gel_index"]}
+    for i, plate in enumerate(layers["plates"]):
+        found[f"plate_{i}_thickness_mm"] = plate["thickness_mm"]
+        found[f"plate_{i}_index"] = plate["index"]
+    return found
+
+
+def _layers(parameters: Mapping[str, float]) -> dict[str, Any]:
+    normal = np.array([parameters["tilt_x"], parameters["tilt_y"], 1.0])
+    plates = range((len(parameters) - 4) // 2)
+    return {
+        "normal": (normal / np.linalg.norm(normal)).tolist(),
+        "gap_mm": parameters["gap_mm"],
+        "gel_index": parameters["gel_index"],
+        "plates": [
+            {"thickness_mm": parameters[f"plate_{i}_thickness_mm"], "index": parameters[f"plate_{i}_index"]}
+            for i in plates
+        ],
+    }
+
+
+def _scale(name: str) -> float:
+    return next(scale for kind, scale in SCALES.items() if name.startswith(kind) or name.endswith(f"_{kind}"))
+
+
+def _information(sigma: float | None) -> float:
+    return sigma**-2 if sigma else 0.0
+
+
+def _marginal(information: Array, count: int) -> Array:
+    """Information of the first parameters with the others left free (Schur's complement)."""
+    a, b, c = information[:count, :count], information[:count, count:], information[count:, count:]
+    scale = 1.0 / np.sqrt(np.diag(c))
+    return np.asarray(
+        a - (b * scale) @ np.linalg.pinv(c * np.outer(scale, scale), rcond=1e-13) @ (b * scale).T
+    )
