@@ -174,8 +174,7 @@ def test_it_is_scipys_least_squares() -> None:
     scipys = optimize.least_squares(residuals, start, x_scale="jac", xtol=1e-12, ftol=1e-12)
     values = np.array([*found.values.values(), found.pitch_mm])
     by = scipys.x[[*range(6), 13]]
-    jacobian = scipys.jac.copy()
-    pixels = 4 * sum(len(f.rows) for f in frames)
+    jacobian, pixels = scipys.jac.copy(), 4 * sum(len(f.rows) for f in frames)
     # Residuals are 1.3 % above the noise that was stated, which widens noise and the print's errors.
     times = np.sqrt(found.chi2 / found.degrees_of_freedom)
     jacobian[:pixels] /= times
@@ -184,7 +183,8 @@ def test_it_is_scipys_least_squares() -> None:
     sigma = np.array([*found.sigma.values(), found.pitch_sigma_mm])
     # Both come to rest within a thousandth; the errors' own curvature and their scale are second to that.
     assert np.abs((by - values) / sigma).max() < 5e-3
-    assert found.chi2 == pytest.approx(2 * scipys.cost, rel=1e-4)
+    at_rest = np.delete(residuals(scipys.x), np.arange(pixels, pixels + 4))
+    assert found.chi2 == pytest.approx(at_rest @ at_rest, rel=1e-4)
     off = (covariance[:6, :6] - found.covariance) / np.outer(sigma[:6], sigma[:6])
     assert np.abs(off).max() < 1e-3
 
@@ -279,6 +279,14 @@ def test_the_command_calibrates_from_images(tmp_path: Path, capsys: pytest.Captu
     assert found["gel_index"] == pytest.approx(1.41, abs=0.01) and found["gap_mm"] == pytest.approx(
         20.0, abs=0.15
     )
+    # The same images with a pitch that they contradict: found and written, and said.
+    Params.preset("balanced").replace({"lattice.pitch_mm": 1.0}).save(tmp_path / "pitch.toml")
+    words += ["--params", str(tmp_path / "pitch.toml")]
+    out.unlink()
+    assert main(["calibrate-layers", "--rig", str(tmp_path / "design.toml"), *words, "--out", str(out)]) == 1
+    said = capsys.readouterr()
+    assert "doubtful, pitch" in said.out and "(pitch)" in said.err
+    assert Rig.load(out).layers["gel_index"] == pytest.approx(1.41, abs=0.01)
     Rig.parallel((640, 480), F_PX, 10.0).save(tmp_path / "bare.toml")
     assert main(["calibrate-layers", "--rig", str(tmp_path / "bare.toml"), *words]) == 2
     assert "no [layers]" in capsys.readouterr().err

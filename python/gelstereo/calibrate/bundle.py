@@ -86,9 +86,8 @@ class Linearised:
         return jacobian, np.concatenate([self.marker_residual(), self.prior_residual])
 
     def chi2(self) -> float:
-        """Sum of squares at the markers' own parameters as they are."""
-        known = self.turned[1] * np.where(self.is_free[:, None], 1.0, self._weights())
-        return float((known**2).sum() + (self.prior_residual**2).sum())
+        """Sum of squares with every marker where it fits best."""
+        return float((self.marker_residual() ** 2).sum() + (self.prior_residual**2).sum())
 
     def covariance(self, times: float = 1.0) -> Array:
         """Of the shared parameters, with so many times the noise that was stated; 0 where there is no rank."""
@@ -118,7 +117,7 @@ class Solution:
     linearised
         The problem there.
     chi2, degrees_of_freedom
-        Sum of squares, and what it should be.
+        Sum of the markers' squares, and what it and that of the priors should be together.
     """
 
     shared: Array
@@ -161,8 +160,8 @@ def minimise(linearise: Callable[[Array, Array], Linearised], start: tuple[Array
         if at_rest:
             return _solution(shared, own, at)
     raise CalibrationError(
-        "no layers explain the markers: the search does not come to rest; check the rig, the boards' heights and the "
-        "layers it starts from"
+        "no layers explain the markers: the search does not come to rest; check the rig, the boards' heights, the "
+        "layers it starts from and their priors"
     )
 
 
@@ -175,6 +174,6 @@ def _try(linearise: Callable[[Array, Array], Linearised], shared: Array, own: Ar
 
 
 def _solution(shared: Array, own: Array, at: Linearised) -> Solution:
-    residual = at.whole()[1]
-    chi2 = float(residual @ residual)
-    return Solution(shared, own, at.covariance(), at, chi2, len(residual) - len(shared))
+    residual = at.marker_residual()
+    degrees = len(residual) + len(at.prior_residual) - len(shared)
+    return Solution(shared, own, at.covariance(), at, float(residual @ residual), degrees)

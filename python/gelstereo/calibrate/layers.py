@@ -36,7 +36,8 @@ __all__ = ["Combination", "Doubt", "LayersCalibration", "SeatedFrame", "calibrat
 
 Array = npt.NDArray[np.float64]
 
-#: Tolerance of the pitch, as a share of it.
+#: Tolerance of the pitch, as a share of it. For a pitch that is off by 0.6 %, tolerances from 0.12 to 2.4 % change no
+#: parameter by a tenth of its standard deviation (25 x 25 markers, printed within 8 um): it decides what is doubted.
 PITCH_TOLERANCE = 0.005
 
 
@@ -60,7 +61,7 @@ class LayersCalibration:
     rms_px
         Residual per coordinate beside the print's errors; the centres' noise if all is well.
     chi2, degrees_of_freedom
-        Sum of squared residuals over the noise that was given and the print's errors, and what it should be.
+        Sum of squared residuals over the noise that was given and the print's errors, and what it should be, at most.
     combinations
         All independent combinations of the parameters, the least determined first.
     doubts
