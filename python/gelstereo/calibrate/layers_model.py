@@ -26,7 +26,8 @@ SCALES = {"tilt": 0.01, "gap_mm": 0.3, "gel_index": 0.01, "thickness_mm": 0.3, "
 #: Steps of the numerical derivatives: their error is its square, 1e-10, and round-off over it, 1e-8 px.
 STEP = 1e-5
 
-#: Rounds of search and print error: the change of the variance from one to the next shrinks by orders of magnitude.
+#: Rounds of search and print error, at most. Two were enough for prints within 0 to 60 um, or with every twentieth
+#: marker named wrong, and for stated pitches of 0.6 to 1.7 mm where 0.85 is right.
 ROUNDS = 8
 
 
