@@ -27,7 +27,7 @@ DATA = HERE / "data" / "contacts"
 # The print's half side, and that of the gel.
 HALF_MM = 10.9
 # Size of a block's elements under the part.
-SOLID_MM = 0.5
+SOLID_MM = 0.3
 # Largest step of the part: mm, degrees.
 STEP = np.array([0.1, 0.08, 0.08, 2.0])
 
@@ -43,25 +43,36 @@ def placed(touch: Posed, stage: Array) -> Posed:
     return Posed(touch.part, touch.middle_mm + np.array([x, y, -depth]), float(twist))
 
 
+def along(way: Array, last: Array) -> float:
+    """How many times the last step a step is, when it goes the same way; otherwise 0."""
+    size = float(np.linalg.norm(last))
+    share = float(way @ last) / size**2 if size > 0 else 0.0
+    return share if np.abs(way - share * last).max() < 1e-9 else 0.0
+
+
 def press(
     layer: fem.Layer, part: Part, friction: float, stages: Sequence[Sequence[float]]
 ) -> Iterator[fem.Solved]:
     """Solve stage after stage; steps that do not converge are halved, four times at most."""
     contact = fem.Contact(layer, friction)
     motion, at = np.zeros(layer.count), np.zeros(4)
+    # How the gel moved in the last step, and the part's.
+    change, last = np.zeros(layer.count), np.zeros(4)
     touch = at_touch(part, layer.thickness_mm, (0.0, 0.0))
     for stage in stages:
         share, target = 1.0, np.asarray(stage, dtype=float)
         while np.abs(target - at).max() > 1e-9:
             way = (target - at) / max(1.0, float(np.ceil(np.max(np.abs(target - at) / STEP) - 1e-9)))
             now = at + share * way
+            guess = motion + change * along(now - at, last)
             try:
-                solved = contact.step(motion, placed(touch, now), placed(touch, at))
+                solved = contact.step(motion, guess, placed(touch, now), placed(touch, at))
             except fem.NotConverged:
                 share *= 0.5
                 if share < 0.05:
                     raise
                 continue
+            change, last = solved.motion - motion, now - at
             motion, at, share = solved.motion, now, min(1.0, 2 * share)
         yield solved
 
@@ -84,6 +95,7 @@ def store(name: str, layer: fem.Layer, solved: list[fem.Solved], meta: dict[str,
         shape = (len(solved), len(y), len(x))
         arrays = {"x": x, "y": y, "motion": np.stack(kept).reshape(*shape, 3)}
         arrays["pressure"] = np.stack([s.pressures for s in solved]).reshape(shape)
+        arrays["share"] = np.stack([s.shares for s in solved]).reshape(shape)
         arrays["traction"] = np.stack([s.tractions for s in solved]).reshape(*shape, 3)
     save(name, meta, arrays)
 
@@ -107,11 +119,23 @@ def solve_ball(
     store(name, layer, solved, {"half": gel["half"], "gel": gel_name, "part": part, "stages": stages})
 
 
+def reach_of(part: Part, stages: Sequence[Sequence[float]]) -> tuple[float, float]:
+    """How far from the middle the part may touch along x and y, and half a millimetre more."""
+    along = np.linspace(-10.0, 10.0, 161)
+    x, y = (a.ravel() for a in np.meshgrid(along, along))
+    thickness, reach = 0.0, np.zeros(2)
+    touch = at_touch(part, thickness, (0.0, 0.0))
+    for stage in stages:
+        on_gel = np.stack((x, y, np.full_like(x, thickness)), axis=1)
+        inside = placed(touch, np.asarray(stage, dtype=float)).distance(on_gel) < 0
+        reach = np.maximum(reach, np.abs(on_gel[inside, :2]).max(axis=0))
+    return float(reach[0]) + 0.5, float(reach[1]) + 0.5
+
+
 def solve_solid(name: str, entry: dict[str, Any], gel: dict[str, Any], fine: float) -> None:
     """A part on a block, finest under the part."""
     part, stages = Part.read(entry["part"]), entry["stages"]
-    reach = 0.5 * float(np.hypot(*part.half_mm[:2])) + 1.0
-    layer = fem.block(gel["thickness_mm"], gel["poisson_ratio"], HALF_MM, fine, (reach, reach))
+    layer = fem.block(gel["thickness_mm"], gel["poisson_ratio"], HALF_MM, fine, reach_of(part, stages))
     solved = list(press(layer, part, gel["friction"], stages))
     meta = {"half": gel["half"], "gel": entry["gel"], "part": entry["part"], "stages": stages}
     store(name, layer, solved, meta)
@@ -145,7 +169,12 @@ def jobs(contacts: dict[str, Any]) -> dict[str, tuple[Any, ...]]:
         for radius in balls[gel["half"]]:
             found[f"ball_{radius}_{key}"] = (solve_ball, gel, key, radius, balls["shares"], 1.0)
     for name, entry in contacts["solids"].items():
-        found[f"{name}_{entry['gel']}"] = (solve_solid, entry, gels[entry["gel"]], SOLID_MM)
+        found[f"{name}_{entry['gel']}"] = (
+            solve_solid,
+            entry,
+            gels[entry["gel"]],
+            entry.get("fine_mm", SOLID_MM),
+        )
     return found
 
 

@@ -1,9 +1,9 @@
 """Finite elements: a soft layer, bonded at its back, under a rigid part with friction.
 
 Neo-Hookean, nearly incompressible: bilinear elements whose pressure is constant in each (mean dilatation; Simo,
-Taylor and Pister 1985), so that they do not lock. Contact is collocated at surface nodes with a penalty; friction
-is Coulomb's with return mapping. Loads are steps of the part's motion, each solved by Newton's method. The shear
-modulus is 1; pressures are in its unit.
+Taylor and Pister 1985), so that they do not lock. Contact is looked for at a disc's surface nodes, or at four points of
+each of a block's faces, with a penalty; friction is Coulomb's with return mapping. Loads are steps of the part's
+motion, each solved by Newton's method with a line search. The shear modulus is 1; pressures are in its unit.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 import skfem
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_matrix, identity
 
 from .parts import Posed
 
@@ -24,6 +24,9 @@ Indices = npt.NDArray[np.int64]
 NORMAL_PENALTY = 2000.0
 # Sticking nodes give way by up to 10 to 20 um at those pressures; 200 made Newton steps fail.
 STICK_PENALTY = 100.0
+# Blocks: the pressure starts as a parabola over this depth, and the part's bend counts up to this pressure.
+SOFT_MM = 0.002
+MOST_BENT = 20.0
 
 
 class NotConverged(RuntimeError):
@@ -93,90 +96,143 @@ class Layer:
         places = self.mesh.p[:, self.nodes].T
         self.places = np.insert(places, 1, 0.0, axis=1) if self.axial else places
         self.surface_dofs = self.nodal[self.nodes]
+        # Where contact is looked for: at a disc's nodes, and at four points of every face of a block.
+        self.at_points, self.point_areas = identity(len(self.nodes), format="csr"), self.areas
+        if not self.axial:
+            self.at_points, self.point_areas = self._points(facets)
 
-    def forces(self, u: Array) -> tuple[Array, csr_matrix]:
-        """Inner forces and their derivative."""
-        gradient = np.eye(3).ravel() + np.einsum("eqai,ei->eqa", self.rates, u[self.dofs])
+    def _points(self, facets: skfem.FacetBasis) -> tuple[csr_matrix, Array]:
+        """Gauss points of the surface's faces by its nodes, and their areas."""
+        order = np.full(self.mesh.p.shape[1], -1)
+        order[self.nodes] = np.arange(len(self.nodes))
+        shares = np.stack([np.asarray(f[0]) for f in facets.basis], axis=-1)
+        columns = order[np.asarray(facets.element_dofs).T][:, None, :]
+        columns = np.broadcast_to(columns, shares.shape).reshape(-1, shares.shape[-1])
+        shares = shares.reshape(columns.shape)
+        rows = np.broadcast_to(np.arange(len(shares))[:, None], shares.shape)
+        used = columns >= 0
+        places = (rows[used], columns[used])
+        points = csr_matrix((shares[used], places), shape=(len(shares), len(self.nodes)))
+        return points, np.asarray(facets.dx).ravel()
+
+    def forces(self, u: Array) -> Array:
+        """Inner forces."""
+        bent = _Bent.of(self, u)
+        stress = self.weights[..., None] * (bent.isochoric() + bent.pressure[:, None, None] * bent.cofactor)
+        inner = np.einsum("eqa,eqai->ei", stress, self.rates)
+        return np.bincount(self.dofs.ravel(), inner.ravel(), self.count)
+
+    def stiffness(self, u: Array) -> csr_matrix:
+        """Derivative of the inner forces."""
+        bent = _Bent.of(self, u)
+        law = bent.law()
+        law *= self.weights[..., None, None]
+        along = np.matmul(law, self.rates)
+        n, q, _, m = self.rates.shape
+        blocks = np.matmul(self.rates.reshape(n, q * 9, m).swapaxes(1, 2), along.reshape(n, q * 9, m))
+        growth = np.einsum("eqa,eqai->ei", self.weights[..., None] * bent.cofactor, self.rates)
+        stiff = 0.5 * self.bulk * (1 + 1 / bent.theta**2) / self.weights.sum(axis=1)
+        blocks += stiff[:, None, None] * growth[:, :, None] * growth[:, None, :]
+        rows = np.broadcast_to(self.dofs[:, :, None], blocks.shape).ravel()
+        columns = np.broadcast_to(self.dofs[:, None, :], blocks.shape).ravel()
+        return csr_matrix((blocks.ravel(), (rows, columns)), shape=(self.count,) * 2)
+
+
+@dataclass(frozen=True)
+class _Bent:
+    """A layer's deformation: F and its inverse's transpose as nine entries, and what follows of both."""
+
+    gradient: Array
+    inverse: Array
+    jacobian: Array
+    theta: Array
+    pressure: Array
+
+    @classmethod
+    def of(cls, layer: Layer, u: Array) -> _Bent:
+        gradient = np.eye(3).ravel() + np.einsum("eqai,ei->eqa", layer.rates, u[layer.dofs])
         f = gradient.reshape(*gradient.shape[:2], 3, 3)
         jacobian = np.linalg.det(f)
         if jacobian.min() <= 0.05:
             raise NotConverged
         inverse = np.linalg.inv(f).swapaxes(-1, -2).reshape(gradient.shape)
-        volume = self.weights.sum(axis=1)
-        theta = (self.weights * jacobian).sum(axis=1) / volume
-        pressure = 0.5 * self.bulk * (theta - 1 / theta)
-        stiff = 0.5 * self.bulk * (1 + 1 / theta**2) / volume
-        first = (gradient**2).sum(axis=-1)
-        scale = jacobian ** (-2 / 3)
-        # dW/dF of the isochoric part, and of the pressure's work on the volume.
-        isochoric = scale[..., None] * (gradient - first[..., None] / 3 * inverse)
-        cofactor = jacobian[..., None] * inverse
-        stress = self.weights[..., None] * (isochoric + pressure[:, None, None] * cofactor)
-        inner = np.einsum("eqa,eqai->ei", stress, self.rates)
-        law = self._law(gradient, inverse, first, scale, jacobian, pressure)
-        law *= self.weights[..., None, None]
-        along = np.matmul(law, self.rates)
-        n, q, _, m = self.rates.shape
-        blocks = np.matmul(self.rates.reshape(n, q * 9, m).swapaxes(1, 2), along.reshape(n, q * 9, m))
-        growth = np.einsum("eqa,eqai->ei", self.weights[..., None] * cofactor, self.rates)
-        blocks += stiff[:, None, None] * growth[:, :, None] * growth[:, None, :]
-        forces = np.bincount(self.dofs.ravel(), inner.ravel(), self.count)
-        rows = np.broadcast_to(self.dofs[:, :, None], blocks.shape).ravel()
-        columns = np.broadcast_to(self.dofs[:, None, :], blocks.shape).ravel()
-        return forces, csr_matrix((blocks.ravel(), (rows, columns)), shape=(self.count,) * 2)
+        theta = (layer.weights * jacobian).sum(axis=1) / layer.weights.sum(axis=1)
+        return cls(gradient, inverse, jacobian, theta, 0.5 * layer.bulk * (theta - 1 / theta))
 
-    @staticmethod
-    def _law(
-        gradient: Array, inverse: Array, first: Array, scale: Array, jacobian: Array, pressure: Array
-    ) -> Array:
+    @property
+    def cofactor(self) -> Array:
+        return self.jacobian[..., None] * self.inverse
+
+    def isochoric(self) -> Array:
+        """dW/dF of the part that keeps the volume."""
+        first = (self.gradient**2).sum(axis=-1)
+        scale = self.jacobian ** (-2 / 3)
+        return np.asarray(scale[..., None] * (self.gradient - first[..., None] / 3 * self.inverse))
+
+    def law(self) -> Array:
         """Second derivative of the energy by F, the mean dilatation's own part apart."""
+        gradient, inverse = self.gradient, self.inverse
         outer = inverse[..., :, None] * inverse[..., None, :]
         # d(F^-T)/dF: -F^-T_kj F^-T_il for entries ij by kl.
         g = inverse.reshape(*inverse.shape[:-1], 3, 3)
         turn = np.einsum("...kj,...il->...ijkl", g, g).reshape(outer.shape)
         mixed = gradient[..., :, None] * inverse[..., None, :]
         law = np.eye(9) - 2 / 3 * (mixed + mixed.swapaxes(-1, -2))
-        law = law + (first / 3)[..., None, None] * (2 / 3 * outer + turn)
-        law *= scale[..., None, None]
-        law += (pressure[:, None] * jacobian)[..., None, None] * (outer - turn)
+        law = law + ((gradient**2).sum(axis=-1) / 3)[..., None, None] * (2 / 3 * outer + turn)
+        law *= (self.jacobian ** (-2 / 3))[..., None, None]
+        law += (self.pressure[:, None] * self.jacobian)[..., None, None] * (outer - turn)
         return np.asarray(law)
 
 
 @dataclass(frozen=True)
 class Solved:
-    """Motion of all degrees of freedom (mm), and at the surface's nodes pressures and tractions."""
+    """Motion of all degrees of freedom (mm); at the surface's nodes pressures, tractions and the share that touches."""
 
     motion: Array
     pressures: Array
     tractions: Array
+    shares: Array
+
+
+@dataclass(frozen=True)
+class Traction:
+    """What the part does to the surface at the contact points, and its derivative by their places."""
+
+    stresses: Array
+    slopes: Array
+    pressures: Array
+    tangential: Array
 
 
 @dataclass
 class Contact:
-    """Forces between the surface's nodes and a part. `held` are the tractions that nodes carried last."""
+    """Forces between the surface's contact points and a part. `held` are the tractions that points carried last."""
 
     layer: Layer
     friction: float
     held: Array = field(init=False)
 
     def __post_init__(self) -> None:
-        self.held = np.zeros_like(self.layer.places)
+        self.held = np.zeros((self.layer.at_points.shape[0], 3))
 
-    def forces(
-        self, u: Array, before: Array, part: Posed, part_before: Posed
-    ) -> tuple[Array, Array, Array, Array]:
-        """Forces on the nodes (n x 3), their derivative (n x 3 x 3), normal pressures and tangential tractions."""
+    def places(self, u: Array) -> Array:
+        """Where the contact points are."""
         layer = self.layer
-        places, places_before = (layer.places + self._vectors(v) for v in (u, before))
+        values = u[layer.surface_dofs]
+        moved = np.insert(values, 1, 0.0, axis=1) if layer.axial else values
+        return np.asarray(layer.at_points @ (layer.places + moved))
+
+    def forces(self, places: Array, places_before: Array, part: Posed, part_before: Posed) -> Traction:
+        """Stresses on the contact points by a penalty, with friction since the last step."""
         gap = part.distance(places)
         touching = gap < 0
-        forces, slopes = np.zeros_like(places), np.zeros((len(places), 3, 3))
+        stresses, slopes = np.zeros_like(places), np.zeros((len(places), 3, 3))
         pressures, tractions = np.zeros(len(places)), np.zeros_like(places)
         if not touching.any():
-            return forces, slopes, pressures, tractions
-        x, area = places[touching], layer.areas[touching]
+            return Traction(stresses, slopes, pressures, tractions)
+        x = places[touching]
         normal, bend = part.slope(x), part.curvature(x)
-        pressure = -NORMAL_PENALTY * gap[touching]
+        pressure, rate = self._pressure(-gap[touching])
         across = np.eye(3) - normal[:, :, None] * normal[:, None, :]
         slid = (x - places_before[touching]) - part.carried(x, part_before)
         trial = np.einsum("nij,nj->ni", across, self.held[touching] - STICK_PENALTY * slid)
@@ -186,62 +242,127 @@ class Contact:
         both = np.sqrt(limit**2 + size2)
         share = limit / both
         traction = share[:, None] * trial
-        slope = -NORMAL_PENALTY * normal[:, :, None] * normal[:, None, :] + pressure[:, None, None] * bend
+        slope = -rate[:, None, None] * normal[:, :, None] * normal[:, None, :]
+        # Far inside the part, where iterates may be, the true factor would outweigh the gel.
+        slope += np.minimum(pressure, MOST_BENT)[:, None, None] * bend
         hold = share[:, None, None] * across - (limit / both**3)[:, None, None] * (
             trial[:, :, None] * trial[:, None, :]
         )
         slope -= STICK_PENALTY * hold
-        rise = self.friction * NORMAL_PENALTY * size2 / both**3
+        rise = self.friction * rate * size2 / both**3
         slope -= rise[:, None, None] * trial[:, :, None] * normal[:, None, :]
-        forces[touching] = area[:, None] * (pressure[:, None] * normal + traction)
-        slopes[touching] = area[:, None, None] * slope
+        stresses[touching] = pressure[:, None] * normal + traction
+        slopes[touching] = slope
         pressures[touching], tractions[touching] = pressure, traction
-        return forces, slopes, pressures, tractions
+        return Traction(stresses, slopes, pressures, tractions)
 
-    def _vectors(self, u: Array) -> Array:
-        values = u[self.layer.surface_dofs]
-        return np.insert(values, 1, 0.0, axis=1) if self.layer.axial else values
+    def _pressure(self, depth: Array) -> tuple[Array, Array]:
+        """Pressure at a depth in the part, and its derivative: linear, with a soft start in three dimensions."""
+        soft = 0.0 if self.layer.axial else SOFT_MM
+        if soft == 0.0:
+            return NORMAL_PENALTY * depth, np.full_like(depth, NORMAL_PENALTY)
+        inside = np.minimum(depth, soft)
+        pressure = NORMAL_PENALTY * (0.5 * inside**2 / soft + (depth - inside))
+        return pressure, NORMAL_PENALTY * inside / soft
 
-    def step(self, start: Array, part: Posed, part_before: Posed, limit: int = 25) -> Solved:
+    def step(self, start: Array, guess: Array, part: Posed, part_before: Posed, limit: int = 25) -> Solved:
         """Move the part. The step counts, and friction remembers it, once it has converged."""
-        layer = self.layer
-        kept = [0, 2] if layer.axial else [0, 1, 2]
-        ends = layer.surface_dofs
-        rows = np.broadcast_to(ends[:, :, None], (*ends.shape, ends.shape[1])).ravel()
-        columns = np.broadcast_to(ends[:, None, :], (*ends.shape, ends.shape[1])).ravel()
-
-        def evaluate(u: Array) -> tuple[Array, csr_matrix, float, Array, Array]:
-            inner, stiffness = layer.forces(u)
-            outer, slopes, pressures, tractions = self.forces(u, start, part, part_before)
-            np.subtract.at(inner, ends.ravel(), outer[:, kept].ravel())
-            block = slopes[:, kept][:, :, kept].ravel()
-            matrix = stiffness - csr_matrix((block, (rows, columns)), shape=stiffness.shape)
-            scale = float(np.linalg.norm(outer)) + 1e-9
-            return inner[layer.free], matrix[layer.free][:, layer.free].tocsr(), scale, pressures, tractions
-
-        u = start.copy()
-        residual, matrix, scale, pressures, tractions = evaluate(u)
+        problem = _Step(self, self.places(start), part, part_before)
+        free = self.layer.free
+        u = guess.copy()
+        now = problem.at(u)
         for _ in range(limit):
-            size = float(np.linalg.norm(residual))
-            if size < 1e-5 * scale:
-                self.held = tractions
-                return Solved(u, pressures, tractions)
-            change = solve(matrix, -residual)
-            # Far jumps at first touch overshoot.
-            share = min(1.0, 0.5 / float(np.abs(change).max()))
-            for _ in range(5):
-                tried = u.copy()
-                tried[layer.free] += share * change
-                try:
-                    residual, matrix, scale, pressures, tractions = evaluate(tried)
-                except NotConverged:
-                    share *= 0.5
-                    continue
-                if np.linalg.norm(residual) < (1 - 0.1 * share) * size:
-                    break
-                share *= 0.5
-            u = tried
+            if np.linalg.norm(now.residual) < 1e-5 * now.scale:
+                self.held = now.traction.tangential
+                return self._solved(u, now.traction)
+            change = np.zeros_like(u)
+            change[free] = solve(problem.matrix(u, now.traction), -now.residual)
+            u, now = problem.search(u, change, now)
         raise NotConverged
+
+    def _solved(self, u: Array, traction: Traction) -> Solved:
+        """Means round every node."""
+        layer = self.layer
+        spread = layer.at_points.T.multiply(layer.point_areas).tocsr()
+        area = np.asarray(spread.sum(axis=1)).ravel()
+        touching = (traction.pressures > 0).astype(float)
+        pressures, shares = spread @ traction.pressures / area, spread @ touching / area
+        return Solved(u, pressures, (spread @ traction.tangential) / area[:, None], shares)
+
+
+@dataclass(frozen=True)
+class _State:
+    """Out-of-balance forces of the free degrees of freedom, the size of the outer ones, and those at points."""
+
+    residual: Array
+    scale: float
+    traction: Traction
+
+
+@dataclass(frozen=True)
+class _Step:
+    """One motion of the part."""
+
+    contact: Contact
+    before: Array
+    part: Posed
+    part_before: Posed
+
+    @property
+    def kept(self) -> list[int]:
+        return [0, 2] if self.contact.layer.axial else [0, 1, 2]
+
+    @property
+    def weighted(self) -> csr_matrix:
+        layer = self.contact.layer
+        return layer.at_points.T.multiply(layer.point_areas).tocsr()
+
+    def at(self, u: Array) -> _State:
+        layer = self.contact.layer
+        inner = layer.forces(u)
+        found = self.contact.forces(self.contact.places(u), self.before, self.part, self.part_before)
+        outer = self.weighted @ found.stresses[:, self.kept]
+        np.subtract.at(inner, layer.surface_dofs.ravel(), outer.ravel())
+        return _State(inner[layer.free], float(np.linalg.norm(outer)) + 1e-9, found)
+
+    def matrix(self, u: Array, traction: Traction) -> csr_matrix:
+        """Derivative of the residual; the contact's goes node by node through the points between them."""
+        layer = self.contact.layer
+        ends, weighted = layer.surface_dofs, self.weighted
+        slopes = traction.slopes[:, self.kept][:, :, self.kept]
+        rows, columns, values = [], [], []
+        for i, j in np.ndindex(slopes.shape[1:]):
+            block = (weighted.multiply(slopes[:, i, j]) @ layer.at_points).tocoo()
+            rows.append(ends[block.row, i])
+            columns.append(ends[block.col, j])
+            values.append(block.data)
+        places = np.concatenate(rows), np.concatenate(columns)
+        whole = layer.stiffness(u) - csr_matrix((np.concatenate(values), places), shape=(layer.count,) * 2)
+        return whole[layer.free][:, layer.free].tocsr()
+
+    def search(self, u: Array, change: Array, now: _State) -> tuple[Array, _State]:
+        """The first share of a change that lessens the forces enough, or the best that was tried."""
+        size, free = float(np.linalg.norm(now.residual)), self.contact.layer.free
+        work = abs(float(now.residual @ change[free]))
+        # Far jumps at first touch overshoot.
+        share = min(1.0, 0.5 / float(np.abs(change).max()))
+        best: tuple[float, Array, _State] | None = None
+        for _ in range(6):
+            tried = u + share * change
+            try:
+                found = self.at(tried)
+            except NotConverged:
+                share *= 0.5
+                continue
+            off = float(np.linalg.norm(found.residual)) / size
+            if off < 1 - 0.1 * share or (abs(float(found.residual @ change[free])) < 0.3 * work and off < 2):
+                return tried, found
+            if best is None or off < best[0]:
+                best = off, tried, found
+            share *= 0.5
+        if best is None:
+            raise NotConverged
+        return best[1:]
 
 
 def graded(fine_mm: float, fine_until_mm: float, until_mm: float, growth: float = 1.25) -> Array:
@@ -272,7 +393,7 @@ def block(
     thickness_mm: float, poisson_ratio: float, half_mm: float, fine_mm: float, contact_mm: tuple[float, float]
 ) -> Layer:
     """A square block of gel."""
-    axes = [graded(fine_mm, reach, half_mm, 1.6) for reach in contact_mm]
+    axes = [graded(fine_mm, reach, half_mm, 1.5) for reach in contact_mm]
     x, y = (np.concatenate((-a[:0:-1], a)) for a in axes)
     z = heights(fine_mm, thickness_mm)
     return Layer(skfem.MeshHex.init_tensor(x, y, z), thickness_mm, poisson_ratio)

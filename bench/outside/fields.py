@@ -65,8 +65,10 @@ class Field:
         )
 
     def touching(self, stage: int, points: Array) -> npt.NDArray[np.bool_]:
-        """True contact: the larger part of the surrounding nodes carries pressure. Right to half a cell."""
+        """True contact: the larger part of the surrounding gel carries pressure. Right to half a cell."""
         grid = (self.arrays["pressure"][stage] > 0).astype(float)
+        # Of blocks the share of the surface round every node that touches.
+        grid = self.arrays["share"][stage] if "share" in self.arrays else grid
         if "r" in self.arrays:
             return np.asarray(np.interp(np.hypot(*points.T), self.arrays["r"], grid, right=0.0) > 0.5)
         axes = (self.arrays["y"], self.arrays["x"])

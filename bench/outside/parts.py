@@ -17,43 +17,75 @@ from .optics import turned
 
 Array = npt.NDArray[np.float64]
 
+# Per mm; twice that of the sharpest rounded edge of the solids.
+MOST_CURVED = 8.0
+
+
+def to_outline(points: Array, corners: Array) -> Array:
+    """Signed distance in the plane to a closed outline of corners in order, positive outside."""
+    distance = np.full(len(points), np.inf)
+    inside = np.zeros(len(points), dtype=bool)
+    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        way, off = end - start, points - start
+        share = np.clip(off @ way / (way @ way), 0.0, 1.0)
+        distance = np.minimum(distance, np.linalg.norm(off - share[:, None] * way, axis=1))
+        crosses = (start[1] > points[:, 1]) != (end[1] > points[:, 1])
+        if way[1] != 0:
+            inside ^= crosses & (off[:, 0] < off[:, 1] / way[1] * way[0])
+    return np.where(inside, -distance, distance)
+
 
 @dataclass(frozen=True)
 class Part:
-    """A ball, or a box or cylinder (axis along x) with rounded edges, turned about its middle.
+    """A ball; a box, cylinder (axis along x) or plate (an outline along x and y) with rounded edges; a group of these.
 
-    `half_mm` are the box's half sides, or half the cylinder's length and its radius twice.
+    It is turned about its own origin. `half_mm` are the box's half sides, half the cylinder's length and its radius
+    twice, or the plate's half thickness thrice. A group's parts stand where `at_mm` says.
     """
 
     kind: str
     half_mm: tuple[float, float, float]
     edge_mm: float = 0.2
     turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    outline_mm: tuple[tuple[float, float], ...] = ()
+    at_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    pieces: tuple[Part, ...] = ()
 
     @classmethod
     def read(cls, entry: Mapping[str, Any]) -> Part:
         """The part of an entry of `contacts.toml`."""
-        kind, turn = entry["kind"], tuple(entry.get("turn_deg", (0.0, 0.0, 0.0)))
+        kind, more = entry["kind"], {k: tuple(entry[k]) for k in ("turn_deg", "at_mm") if k in entry}
         if kind == "ball":
-            return cls(kind, (entry["radius_mm"],) * 3)
+            return cls(kind, (entry["radius_mm"],) * 3, **more)
+        if kind == "group":
+            return cls(kind, (0.0,) * 3, pieces=tuple(cls.read(e) for e in entry["pieces"]), **more)
         if kind == "cylinder":
             half = (0.5 * entry["length_mm"], entry["radius_mm"], entry["radius_mm"])
         elif kind == "box":
             half = tuple(0.5 * side for side in entry["size_mm"])
+        elif kind == "plate":
+            half = (0.5 * entry["thickness_mm"],) * 3
+            more["outline_mm"] = tuple(map(tuple, entry["outline_mm"]))
         else:
-            raise ValueError(f"part kind {kind!r}; valid are ball, cylinder, box")
-        return cls(kind, half, entry.get("edge_mm", 0.2), turn)
+            raise ValueError(f"part kind {kind!r}; valid are ball, cylinder, box, plate, group")
+        return cls(kind, half, entry.get("edge_mm", 0.2), **more)
 
     def own_distance(self, points: Array) -> Array:
         """Signed distance of points in the part's frame (n x 3), positive outside."""
+        if self.kind == "group":
+            found = [p.own_distance((points - p.at_mm) @ turned(*p.turn_deg)) for p in self.pieces]
+            return np.asarray(np.min(found, axis=0))
         if self.kind == "ball":
             return np.asarray(np.linalg.norm(points, axis=1) - self.half_mm[0])
         if self.kind == "cylinder":
             off = np.stack((np.abs(points[:, 0]), np.hypot(points[:, 1], points[:, 2])), axis=1)
-            half = np.array(self.half_mm[:2])
+            beyond = off - np.array(self.half_mm[:2])
+        elif self.kind == "plate":
+            across = to_outline(points[:, :2], np.array(self.outline_mm))
+            beyond = np.stack((across, np.abs(points[:, 2]) - self.half_mm[2]), axis=1)
         else:
-            off, half = np.abs(points), np.array(self.half_mm)
-        beyond = off - half + self.edge_mm
+            beyond = np.abs(points) - np.array(self.half_mm)
+        beyond = beyond + self.edge_mm
         outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
         return np.asarray(outside + np.minimum(beyond.max(axis=1), 0.0) - self.edge_mm)
 
@@ -82,11 +114,10 @@ class Posed:
         )
 
     def curvature(self, points: Array, step: float = 1e-3) -> Array:
-        """Second derivatives of the distance (n x 3 x 3)."""
+        """Second derivatives of the distance (n x 3 x 3), cut off where faces meet without a rounded edge."""
         axes = step * np.eye(3)
-        return np.stack(
-            [(self.slope(points + a) - self.slope(points - a)) / (2 * step) for a in axes], axis=2
-        )
+        found = [(self.slope(points + a) - self.slope(points - a)) / (2 * step) for a in axes]
+        return np.clip(np.stack(found, axis=2), -MOST_CURVED, MOST_CURVED)
 
     def carried(self, points: Array, before: Posed) -> Array:
         """How far the part carries points that stick to it, from `before` to now (n x 3, mm)."""
