@@ -73,4 +73,5 @@ class Field:
             return np.asarray(np.interp(np.hypot(*points.T), self.arrays["r"], grid, right=0.0) > 0.5)
         axes = (self.arrays["y"], self.arrays["x"])
         share = RegularGridInterpolator(axes, grid, bounds_error=False, fill_value=0.0)(points[:, ::-1])
-        return np.asarray(share > 0.5)
+        # More than half, since a column of contact points alone is half a node's, to rounding.
+        return np.asarray(share > 0.501)
