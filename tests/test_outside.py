@@ -16,7 +16,7 @@ from outside.images import Condition, Sequence
 from outside.judge import judged, under_glints
 from outside.judge_contacts import RULES, judge
 from outside.optics import Optics
-from outside.parts import Part, Posed
+from outside.parts import Part, Posed, at_touch
 
 HERE = Path(images.__file__).parent
 STORED = images.names()
@@ -28,7 +28,8 @@ def table(name: str) -> dict[str, Any]:
 
 
 def test_every_stored_pair_loads_with_its_truth() -> None:
-    assert len(STORED) >= 2
+    assert set(STORED) == {entry["name"] for entry in table("sequences.toml")["sequences"]}
+    assert sum(len(Sequence.load(name)) for name in STORED) == 82
     for name in STORED:
         sequence = Sequence.load(name)
         for index in range(len(sequence)):
@@ -135,6 +136,57 @@ def test_surfaces_lie_on_the_ball_that_presses_them() -> None:
             assert gap[~pressed].min() > -1e-5
             checked += 1
     assert checked >= 40
+
+
+def test_contacts_by_finite_elements_are_the_listed_ones() -> None:
+    """Every ball and the solids that are solved, with all of their stages and in their gel's half."""
+    contacts = table("contacts.toml")
+    gels, stages = contacts["gels"], {"w": 0, "j": 0}
+    solids = {f"{name}_{solid['gel']}": solid for name, solid in contacts["solids"].items()}
+    balls = {
+        f"ball_{radius}_{gel}" for gel, entry in gels.items() for radius in contacts["balls"][entry["half"]]
+    }
+    stored = set(CONTACTS) - set(contacts["laws"])
+    assert balls <= stored <= balls | set(solids)
+    for name in stored:
+        field = fields.Field.load(name)
+        assert field.meta["half"] == gels[field.meta["gel"]]["half"]
+        if name in solids:
+            assert field.stages == solids[name]["stages"]
+        stages[field.meta["half"]] += len(field.stages)
+    assert stages == {"w": 100, "j": 92}
+
+
+def test_solids_touch_the_gel_where_they_say_and_are_nowhere_in_it() -> None:
+    """Nodes that touch all round are near the part; friction keeps to Coulomb's law."""
+    gels = table("contacts.toml")["gels"]
+    checked = 0
+    for name in CONTACTS:
+        field = fields.Field.load(name)
+        if "share" not in field.arrays:
+            continue
+        gel, arrays = gels[field.meta["gel"]], field.arrays
+        touch = at_touch(Part.read(field.meta["part"]), gel["thickness_mm"], (0.0, 0.0))
+        y, x = np.meshgrid(arrays["y"], arrays["x"], indexing="ij")
+        places = np.stack((x, y, np.full_like(x, gel["thickness_mm"])), axis=-1)
+        for stage, (depth, right, down, twist) in enumerate(field.stages):
+            part = Posed(touch.part, touch.middle_mm + np.array([right, down, -depth]), twist)
+            moved = (places + arrays["motion"][stage]).reshape(-1, 3)
+            gap, share = part.distance(moved), arrays["share"][stage].ravel()
+            assert (share > 0.999).sum() >= 3
+            assert np.abs(gap[share > 0.999]).mean() < 0.005
+            assert gap.min() > -0.015
+            pressure = arrays["pressure"][stage]
+            sideways = np.linalg.norm(arrays["traction"][stage], axis=-1)
+            assert (sideways <= 1.001 * gel["friction"] * pressure + 1e-6).all()
+            # The part's own motion is the gel's where it sticks.
+            if right or down:
+                carried = arrays["motion"][stage].reshape(-1, 3)[share > 0.999, :2].mean(axis=0)
+                start = arrays["motion"][1].reshape(-1, 3)[share > 0.999, :2].mean(axis=0)
+                way = np.array([right, down])
+                assert 0.5 < (carried - start) @ way / (way @ way) < 1.05
+            checked += 1
+    assert checked == 24
 
 
 def test_noise_is_seeded_and_as_large_as_stated() -> None:
