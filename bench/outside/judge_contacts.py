@@ -1,4 +1,5 @@
-"""Judge contact on all stored contacts, without images: `python -m outside.judge_contacts [--noise-um SIGMA]`.
+"""Judge contact on all stored contacts, without images:
+`python -m outside.judge_contacts [--half w|j] [--noise-um SIGMA]`.
 
 Markers 0.85 mm apart carry the true motion and noise along z; the rules say which of them touch. F1 is the mean
 over contacts under which four markers or more touch; `found` is the share of all contacts with a touching marker of
@@ -89,11 +90,14 @@ def judge(sigma_mm: float, half: str, rules: list[Rule]) -> dict[str, dict[Rule,
 
 
 def main() -> int:
-    """Print a table for each half."""
+    """Print a table for each half, or for one."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--noise-um", type=float, default=5.0)
-    sigma_mm = parser.parse_args().noise_um / 1000
-    for half, title in (("w", "for work"), ("j", "judged")):
+    parser.add_argument("--half", choices=["w", "j"], help="both without")
+    arguments = parser.parse_args()
+    sigma_mm, titles = arguments.noise_um / 1000, {"w": "for work", "j": "judged"}
+    for half in arguments.half or titles:
+        title = titles[half]
         scores = judge(sigma_mm, half, RULES)
         names = " | ".join(f"{rule} {setting}" for rule, setting in RULES)
         sys.stdout.write(f"\n{title}\n\n| law | contacts | {names} |\n" + (len(RULES) + 2) * "|---" + "|\n")
