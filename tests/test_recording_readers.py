@@ -92,8 +92,9 @@ def check_frame(points, fields: dict[str, tuple[int, int]]) -> None:
     cloud = np.frombuffer(bytes(points.data), layout)
     assert cloud.shape == (625,)
     assert set(cloud["state"]) <= {0, 1, 2} and set(cloud["salient"]) <= {0, 1}
-    # Nowhere farther than the gel's surface and noise, nowhere nearer than the gel is thick.
-    assert cloud["z"].min() > 0.0237 and cloud["z"].max() < 0.0290
+    # Nowhere farther than the gel's surface and noise, nowhere nearer than the gel is thick. Held ones are predicted.
+    seen_z = cloud["z"][cloud["state"] == 0]
+    assert seen_z.min() > 0.0237 and seen_z.max() < 0.0290
     # To the rest plane's tilt: it is estimated, and the indentation is along its normal.
     height_mm = 28.7 - 1000 * cloud["z"]
     assert np.abs(height_mm - cloud["indentation_mm"]).max() < 0.2
