@@ -88,6 +88,21 @@ impl Blocks {
         &self.surround
     }
 
+    /// The same, for who knows it better.
+    pub(super) const fn surround_mut(&mut self) -> &mut Vec<u16> {
+        &mut self.surround
+    }
+
+    /// Mean of each block with [`FRACTION_BITS`], row by row.
+    pub(super) fn means(&self) -> &[u64] {
+        &self.mean
+    }
+
+    /// Darkest smoothed level of each block, row by row.
+    pub(super) fn darkest(&self) -> &[u8] {
+        &self.darkest
+    }
+
     /// How much darker than its surround each block's darkest pixel is, row by row, in 1 / 2^`bits` grey levels.
     pub fn depths(&self, bits: u32) -> impl Iterator<Item = u64> {
         self.surround.iter().zip(&self.darkest).map(move |(&surround, &darkest)| {

@@ -98,7 +98,7 @@ impl Difference {
             Threshold::Fixed => self.thresholds.set_all(self.threshold_levels, width, height),
             Threshold::Auto => {
                 let noise_levels = self.noise.sigma_levels(image) * self.smoother.noise_gain();
-                self.thresholds.derive(&self.blocks, self.radius, noise_levels);
+                self.thresholds.derive(&mut self.blocks, self.radius, noise_levels);
             }
         }
         if matches!(self.rung, Rung::Blocks) {

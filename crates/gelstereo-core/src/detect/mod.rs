@@ -24,6 +24,7 @@ mod segments;
 mod sieve;
 pub mod smooth;
 pub mod threshold;
+mod walls;
 mod whole;
 mod windows;
 

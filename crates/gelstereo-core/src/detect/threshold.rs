@@ -2,6 +2,7 @@
 
 use super::blocks::{BLOCK_PX, Blocks, BoxSums};
 use super::blur::FRACTION_BITS;
+use super::walls::Walls;
 use alloc::vec::Vec;
 
 /// Least threshold that is ever derived, grey levels: below, the camera's rounding and compression show.
@@ -27,8 +28,64 @@ const NOISE_SIGMAS: f64 = 5.0;
 /// How far beyond the surround's square contrasts are averaged, blocks on each side.
 const WIDER_BLOCKS: usize = 2;
 
+/// Surrounds that differ by less than this share of the whole image's contrast have no wall that hides markers. With a wall in
+/// view, the whole image's contrast is up to 0.7 of its height.
+const UNEVEN: f64 = 1.2;
+
+/// Nor have those that differ by less than so many times the markers' contrast: half a wall's height is missing from the surround
+/// of what stands beside it, and half the markers' contrast is left then. (Drawn trays, contrasts of 25 to 110 levels: all is found
+/// up to 1.9, and from 2.6 on 0.5 to 100 % are missed.)
+const WALL: f64 = 2.0;
+
+/// Contrasts beyond so many times those of what has gel on two sides are not the markers'.
+const NOT_MARKERS: f64 = 1.5;
+
+/// A surround that lacks this share of the markers' contrast has something darker than gel and markers in it.
+const MISSING: f64 = 0.15;
+
 /// Fractional bits of contrasts: their cubes leave room for 2^30 blocks in 64 bits.
 const DEPTH_BITS: u32 = 3;
+
+/// Where one contrast is that of markers.
+#[derive(Clone, Debug, Default)]
+struct Contrasts {
+    squares: Vec<u64>,
+    cubes: Vec<u64>,
+    square_sums: BoxSums,
+    cube_sums: BoxSums,
+}
+
+impl Contrasts {
+    /// Takes the depths of all blocks with [`DEPTH_BITS`]; the contrast of the whole image.
+    fn take(&mut self, depths: impl Iterator<Item = u64>) -> f64 {
+        self.squares.clear();
+        self.cubes.clear();
+        for depth in depths {
+            self.squares.push(depth * depth);
+            self.cubes.push(depth * depth * depth);
+        }
+        mean(self.cubes.iter().sum(), self.squares.iter().sum())
+    }
+
+    /// The contrast around each block.
+    fn around(&mut self, cols: usize, radius: usize) -> impl Iterator<Item = f64> {
+        let squares = self.square_sums.run(&self.squares, cols, radius);
+        let cubes = self.cube_sums.run(&self.cubes, cols, radius);
+        squares.iter().zip(cubes).map(|(&squares, &cubes)| mean(cubes, squares))
+    }
+}
+
+/// That of depths with [`DEPTH_BITS`].
+fn contrast(depths: impl Iterator<Item = u64>) -> f64 {
+    let (squares, cubes) = depths.fold((0, 0), |(squares, cubes), d| (squares + d * d, cubes + d * d * d));
+    mean(cubes, squares)
+}
+
+/// Mean of depths, each weighted by its square. As signed numbers, which processors turn into floating point at once; sums stay
+/// far below 2^63.
+fn mean(cubes: u64, squares: u64) -> f64 {
+    cubes as i64 as f64 / (squares.max(1) as i64 as f64 * f64::from(1_u32 << DEPTH_BITS))
+}
 
 /// The threshold of every block.
 #[derive(Clone, Debug, Default)]
@@ -37,10 +94,10 @@ pub struct Thresholds {
     levels: Vec<u16>,
     cols: usize,
     feels_noise: bool,
-    squares: Vec<u64>,
-    cubes: Vec<u64>,
-    square_sums: BoxSums,
-    cube_sums: BoxSums,
+    contrasts: Contrasts,
+    walls: Walls,
+    /// Contrasts around the blocks, walls and all.
+    near: Vec<f64>,
 }
 
 impl Thresholds {
@@ -53,35 +110,61 @@ impl Thresholds {
     }
 
     /// From the contrasts of an image whose surrounds are means over `radius` blocks, and from its noise after
-    /// smoothing.
+    /// smoothing. Surrounds that hold something else than gel and markers are mended.
     ///
     /// The markers' contrast near a block is the mean of the blocks' depths, each weighted by its square: blocks
     /// without a marker have depths of a few times the noise and carry no weight beside the others.
-    pub fn derive(&mut self, blocks: &Blocks, radius: usize, noise_levels: f64) {
-        let unit = f64::from(1_u32 << DEPTH_BITS);
+    pub fn derive(&mut self, blocks: &mut Blocks, radius: usize, noise_levels: f64) {
         self.cols = blocks.cols();
-        self.squares.clear();
-        self.squares.extend(blocks.depths(DEPTH_BITS).map(|d| d * d));
-        self.cubes.clear();
-        self.cubes.extend(blocks.depths(DEPTH_BITS).map(|d| d * d * d));
-        // As signed numbers, which processors turn into floating point at once; sums stay far below 2^63.
-        let mean = |cubes: u64, squares: u64| cubes as i64 as f64 / (squares.max(1) as i64 as f64 * unit);
-        let whole = mean(self.cubes.iter().sum(), self.squares.iter().sum());
-        let near = radius + WIDER_BLOCKS;
-        let squares = self.square_sums.run(&self.squares, self.cols, near);
-        let cubes = self.cube_sums.run(&self.cubes, self.cols, near);
+        self.near.clear();
+        self.near.reserve(blocks.means().len());
+        self.walls.reserve(blocks.means().len());
         let floor = (NOISE_SIGMAS * noise_levels).max(f64::from(LEAST_LEVELS));
+        let whole = self.contrasts.take(blocks.depths(DEPTH_BITS));
+        if self.hides_markers(blocks, radius, whole) {
+            self.derive_beside_walls(blocks, radius, (whole, floor));
+            return;
+        }
         self.feels_noise = floor > SHARE * LEAST_SHARE_OF_IMAGE * whole;
         self.levels.clear();
-        self.levels.extend(squares.iter().zip(cubes).map(|(&squares, &cubes)| {
-            let near = mean(cubes, squares);
-            let levels = if near < NO_MARKER * whole {
-                SHARE_ALONE * whole
-            } else {
-                SHARE * near.max(LEAST_SHARE_OF_IMAGE * whole)
-            };
-            (levels.max(floor) * f64::from(1_u32 << FRACTION_BITS)) as u16
-        }));
+        let near = self.contrasts.around(self.cols, radius + WIDER_BLOCKS);
+        self.levels.extend(near.map(|near| threshold(near, whole, floor)));
+    }
+
+    /// Whether an image of this contrast may have walls that hide the markers beside them.
+    fn hides_markers(&mut self, blocks: &Blocks, radius: usize, whole: f64) -> bool {
+        let span = span_levels(blocks.surround());
+        radius > 0 && span > UNEVEN * whole && {
+            self.walls.look(blocks, radius);
+            span > WALL * contrast(self.walls.depths(blocks, DEPTH_BITS))
+        }
+    }
+
+    /// As [`Self::derive`], where some contrasts may be those of walls.
+    fn derive_beside_walls(&mut self, blocks: &mut Blocks, radius: usize, (with_walls, floor): (f64, f64)) {
+        let Self { cols, walls, contrasts, near, .. } = self;
+        near.extend(contrasts.around(*cols, radius + WIDER_BLOCKS));
+        let spots = contrasts.take(walls.depths(blocks, DEPTH_BITS));
+        let whole = if with_walls > NOT_MARKERS * spots { spots } else { with_walls };
+        self.feels_noise = floor > SHARE * LEAST_SHARE_OF_IMAGE * whole;
+        self.levels.clear();
+        let unit = f64::from(1_u32 << FRACTION_BITS);
+        let spots = contrasts.around(*cols, radius + WIDER_BLOCKS);
+        let surrounds = blocks.surround_mut().iter_mut().enumerate();
+        for ((block, surround), (&near, spots)) in surrounds.zip(near.iter().zip(spots)) {
+            let (contrast, is_wall) = (spots.max(LEAST_SHARE_OF_IMAGE * whole), near > NOT_MARKERS * spots);
+            let least = f64::from(*surround) + if is_wall { 0.0 } else { MISSING * contrast * unit };
+            let gel = walls.surround(block, *cols, radius, contrast);
+            self.levels.push(match gel.filter(|&gel| f64::from(gel) >= least) {
+                Some(gel) => {
+                    *surround = gel;
+                    threshold(spots, whole, floor)
+                }
+                // What is brighter than gel fades into it, and what is darker than its surround there may be gel.
+                None if is_wall => threshold(near, with_walls, floor),
+                None => threshold(near, whole, floor),
+            });
+        }
     }
 
     /// Whether noise may raise some thresholds above what the markers' contrast asks for.
@@ -101,4 +184,21 @@ impl Thresholds {
     pub fn row(&self, y: usize) -> &[u16] {
         &self.levels[y / BLOCK_PX * self.cols..][..self.cols]
     }
+}
+
+/// From the darkest to the brightest, grey levels.
+fn span_levels(surround: &[u16]) -> f64 {
+    let (low, high) =
+        surround.iter().fold((u16::MAX, 0), |(low, high), &level| (low.min(level), high.max(level)));
+    f64::from(high.saturating_sub(low)) / f64::from(1_u32 << FRACTION_BITS)
+}
+
+/// By the contrast near a block, that of the whole image, and the least that noise allows, with [`FRACTION_BITS`].
+fn threshold(near: f64, whole: f64, floor: f64) -> u16 {
+    let levels = if near < NO_MARKER * whole {
+        SHARE_ALONE * whole
+    } else {
+        SHARE * near.max(LEAST_SHARE_OF_IMAGE * whole)
+    };
+    (levels.max(floor) * f64::from(1_u32 << FRACTION_BITS)) as u16
 }
