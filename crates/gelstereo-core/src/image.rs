@@ -169,7 +169,7 @@ impl<'a> GrayView<'a> {
 
     /// Whether any pixel is as bright as this.
     pub(crate) fn reaches(&self, level: u8) -> bool {
-        (0..self.height).any(|y| self.row(y).iter().fold(0, |high: u8, &v| high.max(v)) >= level)
+        (0..self.height).any(|y| reaches(self.row(y), level))
     }
 
     /// The darkest and brightest value.
@@ -180,4 +180,8 @@ impl<'a> GrayView<'a> {
             (row.iter().fold(low, |low, &v| low.min(v)), row.iter().fold(high, |high, &v| high.max(v)))
         })
     }
+}
+/// Whether any of these pixels is as bright as this. A fold is what the compiler turns into vector code.
+pub(crate) fn reaches(pixels: &[u8], level: u8) -> bool {
+    pixels.iter().fold(0, |high: u8, &pixel| high.max(pixel)) >= level
 }

@@ -162,7 +162,8 @@ def _result(
     count = len(model.free)
     chi2 = solution.chi2 + model.scatter_chi2
     degrees = solution.degrees_of_freedom + model.scatter_degrees
-    # Noise that is larger than stated widens what is told by pixels (Birge, "The calculation of errors", 1932).
+    # Where residuals exceed the stated noise, the covariance grows with chi2, but not that of the priors
+    # (Birge, "The calculation of errors", 1932).
     covariance = solution.linearised.covariance(max(chi2 / max(degrees, 1), 1.0) ** 0.5)
     residual = solution.linearised.marker_residual()
     squares = (residual @ residual + model.scatter_chi2) / (len(residual) + model.scatter_degrees)

@@ -184,15 +184,15 @@ class Model:
                 break
         return solution, float(np.sqrt(before))
 
-    def linearise(self, print_variance: float) -> Callable[[Array, Array], Linearised]:
-        """Residuals in units of their noise with derivatives, for errors of the print of a variance, mm²."""
+    def linearise(self, print_variance_mm2: float) -> Callable[[Array, Array], Linearised]:
+        """Residuals in units of their noise with derivatives, for errors of the print of this variance."""
 
         def at(shared: Array, local: Array) -> Linearised:
-            return self._linearised(shared, local, print_variance)
+            return self._linearised(shared, local, print_variance_mm2)
 
         return at
 
-    def _linearised(self, shared: Array, local: Array, print_variance: float) -> Linearised:
+    def _linearised(self, shared: Array, local: Array, print_variance_mm2: float) -> Linearised:
         count = len(self.free)
         layers, pose, offsets, pitch_mm = np.split(shared, [count, count + 6, len(shared) - 1])
         rig, motion = self.rig_with(layers), np.asarray(geometry.se3_exp(pose))
@@ -225,7 +225,7 @@ class Model:
             residual * scale,
             np.stack(columns, axis=-1) * scale[:, :, None],
             own * scale[:, :, None],
-            np.where(self.on_board, np.inf, print_variance),
+            np.where(self.on_board, np.inf, print_variance_mm2),
             np.array([(mean - shared[i]) / sigma for i, mean, sigma, _ in priors]),
             np.array([np.eye(len(shared))[i] / sigma for i, _, sigma, _ in priors]),
         )

@@ -88,7 +88,7 @@ impl Blocks {
         &self.surround
     }
 
-    /// The same, for who knows it better.
+    /// The same, to be replaced beside a wall ([`super::walls`]).
     pub(super) const fn surround_mut(&mut self) -> &mut Vec<u16> {
         &mut self.surround
     }

@@ -2,7 +2,7 @@
 
 use super::Markers;
 use super::sieve::usual_area_px2;
-use crate::image::GrayView;
+use crate::image::{GrayView, reaches};
 use crate::math::{DVec2, abs, ceil, sqrt};
 use alloc::vec::Vec;
 use core::f64::consts::FRAC_1_PI;
@@ -18,8 +18,8 @@ const AROUND_PX: f64 = 3.0;
 const AREA_SPREAD: f64 = 0.2;
 /// Share of a marker that a reflection beside it hides at least, by where its light is spread.
 const LEAST_HIDDEN: f64 = 0.1;
-/// Nearest others that tell the usual area at a marker: those around it on a square lattice.
-const AROUND: usize = 8;
+/// Neighbours whose areas a marker is compared with: those around it on a square lattice.
+const NEIGHBOURS: usize = 8;
 /// Side of a cell in which reflections are noted: about that of a marker's square.
 const CELL_PX: usize = 16;
 
@@ -60,8 +60,7 @@ impl Glares {
     /// Finds them; whether there are any. No allocation for an image as large as one before.
     fn find(&mut self, image: GrayView<'_>) -> bool {
         self.reserve((image.width(), image.height()));
-        let is_bright =
-            |pixels: &[u8]| pixels.iter().fold(0, |high: u8, &level| high.max(level)) >= GLARE_LEVEL;
+        let is_bright = |pixels: &[u8]| reaches(pixels, GLARE_LEVEL);
         let mut found = false;
         for y in (0..image.height()).filter(|&y| is_bright(image.row(y))) {
             found = true;
@@ -128,19 +127,19 @@ pub(super) fn unfitted_px2(image: GrayView<'_>, markers: &Markers, index: usize)
 /// Range of the areas of the markers nearest to one of the list, without the smallest and the largest: one of them may be
 /// covered too. Any area without so many markers.
 fn areas_around_px2(markers: &Markers, index: usize) -> (u32, u32) {
-    let mut nearest = [(f64::INFINITY, 0); AROUND];
+    let mut nearest = [(f64::INFINITY, 0); NEIGHBOURS];
     let others = markers.centres_px.iter().zip(&markers.area_px2).enumerate().filter(|&(k, _)| k != index);
     for (_, (centre_px, &area_px2)) in others {
         let far_px2 = centre_px.distance_squared(markers.centres_px[index]);
         let place = nearest.partition_point(|&(nearer_px2, _)| nearer_px2 <= far_px2);
-        if place < AROUND {
+        if place < NEIGHBOURS {
             nearest[place..].rotate_right(1);
             nearest[place] = (far_px2, area_px2);
         }
     }
     nearest.sort_unstable_by_key(|&(_, area_px2)| area_px2);
     let [(first_px2, _), ..] = nearest;
-    if first_px2.is_finite() { (nearest[1].1, nearest[AROUND - 2].1) } else { (0, u32::MAX) }
+    if first_px2.is_finite() { (nearest[1].1, nearest[NEIGHBOURS - 2].1) } else { (0, u32::MAX) }
 }
 
 /// As [`variance_px2`], of a marker that something touches, so that it has no band; 0 of others.

@@ -1,6 +1,7 @@
 //! Pixels of one row that are set, as bits.
 
 use super::components::bits;
+use crate::image::reaches;
 use alloc::vec::Vec;
 use core::ops::Range;
 
@@ -109,11 +110,6 @@ impl RowBits {
         }
         None
     }
-}
-
-/// Whether any pixel is as bright as this.
-fn reaches(pixels: &[u8], level: u8) -> bool {
-    pixels.iter().fold(0, |high: u8, &pixel| high.max(pixel)) >= level
 }
 
 #[cfg(test)]

@@ -46,7 +46,7 @@ const MISSING: f64 = 0.15;
 /// Fractional bits of contrasts: their cubes leave room for 2^30 blocks in 64 bits.
 const DEPTH_BITS: u32 = 3;
 
-/// Where one contrast is that of markers.
+/// Depths of an image's blocks, from which the contrast of its markers follows.
 #[derive(Clone, Debug, Default)]
 struct Contrasts {
     squares: Vec<u64>,
@@ -75,7 +75,7 @@ impl Contrasts {
     }
 }
 
-/// That of depths with [`DEPTH_BITS`].
+/// The contrast of blocks with these depths, which have [`DEPTH_BITS`].
 fn contrast(depths: impl Iterator<Item = u64>) -> f64 {
     let (squares, cubes) = depths.fold((0, 0), |(squares, cubes), d| (squares + d * d, cubes + d * d * d));
     mean(cubes, squares)
@@ -160,7 +160,7 @@ impl Thresholds {
                     *surround = gel;
                     threshold(spots, whole, floor)
                 }
-                // What is brighter than gel fades into it, and what is darker than its surround there may be gel.
+                // No better surround is known: the threshold stays that by all contrasts, walls included.
                 None if is_wall => threshold(near, with_walls, floor),
                 None => threshold(near, whole, floor),
             });

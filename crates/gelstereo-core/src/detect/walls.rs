@@ -13,7 +13,8 @@ const SAME_GEL: f64 = 1.25;
 /// Share of the blocks around one that belong to the same gel at least, beside a wall.
 const LEAST_SAME: f64 = 0.4;
 
-/// Gel that the camera does not nearly saturate on is not so bright; reflections are.
+/// Mean level of a block, in grey levels, above which it is a reflection and not gel. Reflections saturate at 255; one value was
+/// tried.
 const BRIGHTEST_GEL: u16 = 230;
 
 /// Half of the directions to opposite blocks.
