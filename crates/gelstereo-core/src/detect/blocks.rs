@@ -15,7 +15,7 @@ pub struct Blocks {
     /// Blocks in a row.
     cols: usize,
     /// Mean of each block, with [`FRACTION_BITS`].
-    mean: Vec<u64>,
+    mean: Vec<u16>,
     /// Darkest smoothed level of each block.
     darkest: Vec<u8>,
     /// Gel and markers around each block, with [`FRACTION_BITS`].
@@ -49,7 +49,7 @@ impl Blocks {
         self.columns.add_up(rows);
         let Columns { sum, darkest } = &self.columns;
         let height = rows.len() / sum.len().max(1);
-        let mean = |total: u32, area: u32| u64::from(((total << FRACTION_BITS) + area / 2) / area);
+        let mean = |total: u32, area: u32| (((total << FRACTION_BITS) + area / 2) / area) as u16;
         let (whole_sums, last_sum) = sum.as_chunks::<BLOCK_PX>();
         let (whole_darkest, last_darkest) = darkest.as_chunks::<BLOCK_PX>();
         let totals = whole_sums.iter().map(|sum| sum.iter().map(|&s| u32::from(s)).sum());
@@ -71,7 +71,7 @@ impl Blocks {
     /// Ends the image: `surround` is then the mean of the blocks up to `radius` blocks away, mirrored at the borders.
     pub fn finish(&mut self, radius: usize) {
         let area = (2 * radius as u64 + 1).pow(2);
-        let sums = self.boxes.run(&self.mean, self.cols, radius);
+        let sums = self.boxes.run(&self.mean, u64::from, self.cols, radius);
         self.surround.clear();
         self.surround.extend(sums.iter().map(|sum| ((sum + area / 2) / area) as u16));
     }
@@ -88,13 +88,13 @@ impl Blocks {
         &self.surround
     }
 
-    /// The same, to be replaced beside a wall ([`super::walls`]).
-    pub(super) const fn surround_mut(&mut self) -> &mut Vec<u16> {
-        &mut self.surround
+    /// Means of the blocks, and the levels around them to be replaced beside a wall ([`super::walls`]).
+    pub(super) fn means_and_surround_mut(&mut self) -> (&[u16], &mut [u16]) {
+        (&self.mean, &mut self.surround)
     }
 
     /// Mean of each block with [`FRACTION_BITS`], row by row.
-    pub(super) fn means(&self) -> &[u64] {
+    pub(super) fn means(&self) -> &[u16] {
         &self.mean
     }
 
@@ -104,9 +104,9 @@ impl Blocks {
     }
 
     /// How much darker than its surround each block's darkest pixel is, row by row, in 1 / 2^`bits` grey levels.
-    pub fn depths(&self, bits: u32) -> impl Iterator<Item = u64> {
+    pub fn depths(&self, bits: u32) -> impl Iterator<Item = u16> {
         self.surround.iter().zip(&self.darkest).map(move |(&surround, &darkest)| {
-            u64::from(surround.saturating_sub(u16::from(darkest) << FRACTION_BITS) >> (FRACTION_BITS - bits))
+            surround.saturating_sub(u16::from(darkest) << FRACTION_BITS) >> (FRACTION_BITS - bits)
         })
     }
 
@@ -154,26 +154,32 @@ pub struct BoxSums {
 }
 
 impl BoxSums {
-    /// The sum over the blocks up to `radius` away from each, of rows of `cols` values; the total of a square must fit
-    /// 64 bits.
-    pub fn run(&mut self, values: &[u64], cols: usize, radius: usize) -> &[u64] {
+    /// The sum of `weigh` over the blocks up to `radius` away from each, of rows of `cols` values; the total of a square must
+    /// fit 64 bits.
+    pub fn run<T: Copy>(
+        &mut self,
+        values: &[T],
+        weigh: impl Fn(T) -> u64,
+        cols: usize,
+        radius: usize,
+    ) -> &[u64] {
         let (rows, reach) = (values.len() / cols.max(1), radius as isize);
         let row = |y: isize| &values[reflect101(y, rows) * cols..][..cols];
         self.out.resize(values.len(), 0);
         self.columns.clear();
         self.columns.resize(cols, 0);
         for y in -reach..reach {
-            for (column, value) in self.columns.iter_mut().zip(row(y)) {
-                *column += value;
+            for (column, &value) in self.columns.iter_mut().zip(row(y)) {
+                *column += weigh(value);
             }
         }
         for (y, out) in (0_isize..).zip(self.out.chunks_exact_mut(cols.max(1))) {
-            for (column, value) in self.columns.iter_mut().zip(row(y + reach)) {
-                *column += value;
+            for (column, &value) in self.columns.iter_mut().zip(row(y + reach)) {
+                *column += weigh(value);
             }
             sum_along(&self.columns, radius, out);
-            for (column, value) in self.columns.iter_mut().zip(row(y - reach)) {
-                *column -= value;
+            for (column, &value) in self.columns.iter_mut().zip(row(y - reach)) {
+                *column -= weigh(value);
             }
         }
         &self.out

@@ -49,35 +49,38 @@ const DEPTH_BITS: u32 = 3;
 /// Depths of an image's blocks, from which the contrast of its markers follows.
 #[derive(Clone, Debug, Default)]
 struct Contrasts {
-    squares: Vec<u64>,
-    cubes: Vec<u64>,
+    depths: Vec<u16>,
     square_sums: BoxSums,
     cube_sums: BoxSums,
 }
 
 impl Contrasts {
     /// Takes the depths of all blocks with [`DEPTH_BITS`]; the contrast of the whole image.
-    fn take(&mut self, depths: impl Iterator<Item = u64>) -> f64 {
-        self.squares.clear();
-        self.cubes.clear();
-        for depth in depths {
-            self.squares.push(depth * depth);
-            self.cubes.push(depth * depth * depth);
-        }
-        mean(self.cubes.iter().sum(), self.squares.iter().sum())
+    fn take(&mut self, depths: impl Iterator<Item = u16>) -> f64 {
+        self.depths.clear();
+        self.depths.extend(depths);
+        contrast(self.depths.iter().copied())
     }
 
     /// The contrast around each block.
     fn around(&mut self, cols: usize, radius: usize) -> impl Iterator<Item = f64> {
-        let squares = self.square_sums.run(&self.squares, cols, radius);
-        let cubes = self.cube_sums.run(&self.cubes, cols, radius);
+        let squares = self.square_sums.run(&self.depths, square, cols, radius);
+        let cubes = self.cube_sums.run(&self.depths, cube, cols, radius);
         squares.iter().zip(cubes).map(|(&squares, &cubes)| mean(cubes, squares))
     }
 }
 
+fn square(depth: u16) -> u64 {
+    u64::from(depth).pow(2)
+}
+
+fn cube(depth: u16) -> u64 {
+    u64::from(depth).pow(3)
+}
+
 /// The contrast of blocks with these depths, which have [`DEPTH_BITS`].
-fn contrast(depths: impl Iterator<Item = u64>) -> f64 {
-    let (squares, cubes) = depths.fold((0, 0), |(squares, cubes), d| (squares + d * d, cubes + d * d * d));
+fn contrast(depths: impl Iterator<Item = u16>) -> f64 {
+    let (squares, cubes) = depths.fold((0, 0), |(squares, cubes), d| (squares + square(d), cubes + cube(d)));
     mean(cubes, squares)
 }
 
@@ -150,11 +153,12 @@ impl Thresholds {
         self.levels.clear();
         let unit = f64::from(1_u32 << FRACTION_BITS);
         let spots = contrasts.around(*cols, radius + WIDER_BLOCKS);
-        let surrounds = blocks.surround_mut().iter_mut().enumerate();
+        let (means, surround) = blocks.means_and_surround_mut();
+        let surrounds = surround.iter_mut().enumerate();
         for ((block, surround), (&near, spots)) in surrounds.zip(near.iter().zip(spots)) {
             let (contrast, is_wall) = (spots.max(LEAST_SHARE_OF_IMAGE * whole), near > NOT_MARKERS * spots);
             let least = f64::from(*surround) + if is_wall { 0.0 } else { MISSING * contrast * unit };
-            let gel = walls.surround(block, *cols, radius, contrast);
+            let gel = walls.surround(means, block, (*cols, radius), contrast);
             self.levels.push(match gel.filter(|&gel| f64::from(gel) >= least) {
                 Some(gel) => {
                     *surround = gel;

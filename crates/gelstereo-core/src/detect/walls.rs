@@ -23,7 +23,6 @@ const DIRECTIONS: [(isize, usize); 4] = [(1, 0), (0, 1), (1, 1), (-1, 1)];
 /// The gel's level at every block by opposite blocks, with [`FRACTION_BITS`].
 #[derive(Clone, Debug, Default)]
 pub(super) struct Walls {
-    means: Vec<u16>,
     gel: Vec<u16>,
     /// The same in one direction.
     sides: Vec<u16>,
@@ -32,7 +31,7 @@ pub(super) struct Walls {
 impl Walls {
     /// Makes room for so many blocks.
     pub fn reserve(&mut self, blocks: usize) {
-        for levels in [&mut self.means, &mut self.gel, &mut self.sides] {
+        for levels in [&mut self.gel, &mut self.sides] {
             levels.clear();
             levels.reserve(blocks);
         }
@@ -40,9 +39,7 @@ impl Walls {
 
     /// Looks at an image's blocks, whose surrounds are means over `radius` blocks.
     pub fn look(&mut self, blocks: &Blocks, radius: usize) {
-        let Self { means, gel, sides } = self;
-        means.clear();
-        means.extend(blocks.means().iter().map(|&mean| mean as u16));
+        let (Self { gel, sides }, means) = (self, blocks.means());
         gel.clear();
         gel.resize(means.len(), u16::MAX);
         for (dx, dy) in DIRECTIONS {
@@ -60,22 +57,28 @@ impl Walls {
     }
 
     /// How much darker than the gel on all its sides each block's darkest pixel is, in 1 / 2^`bits` grey levels.
-    pub fn depths(&self, blocks: &Blocks, bits: u32) -> impl Iterator<Item = u64> {
+    pub fn depths(&self, blocks: &Blocks, bits: u32) -> impl Iterator<Item = u16> {
         self.gel.iter().zip(blocks.darkest()).map(move |(&gel, &darkest)| {
-            u64::from(gel.saturating_sub(u16::from(darkest) << FRACTION_BITS) >> (FRACTION_BITS - bits))
+            gel.saturating_sub(u16::from(darkest) << FRACTION_BITS) >> (FRACTION_BITS - bits)
         })
     }
 
-    /// Mean over those blocks around one that belong to the same gel, if markers have this contrast there, grey levels;
-    /// `None` where only few do, as on a reflection.
-    pub fn surround(&self, block: usize, cols: usize, radius: usize, contrast: f64) -> Option<u16> {
+    /// Mean over those blocks of rows of `cols`, up to `radius` around one, that belong to the same gel, if markers have this
+    /// contrast there, grey levels; `None` where only few do, as on a reflection.
+    pub fn surround(
+        &self,
+        means: &[u16],
+        block: usize,
+        (cols, radius): (usize, usize),
+        contrast: f64,
+    ) -> Option<u16> {
         let (x, y) = (block % cols, block / cols);
-        let level = self.gel[block].max(self.means[block]);
+        let level = self.gel[block].max(means[block]);
         let most = (SAME_GEL * contrast * f64::from(1_u32 << FRACTION_BITS)) as u16;
         let (columns, rows) =
             (x.saturating_sub(radius)..(x + radius + 1).min(cols), y.saturating_sub(radius));
         let (mut sum, mut count) = (0_u32, 0_u32);
-        for row in self.means.chunks_exact(cols).take(y + radius + 1).skip(rows) {
+        for row in means.chunks_exact(cols).take(y + radius + 1).skip(rows) {
             for &mean in row[columns.clone()].iter().filter(|mean| mean.abs_diff(level) <= most) {
                 sum += u32::from(mean);
                 count += 1;

@@ -62,8 +62,8 @@ impl Epipolar {
             residual_px: stereo[i].epipolar_px,
             variance_px2: variance_px2(left, right, i),
         };
-        let mut samples: Vec<Sample> =
-            (0..stereo.len()).filter(|&i| state[i] == MarkerState::Seen).map(sample).collect();
+        let mut samples = Vec::with_capacity(stereo.len());
+        samples.extend((0..stereo.len()).filter(|&i| state[i] == MarkerState::Seen).map(sample));
         for _ in 0..ROUNDS {
             let Some(smooth) = fit(&samples) else { return Self::default() };
             let off = |sample: &Sample| abs(sample.residual_px - dot(&smooth, &sample.terms));
