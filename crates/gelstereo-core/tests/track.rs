@@ -162,4 +162,31 @@ proptest! {
             }
         }
     }
+
+    /// Spots anywhere, from one for every five markers to four for each: none is a marker, and the lattice is found again.
+    #[test]
+    fn row_48_spots_anywhere_are_no_markers(per_marker in 0.2..4.0_f64, frames in 1..4_usize, seed: u64) {
+        let (mut tracker, mut tracks, truth) = start(&[]);
+        let mut stream = Stream::new(seed, "spots");
+        for _ in 0..frames {
+            let mut anywhere = |size: f64| (size + 80.0) * stream.uniform() - 40.0;
+            let spots = (0..(per_marker * 625.0) as usize).map(|_| DVec2::new(anywhere(640.0), anywhere(480.0)));
+            tracker.run(&Markers::at(spots.collect(), 0.1), &mut tracks);
+            prop_assert!(tracks.state.iter().all(|&s| s == MarkerState::Held));
+        }
+        tracker.run(&frame(&truth, &[], |p| p), &mut tracks);
+        prop_assert!(tracks.state.iter().all(|&s| s == MarkerState::Seen));
+        prop_assert_eq!(tracks.positions_px, truth);
+    }
+
+    /// A few markers that are seen are as certain as many.
+    #[test]
+    fn a_lattice_of_which_little_is_seen_is_followed(side in 2..8_usize, step in -5.0..5.0_f64) {
+        let (mut tracker, mut tracks, truth) = start(&[]);
+        let without: Vec<usize> = (0..625).filter(|n| n / 25 >= side || n % 25 >= side).collect();
+        tracker.run(&frame(&truth, &without, |p| p + DVec2::new(step, step)), &mut tracks);
+        for n in (0..625).filter(|n| !without.contains(n)) {
+            prop_assert_eq!(tracks.state[n], MarkerState::Seen);
+        }
+    }
 }

@@ -21,6 +21,7 @@ mod layer_scene;
 mod localization;
 mod motion;
 mod motion_blur;
+mod no_lattice;
 mod noise;
 mod pipeline;
 mod plan;

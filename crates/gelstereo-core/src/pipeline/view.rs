@@ -268,9 +268,20 @@ impl ViewStages {
 
     /// Labels as the paper does; where the sort refuses, the tracks' labels stand and the evidence says so.
     fn sort(&mut self, tolerance_pitches: f64) {
+        let (rows, cols, tolerance_px) = (self.rows, self.cols, tolerance_pitches * self.pitch_px);
+        let all_found = self.searched == Searched::Whole && self.markers.centres_px.len() == rows * cols;
+        let all_tracked = self.tracks.state.iter().all(|&state| state == MarkerState::Seen);
+        let mut sorts = |positions: &[DVec2]| {
+            label::foresight_sort(positions, rows, cols, tolerance_px, &mut self.order).is_ok()
+        };
+        if all_found && !all_tracked && sorts(&self.markers.centres_px) {
+            let relabelled = self.tracks.update(&self.markers, &self.order);
+            self.is_sorted = false;
+            self.evidence = self.evidence(LabelSource::Foresight, relabelled);
+            return;
+        }
         let positions = &self.tracks.positions_px;
-        let tolerance_px = tolerance_pitches * self.pitch_px;
-        if label::foresight_sort(positions, self.rows, self.cols, tolerance_px, &mut self.order).is_err() {
+        if !sorts(positions) {
             return self.take_tracks(LabelSource::Tracks);
         }
         self.sorted.positions_px.clear();

@@ -13,10 +13,11 @@ pub use checked::{CheckedTracker, Verdict};
 
 use crate::detect::Markers;
 use crate::label::RestLattice;
-use crate::math::DVec2;
 use crate::math::linalg::Symmetric;
+use crate::math::{DVec2, sqrt};
 use crate::params::TrackParams;
 use alloc::vec::Vec;
+use core::f64::consts::FRAC_1_PI;
 use grid::Grid;
 
 /// What is known of a marker in the present frame.
@@ -58,6 +59,10 @@ pub struct Tracks {
     /// The last frame was not: positions are of an earlier one.
     stale: bool,
 }
+
+/// Share of detections that stand anywhere and are called near by chance. Half of the pairs, and twice the standard deviation
+/// of a half more, must be: by chance that many are in fewer than 1 of 100 frames of 4 markers, and of 625 never.
+const CHANCE: f64 = 0.25;
 
 /// A marker that was filled in at rest is held for ever, until it is seen.
 const NEVER_SEEN: u32 = u32::MAX;
@@ -126,6 +131,18 @@ impl Tracks {
         !self.stale
     }
 
+    /// Takes the detections for all markers, in this order (Eq. 1); how many of them stood elsewhere.
+    pub(crate) fn update(&mut self, detected: &Markers, order: &[usize]) -> usize {
+        let mut elsewhere = 0;
+        for (n, &m) in order.iter().enumerate() {
+            elsewhere += usize::from(self.positions_px[n] != detected.centres_px[m]);
+            (self.positions_px[n], self.covariance_px2[n]) =
+                (detected.centres_px[m], detected.covariance_px2[m]);
+            self.update_state(n, true, 0);
+        }
+        elsewhere
+    }
+
     /// Counts the frames that a marker is not seen, and gives it its state.
     fn update_state(&mut self, n: usize, seen: bool, max_held_frames: u32) {
         let unseen = &mut self.unseen_frames[n];
@@ -149,7 +166,10 @@ impl Tracks {
 /// the pair must be nearest to each other both ways, so that two markers never share a detection; and where the paper
 /// freezes a marker that was not detected, its position moves with its lattice neighbours that were, and a detection
 /// within the gate of that position is taken as well. Eq. 1's direct update when all N are found needs the same
-/// correspondence, since detections come in no particular order.
+/// correspondence, since detections come in no particular order; [`Tracks::update`] makes it from the sort.
+///
+/// Eq. 2 pairs noise with markers as well. Where the pairs move with their neighbours no more often than by chance, all
+/// markers are held.
 ///
 /// A frame in which the whole lattice moves by more than the gate cannot be told from one that moves by a
 /// pitch less: cameras must be fast enough for that not to happen.
@@ -226,6 +246,10 @@ impl Tracker {
         while self.pair(detected_px, out) {
             self.carry(out);
         }
+        if !self.moves_as_one(detected_px.len(), &out.positions_px) {
+            self.detection_of.fill(None);
+            out.positions_px.clone_from(&self.previous_px);
+        }
         for (covariance, detection) in out.covariance_px2.iter_mut().zip(&self.detection_of) {
             if let Some(m) = detection {
                 *covariance = detected.covariance_px2[*m as usize];
@@ -258,6 +282,32 @@ impl Tracker {
             out.positions_px[n as usize] = detected_px[m as usize];
         }
         !pairs.is_empty()
+    }
+
+    /// Whether so many paired markers move with their lattice neighbours as only a lattice's do, and not pairs of a frame
+    /// that shows something else.
+    fn moves_as_one(&self, detections: usize, positions_px: &[DVec2]) -> bool {
+        let pitch_px = self.gate_px / self.params.gate_pitches;
+        // A lattice's detections are as dense as its markers; noise may be denser.
+        let lattice = self.rest_px.len() as f64;
+        let area_px2 = pitch_px * pitch_px * lattice / (detections as f64).max(lattice);
+        let near_px2 = CHANCE * area_px2 * FRAC_1_PI;
+        let moved_px = |n: usize| positions_px[n] - self.previous_px[n];
+        let (mut pairs, mut near_pairs) = (0.0, 0.0);
+        for n in (0..self.rest_px.len()).filter(|&n| self.detection_of[n].is_some()) {
+            let (mut sum_px, mut count) = (DVec2::ZERO, 0.0);
+            for m in near(n, self.cols, self.rest_px.len(), 1) {
+                if m != n && self.detection_of[m].is_some() {
+                    sum_px += moved_px(m);
+                    count += 1.0;
+                }
+            }
+            pairs += 1.0;
+            if count > 0.0 && (moved_px(n) - sum_px / count).length_squared() <= near_px2 {
+                near_pairs += 1.0;
+            }
+        }
+        near_pairs >= 0.5 * pairs + sqrt(pairs)
     }
 
     /// Moves the markers without a detection by the mean displacement of their neighbours with one.
