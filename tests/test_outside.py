@@ -17,6 +17,7 @@ from outside.judge import judged, under_glints
 from outside.judge_contacts import RULES, judge
 from outside.optics import Optics
 from outside.parts import Part, Posed, at_touch
+from scipy.spatial import cKDTree
 
 HERE = Path(images.__file__).parent
 STORED = images.names()
@@ -154,7 +155,7 @@ def test_contacts_by_finite_elements_are_the_listed_ones() -> None:
         if name in solids:
             assert field.stages == solids[name]["stages"]
         stages[field.meta["half"]] += len(field.stages)
-    assert stages == {"w": 100, "j": 92}
+    assert stages == {"w": 104, "j": 108}
 
 
 def test_solids_touch_the_gel_where_they_say_and_are_nowhere_in_it() -> None:
@@ -186,7 +187,23 @@ def test_solids_touch_the_gel_where_they_say_and_are_nowhere_in_it() -> None:
                 way = np.array([right, down])
                 assert 0.5 < (carried - start) @ way / (way @ way) < 1.05
             checked += 1
-    assert checked == 24
+    assert checked == 44
+
+
+def test_gels_are_smooth_beside_solids() -> None:
+    """Solutions of meshes that lock or oscillate are not; a square peg on the thinnest gel was left out for that."""
+    along = np.arange(-9.5, 9.51, 0.25)
+    x, y = np.meshgrid(along, along)
+    places = np.column_stack((x.ravel(), y.ravel()))
+    for field in (fields.Field.load(name) for name in CONTACTS):
+        for stage in range(len(field.stages)) if "share" in field.arrays else []:
+            touching = places[field.touching(stage, places)]
+            assert len(touching) > 0, f"{field.meta['part']}, stage {stage}"
+            far = cKDTree(touching).query(places)[0].reshape(x.shape) > 2.0
+            height = field.motion(stage, places)[:, 2].reshape(x.shape)
+            bends = [np.abs(np.diff(height, 2, axis=axis)) for axis in (0, 1)]
+            for bend, clear in zip(bends, (far[1:-1], far[:, 1:-1]), strict=True):
+                assert np.quantile(bend[clear], 0.99) < 0.01
 
 
 def test_noise_is_seeded_and_as_large_as_stated() -> None:
