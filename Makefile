@@ -65,6 +65,7 @@ test-long: prerequisites $(BIN)/python
 	$(MAKE) long-builds
 	$(BIN)/pytest -m "long and realtime"
 	$(BIN)/pytest -m "long and not realtime"
+	$(MAKE) same-bits
 	$(MAKE) fuzz
 	@echo "all long tests passed"
 
