@@ -38,18 +38,32 @@ def serial_ports() -> Answer:
     modprobe("xhci-pci", "ftdi_sio")
     found = nodes("tty", 1, "ttyUSB")
     device = Path("/sys/class/tty", found[0], "device")
-    latency_ms = (device / "latency_timer").read_text(encoding="ascii").strip()
+    # The driver adds it after the node.
+    timer = device / "latency_timer"
+    until(timer.exists, f"no {timer}")
+    latency_ms = timer.read_text(encoding="ascii").strip()
     return {"nodes": found, "driver": (device / "driver").resolve().name, "latency_ms": int(latency_ms)}
 
 
 def nodes(class_: str, count: int, prefix: str = "") -> list[str]:
     """Names of a class's devices, once there are so many."""
+    found: list[str] = []
+
+    def are_there() -> bool:
+        found[:] = sorted(entry.name for entry in Path("/sys/class", class_).glob(f"{prefix}*"))
+        return len(found) >= count
+
+    until(are_there, f"no {count} devices of {class_}")
+    return found
+
+
+def until(is_so: Callable[[], bool], fault: str) -> None:
+    """Waits for half a minute."""
     for _ in range(600):
-        found = sorted(entry.name for entry in Path("/sys/class", class_).glob(f"{prefix}*"))
-        if len(found) >= count:
-            return found
+        if is_so():
+            return
         time.sleep(0.05)
-    raise TimeoutError(f"no {count} devices of {class_} in 30 s")
+    raise TimeoutError(f"{fault} in 30 s")
 
 
 def run(arguments: list[str]) -> Answer:
