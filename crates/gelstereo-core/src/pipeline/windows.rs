@@ -76,16 +76,26 @@ impl Windows {
             None => detector.run_near(image, &self.places_px, reach_px, &mut self.found)?,
         }
         self.tracks.clone_from(tracks);
-        Ok(self.is_as_expected(tracks, cols, (image.width(), image.height())))
+        Ok(self.is_as_expected(tracks, (cols, reach_px), (image.width(), image.height())))
     }
 
-    fn is_as_expected(&self, tracks: &Tracks, cols: usize, (width, height): (usize, usize)) -> bool {
+    fn is_as_expected(
+        &self,
+        tracks: &Tracks,
+        (cols, reach_px): (usize, f64),
+        (width, height): (usize, usize),
+    ) -> bool {
         let markers = tracks.state.len();
         let (sights, sentinels) = self.found.sights.split_at(markers);
         let is_missing = |k: usize| !matches!(sights[k], Sight::Marker(_));
-        let missing = (0..markers).filter(|&k| tracks.state[k] == MarkerState::Seen && is_missing(k)).count();
-        let inside = |p: &DVec2| p.x >= 0.0 && p.y >= 0.0 && p.x < width as f64 && p.y < height as f64;
-        let seen = |k: usize| inside(&self.places_px[markers + k]).then_some(sentinels[k]);
+        let is_inside = |k: usize, by_px: f64| {
+            let (p, end) = (self.places_px[k], DVec2::new(width as f64, height as f64) - by_px);
+            p.x >= by_px && p.y >= by_px && p.x < end.x && p.y < end.y
+        };
+        // Markers may leave the view.
+        let is_news = |k: &usize| tracks.state[*k] == MarkerState::Seen && is_inside(*k, reach_px);
+        let missing = (0..markers).filter(is_news).filter(|&k| is_missing(k)).count();
+        let seen = |k: usize| is_inside(markers + k, 0.0).then_some(sentinels[k]);
         let alarm = (0..sentinels.len()).any(|k| matches!(seen(k), Some(Sight::Marker(_) | Sight::Several)));
         let is_told = || {
             sides(markers, cols).into_iter().flatten().all(|side| {
@@ -205,11 +215,25 @@ mod tests {
             for (moved_cols, expected) in [(0, true), (1, false), (2, false)] {
                 let (windows, tracks) = seen(moved_cols, is_walled);
                 assert_eq!(
-                    windows.is_as_expected(&tracks, COLS, (640, 480)),
+                    windows.is_as_expected(&tracks, (COLS, 1.5), (640, 480)),
                     expected,
                     "{moved_cols} {is_walled}"
                 );
             }
+        }
+    }
+
+    /// Of markers that leave the view nothing is missing; as many within it are.
+    #[test]
+    fn markers_may_leave_the_view() {
+        for (y_px, expected) in [(479.5, true), (470.0, false)] {
+            let (mut windows, tracks) = seen(0, false);
+            for col in 0..COLS {
+                let k = (ROWS - 1) * COLS + col;
+                windows.places_px[k].y = y_px;
+                windows.found.sights[k] = Sight::Nothing;
+            }
+            assert_eq!(windows.is_as_expected(&tracks, (COLS, 1.5), (640, 480)), expected, "{y_px}");
         }
     }
 }
