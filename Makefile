@@ -64,7 +64,7 @@ test-long: prerequisites $(BIN)/python
 	cargo test --quiet --workspace --test all -- --ignored reference::
 	$(MAKE) long-builds
 	$(BIN)/pytest -m "long and realtime"
-	$(BIN)/pytest -m "long and not realtime"
+	$(BIN)/pytest -n auto -m "long and not realtime"
 	$(MAKE) same-bits
 	$(MAKE) fuzz
 	@echo "all long tests passed"
