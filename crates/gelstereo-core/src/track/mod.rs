@@ -166,7 +166,7 @@ impl Tracks {
 /// the pair must be nearest to each other both ways, so that two markers never share a detection; and where the paper
 /// freezes a marker that was not detected, its position moves with its lattice neighbours that were, and a detection
 /// within the gate of that position is taken as well. Eq. 1's direct update when all N are found needs the same
-/// correspondence, since detections come in no particular order; [`Tracks::update`] makes it from the sort.
+/// correspondence, since detections come in no particular order: it comes from the sort.
 ///
 /// Eq. 2 pairs noise with markers as well. Where the pairs move with their neighbours no more often than by chance, all
 /// markers are held.
