@@ -27,6 +27,7 @@ pub mod params;
 pub mod pipeline;
 pub mod register;
 pub mod rig;
+pub mod spatial;
 pub mod stop;
 pub mod surface;
 pub mod track;

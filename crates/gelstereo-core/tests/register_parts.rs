@@ -9,7 +9,8 @@ use crate::contact_patch;
 use contact_patch::Shape;
 use gelstereo_core::math::DVec3;
 use gelstereo_core::math::random::Stream;
-use gelstereo_core::register::{Template, TemplateError, Tree, soft_match};
+use gelstereo_core::register::{Template, TemplateError, soft_match};
+use gelstereo_core::spatial::KdTree;
 use proptest::prelude::*;
 
 const EPS: f64 = f64::EPSILON;
@@ -142,7 +143,7 @@ fn awkward_points() -> impl Strategy<Value = Vec<DVec3>> {
 proptest! {
     #[test]
     fn row_12_the_tree_agrees_with_brute_force(points in awkward_points(), queries in awkward_points(), squared in prop_oneof![(0..10_u8).prop_map(f64::from), 0.0..9.0_f64]) {
-        let tree = Tree::new(&points);
+        let tree = KdTree::new(&points);
         for &query in queries.iter().take(40) {
             prop_assert_eq!(tree.nearest(query), Some(brute_force(&points, query)));
             let mut found = Vec::new();
@@ -157,13 +158,13 @@ proptest! {
 #[test]
 fn row_12_thousands_of_duplicates_and_a_flat_face() {
     let duplicates = vec![DVec3::new(1.0, 2.0, 3.0); 5000];
-    assert_eq!(Tree::new(&duplicates).nearest(DVec3::ZERO), Some((0, 14.0)));
+    assert_eq!(KdTree::new(&duplicates).nearest(DVec3::ZERO), Some((0, 14.0)));
     let face: Vec<DVec3> =
         (0..10_000).map(|k| DVec3::new(f64::from(k % 100), f64::from(k / 100), 0.0)).collect();
-    let tree = Tree::new(&face);
+    let tree = KdTree::new(&face);
     // Four corners of a cell tie; the lowest index wins.
     assert_eq!(tree.nearest(DVec3::new(10.5, 20.5, 1.0)), Some((2010, 1.5)));
-    assert_eq!(Tree::new(&[]).nearest(DVec3::ZERO), None);
+    assert_eq!(KdTree::new(&[]).nearest(DVec3::ZERO), None);
 }
 
 // The template.

@@ -4,7 +4,8 @@ use crate::arrays::{self, Array1, Matrix, Numbers};
 use crate::errors::{PoseError, RegisterError, raise};
 use crate::interrupt::{stoppable, stoppable_each};
 use gelstereo_core::math::{DMat3, DQuat, DVec3, Pose, so3, sqrt};
-use gelstereo_core::register::{self, FusedPose, PlaneContact, PoseEstimate, Tree};
+use gelstereo_core::register::{self, FusedPose, PlaneContact, PoseEstimate};
+use gelstereo_core::spatial::KdTree;
 use pyo3::prelude::*;
 
 fn vector(object: &Bound<'_, PyAny>, name: &'static str) -> PyResult<DVec3> {
@@ -255,7 +256,7 @@ pub fn nearest(
             "row {index} of {name} has a coordinate that is NaN or infinite"
         )));
     }
-    let tree = stoppable(py, |stop| Tree::new_unless(points, stop))?.map_err(raise)?;
+    let tree = stoppable(py, |stop| KdTree::new_unless(points, stop))?.map_err(raise)?;
     let found = stoppable_each(py, queries, |&query| tree.nearest(query))?;
     let found = found.into_iter().collect::<Option<Vec<_>>>();
     let found =

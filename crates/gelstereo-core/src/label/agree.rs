@@ -4,7 +4,7 @@ use super::canvas::{Canvas, STEPS};
 use super::found::Place;
 use super::predict::{neighbours, predict, predict_amid};
 use crate::math::{DVec2, sqrt};
-use crate::track::grid::Grid;
+use crate::spatial::Grid;
 use alloc::vec::Vec;
 
 /// Farthest that a marker may lie from where its neighbours say, in steps. One that slipped by a place is off by half a step

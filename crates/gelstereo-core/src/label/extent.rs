@@ -6,7 +6,7 @@ use super::found::{FoundLattice, Place, Side};
 use super::predict::predict;
 use super::seed::rows_to_the_right;
 use crate::math::{DVec2, median, sqrt};
-use crate::track::grid::Grid;
+use crate::spatial::Grid;
 use alloc::vec::Vec;
 
 /// What lies nearer to the image's border, in pitches, is no whole marker: one to three of them are no row.

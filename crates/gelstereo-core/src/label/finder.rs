@@ -9,7 +9,7 @@ use super::predict::{predict, predict_at};
 use super::seed::{Around, Seed, neighbour_distance, seed_at};
 use crate::detect::Markers;
 use crate::math::{DVec2, round, sqrt};
-use crate::track::grid::Grid;
+use crate::spatial::Grid;
 use alloc::vec::Vec;
 
 /// Farthest that a detection may lie from the origin: squares and areas stay far from overflow.

@@ -7,7 +7,7 @@ use super::{LabelError, LatticeFinder, RestLattice, check_regular};
 use crate::detect::Markers;
 use crate::math::{DVec2, atan2};
 use crate::params::LatticeParams;
-use crate::track::grid::Grid;
+use crate::spatial::Grid;
 use alloc::vec::Vec;
 
 /// A border row or column of at least so many places in which one marker is seen, or one in twelve, is a row of specks. In a

@@ -1,7 +1,7 @@
 //! Where a lattice can start: a marker with regular surroundings.
 
 use crate::math::{DVec2, median};
-use crate::track::grid::Grid;
+use crate::spatial::Grid;
 use alloc::vec::Vec;
 
 /// Most neighbours of a marker that are looked at.

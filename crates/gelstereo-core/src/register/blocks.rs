@@ -1,7 +1,7 @@
 //! A template's points and normals in the order of its tree, a few at a time, for sums that run over them.
 
-use super::tree::{LEAF, Tree};
 use crate::math::DVec3;
+use crate::spatial::{KdTree, LEAF};
 use alloc::vec::Vec;
 
 /// Points that are handled together.
@@ -24,7 +24,7 @@ pub(super) struct Block {
 }
 
 /// Of these points, in the order of the tree; lanes of the last block that are left stand nowhere.
-pub(super) fn blocks(points_mm: &[DVec3], normals: &[DVec3], tree: &Tree) -> Vec<Block> {
+pub(super) fn blocks(points_mm: &[DVec3], normals: &[DVec3], tree: &KdTree) -> Vec<Block> {
     let mut out = Vec::with_capacity(points_mm.len().div_ceil(LANES));
     let order: Vec<u32> = tree.indices().collect();
     for indices in order.chunks(LANES) {

@@ -25,7 +25,6 @@ mod surface;
 mod surfels;
 mod symmetry;
 mod template;
-mod tree;
 mod verdict;
 
 pub use codec::TemplateBytesError;
@@ -41,7 +40,6 @@ pub use surface::{
 };
 pub use symmetry::Symmetry;
 pub use template::Template;
-pub use tree::Tree;
 pub use verdict::Verdict;
 
 use crate::digest::Digest;

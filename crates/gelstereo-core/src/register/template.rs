@@ -6,9 +6,9 @@ use super::sample;
 use super::surface::Relief;
 use super::surfels::surfels;
 use super::symmetry::Symmetry;
-use super::tree::Tree;
 use crate::digest::Digest;
 use crate::math::{DVec3, Pose, sqrt};
+use crate::spatial::KdTree;
 use crate::stop::{NEVER, Stop, Stopped, ask_often};
 use crate::surface::{Field, Solid, TriangleMesh};
 use alloc::vec::Vec;
@@ -36,7 +36,7 @@ pub struct Template {
     normals: Vec<DVec3>,
     curvatures_per_mm: Vec<f64>,
     spacing_mm: f64,
-    tree: Tree,
+    tree: KdTree,
     blocks: Vec<Block>,
     pub(super) solid: Option<Solid>,
     pub(super) field: Option<Field>,
@@ -92,7 +92,7 @@ impl Template {
         spacing_mm: f64,
         stop: Stop<'_>,
     ) -> Result<Self, Stopped> {
-        let tree = Tree::new_unless(&points_mm, stop)?;
+        let tree = KdTree::new_unless(&points_mm, stop)?;
         let curvatures_per_mm = curvatures(&points_mm, &normals, &tree, spacing_mm, stop)?;
         let blocks = blocks::blocks(&points_mm, &normals, &tree);
         Ok(Self {
@@ -295,7 +295,7 @@ impl Template {
 
     /// The nearest-neighbour tree of the points.
     #[must_use]
-    pub const fn tree(&self) -> &Tree {
+    pub const fn tree(&self) -> &KdTree {
         &self.tree
     }
 
@@ -371,7 +371,7 @@ fn unit(normals: &[DVec3]) -> Result<Vec<DVec3>, TemplateError> {
 fn curvatures(
     points_mm: &[DVec3],
     normals: &[DVec3],
-    tree: &Tree,
+    tree: &KdTree,
     spacing_mm: f64,
     stop: Stop<'_>,
 ) -> Result<Vec<f64>, Stopped> {

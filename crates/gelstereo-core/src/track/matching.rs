@@ -1,10 +1,10 @@
 //! Which detection belongs to which place of the lattice, up to a shift by whole pitches.
 
 use super::canvas::{Canvas, NONE, SUGGESTED_FROM};
-use super::grid::Grid;
 use super::near;
 use super::sights::Sights;
 use crate::math::DVec2;
+use crate::spatial::Grid;
 use alloc::vec::Vec;
 
 /// Residuals of neighbours that belong together differ by less, in pitches: a slip makes them differ by one pitch less the

@@ -4,7 +4,6 @@ mod anchor;
 mod canvas;
 mod carry;
 mod checked;
-pub(crate) mod grid;
 mod matching;
 mod relabel;
 mod sights;
@@ -16,9 +15,9 @@ use crate::label::RestLattice;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, sqrt};
 use crate::params::TrackParams;
+use crate::spatial::Grid;
 use alloc::vec::Vec;
 use core::f64::consts::FRAC_1_PI;
-use grid::Grid;
 
 /// What is known of a marker in the present frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]

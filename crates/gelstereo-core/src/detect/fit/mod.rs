@@ -28,7 +28,7 @@ use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, Factor, round, sqrt};
 use crate::params::DetectParams;
-use crate::track::grid::Grid;
+use crate::spatial::Grid;
 use alloc::vec::Vec;
 use core::f64::consts::FRAC_1_PI;
 use disc::{Answers, Levels, Matrix, Outline, Window};

@@ -1,6 +1,5 @@
 //! What was sensed, as the surface rungs see it: points about the patch's centroid, and which of them a coarse look needs.
 
-use super::buckets::Buckets;
 use super::gel::Gel;
 use super::hanging::Pressures;
 use crate::math::linalg::{Symmetric, eigen};
@@ -8,6 +7,7 @@ use crate::math::{DVec3, acos, asin, centroid, sqrt};
 use crate::params::{ContactParams, RegisterParams};
 use crate::register::RegisterError;
 use crate::register::template::REACH_MM;
+use crate::spatial::Grid;
 use alloc::vec::Vec;
 
 /// A contact as it was sensed, in the sensor's frame.
@@ -187,7 +187,7 @@ pub(super) struct Samples {
     pressures: Pressures,
     nearest_squared: Vec<f64>,
     flat: Vec<DVec3>,
-    buckets: Buckets,
+    grid: Grid,
 }
 
 /// Which markers are wanted.
@@ -344,14 +344,14 @@ impl Samples {
     fn find_hollow(&mut self, contact: &Contact<'_>) {
         let press = contact.press_direction;
         self.lay_flat(contact);
-        self.buckets.fill(&self.flat);
+        self.grid.build_evenly(&self.flat);
         for k in 0..contact.points_mm.len() {
             let (flat, at) = (&self.flat, self.flat[k]);
             let squared = |j: usize| {
                 let (x, y) = (flat[j].x - at.x, flat[j].y - at.y);
                 x * x + y * y
             };
-            let ring = self.buckets.nearest::<RING>(k, at, squared);
+            let ring = self.grid.nearest_others::<RING>(k, at.truncate(), squared);
             let mean = ring.iter().map(|(_, j)| flat[*j as usize] - at).sum::<DVec3>() / RING as f64;
             // All around it, and near: where markers are missing or the gel ends nothing is known.
             let is_around =
@@ -362,7 +362,7 @@ impl Samples {
     }
 
     fn find_neighbours(&mut self, press: DVec3) {
-        let Self { neighbours, pressed, flat, buckets, .. } = self;
+        let Self { neighbours, pressed, flat, grid, .. } = self;
         neighbours.clear();
         if pressed.len() > MOST_ASKED {
             return neighbours.resize_with(pressed.len(), || [0; NEIGHBOURS]);
@@ -370,10 +370,10 @@ impl Samples {
         let (a, b) = press.any_orthonormal_pair();
         flat.clear();
         flat.extend(pressed.iter().map(|s| DVec3::new(s.p_mm.dot(a), s.p_mm.dot(b), s.p_mm.dot(press))));
-        buckets.fill(flat);
+        grid.build_evenly(flat);
         for (k, s) in pressed.iter().enumerate() {
             let squared = |j: usize| s.p_mm.distance_squared(pressed[j].p_mm);
-            let best = buckets.nearest::<NEIGHBOURS>(k, flat[k], squared);
+            let best = grid.nearest_others::<NEIGHBOURS>(k, flat[k].truncate(), squared);
             // Those behind a gap are no neighbours.
             let limit = 4.0 * best[0].0;
             neighbours.push(best.map(|(squared, j)| if squared <= limit { j } else { k as u32 }));

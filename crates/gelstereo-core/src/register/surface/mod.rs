@@ -7,7 +7,6 @@
 //! ([`settled`]). One start finds it from close by; from farther off many are needed, since threads, teeth
 //! and edges each have a minimum of their own.
 
-mod buckets;
 mod close;
 mod contact;
 mod edges;

@@ -7,7 +7,7 @@ use core::array;
 use core::ops::Range;
 
 /// Points of a leaf, which are looked at together.
-pub(super) const LEAF: usize = 8;
+pub(crate) const LEAF: usize = 8;
 /// More than the depth of a tree of fewer than 2³² points.
 const DEPTH: usize = 32;
 /// The root; the children of a node are 2 node and 2 node + 1.
@@ -21,7 +21,7 @@ const ROOT: usize = 1;
 /// A branch is passed over by the plane that cuts it off, which is one product, and then by its box. A point that is off
 /// a surface is about as far from every cell of the planes beside it as from the plane; the boxes lie in the surface.
 #[derive(Clone, Debug, Default)]
-pub struct Tree {
+pub struct KdTree {
     /// The points in the order of the tree; of the last one some lanes may be left.
     leaves: Vec<Leaf>,
     /// Of every node above the leaves.
@@ -60,7 +60,7 @@ struct Best {
 
 // All descents may pass over branches exactly: rounding is monotone, so a point beyond a plane or in a box is never
 // closer in f64 than the plane or the box itself, when the squares are added in the same order.
-impl Tree {
+impl KdTree {
     /// Over these points, which must be finite and fewer than 2³².
     #[must_use]
     pub fn new(points: &[DVec3]) -> Self {
@@ -136,13 +136,13 @@ impl Tree {
     }
 
     /// Indices of the points, in the order of the tree.
-    pub(super) fn indices(&self) -> impl Iterator<Item = u32> {
+    pub(crate) fn indices(&self) -> impl Iterator<Item = u32> {
         self.leaves.iter().flat_map(|leaf| leaf.indices).take(self.len)
     }
 
     /// Calls `visit` with ranges of places in the order of the tree, ascending, that together hold every point with
     /// squared distance at most `radius_squared`, and others beside them. Each begins at a multiple of [`LEAF`].
-    pub(super) fn ranges(&self, query: DVec3, radius_squared: f64, visit: &mut impl FnMut(Range<usize>)) {
+    pub(crate) fn ranges(&self, query: DVec3, radius_squared: f64, visit: &mut impl FnMut(Range<usize>)) {
         self.reached(query, radius_squared, ROOT, &mut |k| visit(LEAF * k..self.len.min(LEAF * (k + 1))));
     }
 

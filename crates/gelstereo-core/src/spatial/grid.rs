@@ -1,0 +1,218 @@
+//! Nearest neighbours of points in the plane, by square buckets.
+
+use crate::math::{DVec2, DVec3, sqrt};
+use alloc::vec::Vec;
+
+/// Most buckets along one side; wider spreads get larger buckets.
+const MOST_BUCKETS: usize = 256;
+
+/// Side of a square of points that are spread evenly, in their distance.
+const EVEN_SIDE: f64 = 2.2;
+
+/// Points in square buckets. Rebuilding it reuses its memory.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Grid {
+    origin: DVec2,
+    per_px: f64,
+    columns: usize,
+    rows: usize,
+    /// Where each bucket starts in `items`, and the end of the last one.
+    starts: Vec<u32>,
+    /// Indices of points, ascending within a bucket.
+    items: Vec<u32>,
+}
+
+impl Grid {
+    /// Makes room for so many points, spread over so many pixels, in buckets of at least `side_px`.
+    pub fn reserve(&mut self, points: usize, spread_px: (usize, usize), side_px: f64) {
+        // Points may lie a bucket or two outside.
+        let buckets = |extent: usize| ((extent as f64 / side_px) as usize + 4).min(MOST_BUCKETS + 1);
+        self.starts.clear();
+        self.starts.reserve(buckets(spread_px.0) * buckets(spread_px.1) + 1);
+        self.items.clear();
+        self.items.reserve(points);
+    }
+
+    /// Sorts `points` into buckets of at least `side_px`. Points that are not finite are left out.
+    pub fn build(&mut self, points: &[DVec2], side_px: f64) {
+        self.build_from(points.iter().copied(), side_px);
+    }
+
+    /// As [`Self::build`].
+    fn build_from<I>(&mut self, points: I, side_px: f64)
+    where
+        I: ExactSizeIterator<Item = DVec2> + DoubleEndedIterator + Clone,
+    {
+        let finite = || points.clone().filter(|p| p.is_finite());
+        let (low, high) =
+            finite().fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)));
+        self.starts.clear();
+        self.items.clear();
+        (self.columns, self.rows) = (0, 0);
+        if low.x > high.x {
+            return;
+        }
+        let spread = high - low;
+        let side = side_px.max(spread.max_element() / MOST_BUCKETS as f64);
+        self.origin = low;
+        self.per_px = if side > 0.0 && side.is_finite() { 1.0 / side } else { 0.0 };
+        let buckets = |extent: f64| ((extent * self.per_px) as usize).min(MOST_BUCKETS) + 1;
+        (self.columns, self.rows) = (buckets(spread.x), buckets(spread.y));
+        self.starts.resize(self.columns * self.rows + 1, 0);
+        for point in finite() {
+            let bucket = self.bucket(point);
+            self.starts[bucket] += 1;
+        }
+        let mut end = 0;
+        for start in &mut self.starts {
+            end += *start;
+            *start = end;
+        }
+        // From the last point down, so that the counts become the starts and indices ascend.
+        self.items.resize(end as usize, 0);
+        for (index, point) in points.enumerate().rev().filter(|(_, p)| p.is_finite()) {
+            let bucket = self.bucket(point);
+            self.starts[bucket] -= 1;
+            self.items[self.starts[bucket] as usize] = index as u32;
+        }
+    }
+
+    /// The accepted point that is nearest to `target` and closer than `radius_px`; of equal ones the first. The order of the
+    /// visits never decides. `points` are those that the grid was built from.
+    pub fn nearest(
+        &self,
+        points: &[DVec2],
+        target: DVec2,
+        radius_px: f64,
+        accept: impl Fn(usize) -> bool,
+    ) -> Option<usize> {
+        let mut best = (radius_px * radius_px, None);
+        self.visit(target, radius_px, |index| {
+            let distance2 = points[index].distance_squared(target);
+            let closer = distance2 < best.0 || (distance2 == best.0 && best.1.is_some_and(|b| index < b));
+            if closer && accept(index) {
+                best = (distance2, Some(index));
+            }
+        });
+        best.1
+    }
+
+    /// Calls `see` for every point within the square of half side `radius_px`, and for some beyond.
+    pub fn visit(&self, target: DVec2, radius_px: f64, mut see: impl FnMut(usize)) {
+        if self.columns == 0 || !target.is_finite() {
+            return;
+        }
+        let low = (target - self.origin - radius_px) * self.per_px;
+        let high = (target - self.origin + radius_px) * self.per_px;
+        if high.min_element() < 0.0 || low.x >= self.columns as f64 || low.y >= self.rows as f64 {
+            return;
+        }
+        let (x0, x1) = (bucket_of(low.x), bucket_of(high.x).min(self.columns - 1));
+        let (y0, y1) = (bucket_of(low.y), bucket_of(high.y).min(self.rows - 1));
+        for y in y0..=y1 {
+            let (from, to) = (self.starts[y * self.columns + x0], self.starts[y * self.columns + x1 + 1]);
+            for &index in &self.items[from as usize..to as usize] {
+                see(index as usize);
+            }
+        }
+    }
+
+    /// Sorts finite points by their x and y for [`Self::nearest_others`]: a square and the eight around it hold some forty.
+    pub fn build_evenly(&mut self, points: &[DVec3]) {
+        let flat = || points.iter().map(|p| p.truncate());
+        let (low, high) =
+            flat().fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)));
+        let (extent, count) = ((high - low).max(DVec2::ZERO), points.len().max(1) as f64);
+        // No more squares along an axis than points, in a row as well; all at one place are in one square.
+        let side = EVEN_SIDE * sqrt(extent.x * extent.y / count).max(extent.max_element() / count);
+        self.build_from(flat(), if side > 0.0 { side } else { 1.0 });
+    }
+
+    /// The `K` points that are nearest to one of those of [`Self::build_evenly`], itself left out, the nearest first and of
+    /// those as near the first one; infinity and the point itself where there are fewer. `squared` of a point is no less than
+    /// its distance across the plane, squared.
+    pub fn nearest_others<const K: usize>(
+        &self,
+        own: usize,
+        place: DVec2,
+        squared: impl Fn(usize) -> f64,
+    ) -> [(f64, u32); K] {
+        let nothing = [(f64::INFINITY, own as u32); K];
+        let (mut best, side) = (nothing, 1.0 / self.per_px);
+        let see = |best: &mut [(f64, u32); K], index: usize| {
+            if index != own {
+                insert(best, squared(index), index as u32);
+            }
+        };
+        self.visit(place, side, |index| see(&mut best, index));
+        // What was not visited is farther off than a square's side, but for rounding.
+        if best[K - 1].0 > 0.999 * side * side {
+            best = nothing;
+            self.items.iter().for_each(|&index| see(&mut best, index as usize));
+        }
+        best
+    }
+
+    fn bucket(&self, point: DVec2) -> usize {
+        let at = (point - self.origin) * self.per_px;
+        bucket_of(at.y).min(self.rows - 1) * self.columns + bucket_of(at.x).min(self.columns - 1)
+    }
+}
+
+/// Row or column of buckets; 0 before the first. There is an instruction for 32 bits.
+const fn bucket_of(at: f64) -> usize {
+    at as u32 as usize
+}
+
+/// Puts a point where it belongs among the nearest ones, if it does.
+#[inline]
+fn insert<const K: usize>(best: &mut [(f64, u32); K], squared: f64, index: u32) {
+    let comes_before = |(other, i): (f64, u32)| squared < other || (squared == other && index < i);
+    if !comes_before(best[K - 1]) {
+        return;
+    }
+    let mut at = K - 1;
+    while at > 0 && comes_before(best[at - 1]) {
+        best[at] = best[at - 1];
+        at -= 1;
+    }
+    best[at] = (squared, index);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::random::Stream;
+
+    #[test]
+    fn the_nearest_are_those_of_a_search_through_all() {
+        let mut random = Stream::new(1, "grid");
+        for case in 0..60 {
+            // Spread evenly, in a row, at few places, with some far off, and few of them.
+            let scale = [(9.0, 9.0), (9.0, 0.0), (9.0, 1e-3), (0.0, 0.0)][case % 4];
+            let count = [1, 3, 40, 300][case / 4 % 4];
+            let coarse = |x: f64| if case % 3 == 0 { crate::math::round(x) } else { x };
+            let mut places: Vec<DVec3> = (0..count)
+                .map(|_| {
+                    let [x, y, z] = [random.uniform(), random.uniform(), random.uniform()];
+                    DVec3::new(coarse(scale.0 * x), coarse(scale.1 * y), z)
+                })
+                .collect();
+            if case % 5 == 0 {
+                places[0] = DVec3::new(-300.0, 200.0, 0.0);
+            }
+            let mut grid = Grid::default();
+            grid.build_evenly(&places);
+            for (k, &at) in places.iter().enumerate() {
+                let squared = |j: usize| places[j].distance_squared(at);
+                let found = grid.nearest_others::<6>(k, at.truncate(), squared);
+                let mut all: Vec<(f64, u32)> =
+                    (0..count).filter(|&j| j != k).map(|j| (squared(j), j as u32)).collect();
+                all.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+                all.resize(6, (f64::INFINITY, k as u32));
+                all.truncate(6);
+                assert_eq!(found.as_slice(), all, "{case} {k}");
+            }
+        }
+    }
+}
