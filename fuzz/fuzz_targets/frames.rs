@@ -111,8 +111,7 @@ fn run(mut u: Unstructured<'_>) -> Result<()> {
     let preset = *u.choose(&["fast", "exact", "balanced", "paper"])?;
     let Some(mut params) = Params::preset(preset) else { return Ok(()) };
     params.detect.search = *u.choose(&[Search::Whole, Search::Windows])?;
-    params.label.method =
-        *u.choose(&[LabelMethod::Lattice, LabelMethod::Temporal, LabelMethod::Foresight])?;
+    params.label.method = *u.choose(&[LabelMethod::Lattice, LabelMethod::Foresight])?;
     params.lattice.max_missing_share = 0.3;
     let Ok(mut pipeline) = Pipeline::new(&rig(), &params) else { return Ok(()) };
     let (mut frame, mut other) = (Frame::default(), Frame::default());

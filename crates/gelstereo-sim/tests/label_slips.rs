@@ -169,7 +169,7 @@ proptest! {
     }
 }
 
-/// Temporal tracks follow the right view of a gel that creeps by a column while the left one stands still:
+/// Sorted labels follow the right view of a gel that creeps by a column while the left one stands still:
 /// each view's labels are plausible by themselves, but the points of the last frames would lie 3 mm deeper.
 #[test]
 fn a_view_that_creeps_by_a_column_gives_no_wrong_point() {
@@ -179,7 +179,7 @@ fn a_view_that_creeps_by_a_column_gives_no_wrong_point() {
         let gel_motion = vec![keyframe(0.0, 0.0), keyframe(10.0 / 30.0, sign * 0.9)];
         let creeping = Scene { gel_motion, ..still.clone() };
         let mut params = Params::preset("balanced").unwrap();
-        params.label.method = LabelMethod::Temporal;
+        params.label.method = LabelMethod::Foresight;
         let mut pipeline = Pipeline::new(&still.rig, &params).unwrap();
         let (mut frame, mut truth) = (Frame::default(), Truth::default());
         let mut look = |scene: &Scene, n: u64| {

@@ -276,7 +276,7 @@ fn checked_tracks_agree_with_unchecked_ones() {
     let mut params = Params::preset("balanced").unwrap();
     // Windows lie where markers are predicted, and each tracker predicts in its own way.
     params.detect.search = Search::Whole;
-    params.label.method = LabelMethod::Temporal;
+    params.label.method = LabelMethod::Foresight;
     let (_, unchecked, truth) = run(&scene(vec![[0, 0]]), &params, false);
     params.label.method = LabelMethod::Lattice;
     for motion in [Motion::Still, Motion::ConstantVelocity] {

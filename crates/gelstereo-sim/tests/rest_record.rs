@@ -73,7 +73,7 @@ fn a_first_frame_under_a_press_is_measured_as_after_a_rest_frame() {
     let contact = press(&scene, DVec3::ZERO, DVec2::ZERO, 1.5);
     let (mut truth, mut a, mut b) = (Truth::default(), Frame::default(), Frame::default());
     for preset in Params::PRESETS {
-        for method in [LabelMethod::Lattice, LabelMethod::Temporal, LabelMethod::Foresight] {
+        for method in [LabelMethod::Lattice, LabelMethod::Foresight] {
             let mut params = Params::preset(preset).unwrap();
             params.label.method = method;
             // Where windows lie depends on the frame before, and centres on that by a part of their noise; so do the weights

@@ -54,7 +54,7 @@ fn process(pipeline: &mut Pipeline, [left, right]: &Pair, frame: &mut Frame) -> 
 #[test]
 fn presses_are_followed_in_windows_as_in_the_whole_image() {
     let (pairs, rig) = (presses(), Scene::default_rig());
-    for method in [LabelMethod::Lattice, LabelMethod::Temporal, LabelMethod::Foresight] {
+    for method in [LabelMethod::Lattice, LabelMethod::Foresight] {
         let (whole_params, params) = (params(method, Search::Whole), params(method, Search::Windows));
         let mut whole = Pipeline::new(&rig, &whole_params).unwrap();
         let mut windows = Pipeline::new(&rig, &params).unwrap();

@@ -75,7 +75,6 @@ RUNGS = (
         {"detect": {"background": "blocks", "threshold": "auto", "centre": "matched"}},
     ),
     Rung("label", "foresight (paper)", {"label": {"method": "foresight"}}, "balanced"),
-    Rung("label", "temporal", {"label": {"method": "temporal"}}, "balanced"),
     Rung(
         "label",
         "lattice",

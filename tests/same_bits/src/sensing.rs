@@ -75,7 +75,7 @@ pub fn rungs(out: &mut Digests) -> Outcome<()> {
             params.detect.find_at = rung;
         })?;
     }
-    for rung in every!(LabelMethod: Foresight Temporal Lattice) {
+    for rung in every!(LabelMethod: Foresight Lattice) {
         add(format!("label/{rung:?}"), &of_dark, &|params| params.label.method = rung)?;
     }
     for rung in every!(Motion: Still ConstantVelocity) {

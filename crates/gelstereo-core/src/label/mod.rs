@@ -140,7 +140,7 @@ impl core::fmt::Display for LabelError {
             Self::RowNotFilled { row, found, expected } => write!(
                 f,
                 "row {row} filled with {found} of {expected} markers: the lattice is turned or deformed too far for \
-                 the foresight sort; label.method = \"temporal\" keeps labels through tracks"
+                 the foresight sort; label.method = \"lattice\" keeps labels through tracks"
             ),
             Self::NoLattice { found } => write!(
                 f,

@@ -98,7 +98,7 @@ impl ViewStages {
         let Self { windows, detector, tracker, checked, tracks, .. } = self;
         let predicted_px = match params.label.method {
             LabelMethod::Lattice => checked.predict(tracks),
-            LabelMethod::Temporal | LabelMethod::Foresight => tracks.positions_px.as_slice(),
+            LabelMethod::Foresight => tracks.positions_px.as_slice(),
         };
         let lattice = (self.cols, self.pitch_px);
         // What fails here fails on the whole image too, which then says so.
@@ -107,7 +107,7 @@ impl ViewStages {
         }
         match params.label.method {
             LabelMethod::Lattice => checked.run_near(&windows.found, &mut windows.tracks) == Verdict::Certain,
-            LabelMethod::Temporal | LabelMethod::Foresight => {
+            LabelMethod::Foresight => {
                 tracker.run(&windows.found.markers, &mut windows.tracks);
                 is_certain(params, &windows.tracks)
             }
@@ -164,7 +164,7 @@ impl ViewStages {
         let most = most_markers(&params.detect, self.size_px);
         match params.label.method {
             LabelMethod::Lattice => self.checked.initialise(rest, &self.markers, most, &mut self.tracks),
-            LabelMethod::Temporal | LabelMethod::Foresight => {
+            LabelMethod::Foresight => {
                 self.tracker.initialise(rest, &self.markers, &mut self.tracks);
                 self.tracker.reserve(self.size_px, most);
             }
@@ -228,7 +228,6 @@ impl ViewStages {
         }
         let verdict = self.track(params);
         match (params.label.method, verdict) {
-            (LabelMethod::Temporal, _) => self.take_tracks(LabelSource::Tracks),
             (LabelMethod::Foresight, _) => self.sort(params.label.tolerance_pitches),
             (LabelMethod::Lattice, Verdict::Certain) => self.take_tracks(LabelSource::Lattice),
             (LabelMethod::Lattice, Verdict::Uncertain) => self.take_tracks(LabelSource::Held),
@@ -301,8 +300,6 @@ impl ViewStages {
 fn is_certain(params: &Params, tracks: &Tracks) -> bool {
     match params.label.method {
         LabelMethod::Lattice => tracks.is_current(),
-        LabelMethod::Temporal | LabelMethod::Foresight => {
-            tracks.state.iter().all(|&state| state == MarkerState::Seen)
-        }
+        LabelMethod::Foresight => tracks.state.iter().all(|&state| state == MarkerState::Seen),
     }
 }
