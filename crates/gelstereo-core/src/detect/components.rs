@@ -1,6 +1,6 @@
 //! Connected components of a mask: runs joined by union-find.
 
-use super::row_bits::RowBits;
+use super::row_bits::{RowBits, bits};
 use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
 use alloc::vec::Vec;
@@ -369,11 +369,4 @@ impl Blob {
         self.top = self.top.min(run.y);
         self.bottom = self.bottom.max(run.y);
     }
-}
-
-/// One bit of each byte of 0 or 255, the first byte's lowest.
-pub(super) const fn bits(bytes: [u8; 8]) -> u32 {
-    // Byte n keeps its bit n; the product's highest byte is the sum of all.
-    let kept = u64::from_le_bytes(bytes) & 0x8040_2010_0804_0201;
-    (kept.wrapping_mul(0x0101_0101_0101_0101) >> 56) as u32
 }

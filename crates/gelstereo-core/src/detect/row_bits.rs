@@ -1,6 +1,5 @@
 //! Pixels of one row that are set, as bits.
 
-use super::components::bits;
 use crate::image::reaches;
 use alloc::vec::Vec;
 use core::ops::Range;
@@ -110,6 +109,13 @@ impl RowBits {
         }
         None
     }
+}
+
+/// One bit of each byte of 0 or 255, the first byte's lowest.
+pub(super) const fn bits(bytes: [u8; 8]) -> u32 {
+    // Byte n keeps its bit n; the product's highest byte is the sum of all.
+    let kept = u64::from_le_bytes(bytes) & 0x8040_2010_0804_0201;
+    (kept.wrapping_mul(0x0101_0101_0101_0101) >> 56) as u32
 }
 
 #[cfg(test)]

@@ -18,7 +18,7 @@ pub use detect::{
 };
 pub use label::{LabelMethod, LabelParams};
 pub use lattice::LatticeParams;
-pub use register::{RegisterMethod, RegisterParams};
+pub use register::{GuessSigma, RegisterMethod, RegisterParams};
 pub use track::{Motion, TrackParams};
 pub use triangulate::{DiscBias, TriangulateMethod, TriangulateParams};
 

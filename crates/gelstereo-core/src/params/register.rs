@@ -1,7 +1,6 @@
 //! Registration of a contact patch to a template.
 
 use super::{ParamsError, check, length, share};
-use crate::register::GuessSigma;
 
 /// How a contact patch is registered to a template.
 ///
@@ -115,6 +114,17 @@ pub struct RegisterParams {
 
 /// Most starts: more take longer than anything that waits for them.
 const MOST_STARTS: u32 = 4096;
+
+/// How well a pose was known before a contact: standard deviations, about and along every axis, of a turn about the patch's
+/// centroid and of a shift of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct GuessSigma {
+    /// Of the turn, rad.
+    pub turn_rad: f64,
+    /// Of the shift, mm.
+    pub shift_mm: f64,
+}
 
 impl Default for RegisterParams {
     fn default() -> Self {

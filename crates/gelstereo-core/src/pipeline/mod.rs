@@ -6,6 +6,7 @@ mod epipolar;
 mod error;
 mod frame;
 mod rest_record;
+mod resume;
 mod view;
 mod windows;
 

@@ -1,18 +1,16 @@
 //! What is kept of a rest frame, so that a later run may begin under contact.
 
-use super::epipolar::{Epipolar, TERMS};
-use super::{Pipeline, PipelineError, View};
-use crate::contact::RestSurface;
+use super::epipolar::TERMS;
 use crate::math::{DVec2, DVec3};
-use crate::params::{DetectParams, LatticeParams, Search, TriangulateParams};
-use crate::rig::Rig;
+use crate::params::{DetectParams, LatticeParams, TriangulateParams};
+use crate::rig::{Rig, View};
 use alloc::vec::Vec;
 
 /// A sensor's rest state: where its markers are when nothing touches the gel, and what they were measured
 /// with.
 ///
-/// It is good for as long as gel and cameras stay where they are in the sensor. [`Pipeline::rest_record`]
-/// makes it, [`Pipeline::resume`] takes it.
+/// It is good for as long as gel and cameras stay where they are in the sensor. [`super::Pipeline::rest_record`]
+/// makes it, [`super::Pipeline::resume`] takes it.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
 pub struct RestRecord {
@@ -27,7 +25,7 @@ pub struct RestRecord {
     /// Radius of the dots over their pitch; absent unless `triangulate.disc_bias` corrects for it.
     #[cfg_attr(feature = "serde", serde(default, skip_serializing_if = "Option::is_none"))]
     pub dot_radius_pitches: Option<f64>,
-    /// What the variances of the centres were multiplied by ([`Pipeline::noise_scale`]); 1 when absent.
+    /// What the variances of the centres were multiplied by ([`super::Pipeline::noise_scale`]); 1 when absent.
     #[cfg_attr(feature = "serde", serde(default = "unscaled", skip_serializing_if = "is_unscaled"))]
     pub noise_scale: f64,
     /// What the calibration leaves of the epipolar residuals, px: coefficients of a polynomial over rows and columns, or
@@ -192,83 +190,5 @@ fn check<T: Copy>(
     match values.iter().position(|&value| !valid(value)) {
         Some(index) => Err(RestRecordError::Value { list, index }),
         None => Ok(()),
-    }
-}
-
-impl Pipeline {
-    /// What [`Self::resume`] needs to begin without a rest frame; `None` before the rest frame.
-    #[must_use]
-    pub fn rest_record(&self) -> Option<RestRecord> {
-        let rest = self.rest.as_ref()?;
-        Some(RestRecord {
-            rows: self.left.rows,
-            cols: self.left.cols,
-            points_mm: rest.points_mm().to_vec(),
-            variance_mm2: self.rest_variance_mm2.clone(),
-            noise_scale: self.epipolar.scale,
-            epipolar_px: self.epipolar.smooth.map(Vec::from).unwrap_or_default(),
-            dot_radius_pitches: self.discs.radius_pitches(),
-            left: self.left.rest_view(),
-            right: self.right.rest_view(),
-            rig: self.rig().clone(),
-            lattice: self.params.lattice.clone(),
-            detect: self.params.detect.clone(),
-            triangulate: self.params.triangulate.clone(),
-        })
-    }
-
-    /// Begins with a recorded rest frame: the next frame is index 1, whatever touches the gel in it.
-    ///
-    /// Rows and columns are found as after a gap in tracking: those of the record that agree with the lattice
-    /// in the image, its border, and the places of `lattice.missing`, where nothing was printed. Until that
-    /// is certain all markers are held, and [`LabelSource::Held`](super::LabelSource::Held) says so.
-    ///
-    /// # Errors
-    /// [`PipelineError::Record`] for a record that is damaged, or was made with another rig, lattice,
-    /// detection or triangulation; [`PipelineError::Contact`] for points that are no surface. The pipeline is
-    /// then as before.
-    pub fn resume(&mut self, record: &RestRecord) -> Result<(), PipelineError> {
-        self.check_record(record).map_err(PipelineError::Record)?;
-        let rest = RestSurface::new(&record.points_mm).map_err(PipelineError::Contact)?;
-        let lattice = (record.rows, record.cols);
-        self.left.forget();
-        self.right.forget();
-        self.left.resume(&self.params, lattice, &record.left);
-        self.right.resume(&self.params, lattice, &record.right);
-        self.triangulator.clear_map();
-        self.discs.resume(lattice, record.dot_radius_pitches);
-        self.points_mm.clone_from(&record.points_mm);
-        self.rest_variance_mm2.clone_from(&record.variance_mm2);
-        let smooth = record.epipolar_px.as_slice().try_into().ok();
-        self.epipolar = Epipolar::resume(lattice, record.noise_scale, smooth);
-        // The least certain direction is the normal's, nearly.
-        self.covariance_mm2.clear();
-        self.covariance_mm2.extend(
-            record
-                .variance_mm2
-                .iter()
-                .map(|&variance| [[variance, 0.0, 0.0], [0.0, variance, 0.0], [0.0, 0.0, variance]]),
-        );
-        (self.frames, self.resumes) = (1, true);
-        self.rest_on(rest)
-    }
-
-    fn check_record(&self, record: &RestRecord) -> Result<(), RestRecordError> {
-        record.validate()?;
-        if record.rig != *self.rig() {
-            return Err(RestRecordError::Rig);
-        }
-        // Where a marker is searched for says nothing of where it is.
-        let detect = |params: &DetectParams| DetectParams { search: Search::Whole, ..params.clone() };
-        for (table, same) in [
-            ("lattice", record.lattice == self.params.lattice),
-            ("detect", detect(&record.detect) == detect(&self.params.detect)),
-            ("triangulate", record.triangulate == self.params.triangulate),
-        ] {
-            if !same {
-                return Err(RestRecordError::Settings { table });
-            }
-        }
-        Ok(())
     }
 }

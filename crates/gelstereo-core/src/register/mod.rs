@@ -27,12 +27,13 @@ mod symmetry;
 mod template;
 mod verdict;
 
+pub use crate::params::GuessSigma;
 pub use codec::TemplateBytesError;
 pub use error::{RegisterError, TemplateError};
 pub use free::{FreeDirection, FreeDirections, Motion};
 pub use fusion::{FusedPose, FusionError, PlaneContact, PoseEstimate, fuse_plane, fuse_poses};
 pub use localizer::{Localizer, Located, Standing};
-pub use observe::{GuessSigma, Observability};
+pub use observe::Observability;
 pub use rigid::{RigidFit, RigidFitError, rigid_fit};
 pub use soft::{SoftMatch, soft_match};
 pub use surface::{

@@ -29,6 +29,7 @@
 
 use crate::math::linalg::{self, Eigen, Symmetric, Triangle};
 use crate::math::{DVec3, Pose, centroid, so3, sqrt};
+use crate::params::GuessSigma;
 
 /// A vector over (ρ ωx, ρ ωy, ρ ωz, vx, vy, vz).
 pub(super) type Vector6 = [f64; 6];
@@ -67,17 +68,6 @@ impl PatchFrame {
         let rotation = so3::exp(omega);
         Pose { rotation, translation_mm: self.centre_mm + v_mm - rotation * self.centre_mm }
     }
-}
-
-/// How well a pose was known before a contact: standard deviations, about and along every axis, of a turn about the patch's
-/// centroid and of a shift of it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-pub struct GuessSigma {
-    /// Of the turn, rad.
-    pub turn_rad: f64,
-    /// Of the shift, mm.
-    pub shift_mm: f64,
 }
 
 /// Least share of the prior's variance, so that round-off leaves a covariance positive definite: with a guess known to 2 mm,

@@ -1,7 +1,7 @@
 //! The fit of a [`Map`], in steps: a frame that takes one of them takes little longer than others.
 
 use super::chebyshev::{Series, checks, extremes, nodes};
-use super::polynomial::{CHECKS, Inputs, Map, Space, inputs_px};
+use super::polynomial::{CHECKS, Inputs, Map, Sample, Space, extent, inputs_px};
 use super::tiles::{Four, Tiles, distance};
 use crate::math::{DMat3, DVec3};
 use crate::rig::RigView;
@@ -155,17 +155,6 @@ fn outermost(points: &[DVec3], direction: DVec3) -> Option<DVec3> {
         if along > most { (along, at) } else { (most, best) }
     };
     Some(points.iter().fold((first.dot(direction), first), farther).1)
-}
-
-pub(super) fn extent(points: impl Iterator<Item = DVec3>) -> (DVec3, DVec3) {
-    points.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), at| (low.min(at), high.max(at)))
-}
-
-/// What is exact at one input.
-#[derive(Clone, Debug)]
-pub(super) struct Sample {
-    pub value: [f64; 4],
-    pub slope: [f64; 12],
 }
 
 /// Column, mean row and disparity at a point and the row difference, with their derivatives by the point.

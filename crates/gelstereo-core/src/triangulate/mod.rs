@@ -3,6 +3,7 @@
 mod chebyshev;
 mod error;
 mod fitting;
+mod point;
 mod polynomial;
 mod q;
 mod rays;
@@ -10,56 +11,18 @@ mod root;
 mod tiles;
 
 pub use error::TriangulateError;
+pub use point::{Centre, Centres, StereoPoint};
 
 use crate::camera::CameraError;
-use crate::math::linalg::Symmetric;
 use crate::math::{DQuat, DVec2, DVec3};
 use crate::params::{TriangulateMethod, TriangulateParams};
 use crate::rig::{Rectification, Rig, RigView, View};
 use alloc::boxed::Box;
 use alloc::vec::Vec;
 use fitting::{Fitting, Progress};
+use point::{Pair, finite};
 use polynomial::Map;
 use root::Root;
-
-/// The centre of a marker in one view.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Centre {
-    /// Where it is, pixels.
-    pub at_px: DVec2,
-    /// Its covariance, px².
-    pub covariance_px2: Symmetric<2>,
-}
-
-/// The centres of all markers in one view, in the same order in every list.
-#[derive(Clone, Copy, Debug)]
-pub struct Centres<'a> {
-    /// Where they are, pixels.
-    pub positions_px: &'a [DVec2],
-    /// Their covariances, px².
-    pub covariance_px2: &'a [Symmetric<2>],
-}
-
-impl Centres<'_> {
-    /// The centre of one marker; `index` must be below the number of markers.
-    #[must_use]
-    pub fn at(&self, index: usize) -> Centre {
-        Centre { at_px: self.positions_px[index], covariance_px2: self.covariance_px2[index] }
-    }
-}
-
-/// A point of the sensor frame and how well its two centres agreed.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct StereoPoint {
-    /// Position in the sensor (left camera) frame, millimetres.
-    pub point_mm: DVec3,
-    /// Covariance, mm², to first order in those of the two centres, which are independent.
-    pub covariance_mm2: Symmetric<3>,
-    /// How far the centres are from being views of one point, pixels: the left row less that which belongs to the
-    /// right centre. Noise alone makes it a few tenths. Q takes the difference of the rectified rows, the exact rung
-    /// the sum of the residuals in both views.
-    pub epipolar_px: f64,
-}
 
 /// Triangulation with all that depends on the rig alone worked out once.
 #[derive(Clone, Debug)]
@@ -70,16 +33,6 @@ pub struct Triangulator {
     params: TriangulateParams,
     map: Option<Map>,
     fitting: Option<Box<Fitting>>,
-}
-
-/// Two centres with their rays.
-struct Pair<'a> {
-    centres: [&'a Centre; 2],
-    /// Of the centres' covariances.
-    roots: [Root; 2],
-    /// Undistorted normalised coordinates.
-    normalised: [DVec2; 2],
-    rectified: [DVec2; 2],
 }
 
 impl Triangulator {
@@ -279,30 +232,4 @@ fn roots(index: usize, left: &Centre, right: &Centre) -> Result<[Root; 2], Trian
         Root::new(&centre.covariance_px2).ok_or(TriangulateError::Covariance { index, view })
     };
     Ok([root(View::Left, left)?, root(View::Right, right)?])
-}
-
-/// The sum of the columns' squares, which is positive semi-definite to the rounding of its entries, with exact symmetry.
-fn sum_of_squares<const N: usize>(columns: &[DVec3; N]) -> Symmetric<3> {
-    // Entries (i, j) and (j, i) are sums of the same products in the same order.
-    let mut sum = [[0.0; 3]; 3];
-    for c in columns {
-        for (row, factor) in sum.iter_mut().zip(c.to_array()) {
-            row[0] += factor * c.x;
-            row[1] += factor * c.y;
-            row[2] += factor * c.z;
-        }
-    }
-    sum
-}
-
-/// A point that has one, with a covariance that means something.
-fn finite(index: usize, found: StereoPoint) -> Result<StereoPoint, TriangulateError> {
-    let [[xx, xy, xz], [_, yy, yz], [.., zz]] = found.covariance_mm2;
-    // A sum is finite only when all its terms are.
-    let sum = xx + yy + zz + xy + xz + yz + found.epipolar_px;
-    if (sum + found.point_mm.element_sum()).is_finite() {
-        Ok(found)
-    } else {
-        Err(TriangulateError::Unknown { index })
-    }
 }

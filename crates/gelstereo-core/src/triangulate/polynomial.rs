@@ -1,10 +1,9 @@
 //! The fast rung: polynomials in column, row and inverse disparity that are fitted to the exact one.
 
 use super::chebyshev::checks;
-use super::fitting::{Sample, extent};
+use super::point::{StereoPoint, sum_of_squares};
 use super::root::Root;
 use super::tiles::{Four, Tiles, multiply_add};
-use super::{StereoPoint, sum_of_squares};
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, DVec3, sqrt};
 use crate::rig::RigView;
@@ -199,4 +198,16 @@ impl Spread {
 /// Column, mean row and disparity.
 pub(super) fn inputs_px(left_px: DVec2, right_px: DVec2) -> DVec3 {
     DVec3::new(left_px.x, 0.5 * (left_px.y + right_px.y), left_px.x - right_px.x)
+}
+
+/// Lowest and highest coordinates.
+pub(super) fn extent(points: impl Iterator<Item = DVec3>) -> (DVec3, DVec3) {
+    points.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), at| (low.min(at), high.max(at)))
+}
+
+/// What is exact at one input.
+#[derive(Clone, Debug)]
+pub(super) struct Sample {
+    pub value: [f64; 4],
+    pub slope: [f64; 12],
 }

@@ -1,6 +1,7 @@
 //! The paper's rung: Q of Eq. 3 on rectified pixels.
 
-use super::{Pair, StereoPoint, TriangulateError, finite, sum_of_squares};
+use super::error::TriangulateError;
+use super::point::{Pair, StereoPoint, finite, sum_of_squares};
 use crate::math::{DQuat, DVec3};
 use crate::rig::Rectification;
 

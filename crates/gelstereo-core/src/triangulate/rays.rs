@@ -1,7 +1,8 @@
 //! The exact rung: the most likely point of two centres with covariances, seen through the rig's layers.
 
+use super::error::TriangulateError;
+use super::point::{Pair, StereoPoint, finite, sum_of_squares};
 use super::root::Root;
-use super::{Pair, StereoPoint, TriangulateError, finite, sum_of_squares};
 use crate::camera::{CameraError, Ray};
 use crate::math::{DVec2, DVec3, sqrt};
 use crate::rig::{RigView, View};

@@ -9,7 +9,7 @@ mod turn;
 mod weld;
 
 pub use field::Field;
-pub use report::{SolidError, SolidReport};
+pub use report::{MOST_TRIANGLES, REACH_MM, SolidError, SolidReport};
 pub use turn::Turned;
 
 use super::TriangleMesh;
@@ -20,11 +20,6 @@ use alloc::vec::Vec;
 use face::{Edge, Face, Found, Site};
 use tree::{Boxes, Item};
 use weld::{Kind, Welded};
-
-/// Coordinates beyond this, a million kilometres, are taken for a mistake.
-pub const REACH_MM: f64 = 1e12;
-/// Most triangles that are held.
-pub const MOST_TRIANGLES: usize = 4_000_000;
 
 /// What the nearest point of the surface lies on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -2,6 +2,12 @@
 
 use crate::stop::Stopped;
 
+/// Most triangles that are held.
+pub const MOST_TRIANGLES: usize = 4_000_000;
+
+/// Coordinates beyond this, a million kilometres, are taken for a mistake.
+pub const REACH_MM: f64 = 1e12;
+
 /// What a mesh is as the boundary of a body. Nothing of it keeps distances from being exact.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SolidReport {
@@ -65,13 +71,11 @@ impl core::fmt::Display for SolidError {
             Self::TooFar { vertex } => write!(
                 f,
                 "vertex {vertex} has a coordinate beyond {:e} mm; move the part to the origin",
-                super::REACH_MM
+                REACH_MM
             ),
-            Self::TooMany { found } => write!(
-                f,
-                "the mesh has {found} triangles; at most {} are held: simplify it",
-                super::MOST_TRIANGLES
-            ),
+            Self::TooMany { found } => {
+                write!(f, "the mesh has {found} triangles; at most {} are held: simplify it", MOST_TRIANGLES)
+            }
             Self::Stopped => Stopped.fmt(f),
         }
     }

@@ -1,0 +1,72 @@
+//! What is found in an image: markers, and those that the border cuts.
+
+use crate::math::DVec2;
+use crate::math::linalg::Symmetric;
+use alloc::vec;
+use alloc::vec::Vec;
+
+/// Markers found in one image, in the raster order of their first pixels.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Markers {
+    /// Centres, pixels.
+    pub centres_px: Vec<DVec2>,
+    /// Covariances of the centres, px².
+    pub covariance_px2: Vec<Symmetric<2>>,
+    /// Areas, square pixels.
+    pub area_px2: Vec<u32>,
+    /// How many of them the model fit did not settle on, and which kept the grey centroid; 0 for other rungs.
+    pub unfitted: usize,
+    /// Markers of which the image's border cuts off a part; none of the lists above has them.
+    pub cut: Vec<CutMarker>,
+}
+
+/// A marker that reaches the outermost pixels of the image: good enough for a label, not for a point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CutMarker {
+    /// Mean position of its visible pixels, pixels; the centre lies farther out.
+    pub centre_px: DVec2,
+    /// Covariance about the whole marker's centre, px²: across each border that it reaches, the share of a radius that its
+    /// area lacks.
+    pub covariance_px2: Symmetric<2>,
+    /// Visible area, square pixels.
+    pub area_px2: u32,
+}
+
+impl Markers {
+    /// Markers at known places, with one standard deviation per axis for all.
+    #[must_use]
+    pub fn at(centres_px: Vec<DVec2>, sigma_px: f64) -> Self {
+        let variance = sigma_px * sigma_px;
+        let (covariance_px2, area_px2) =
+            (vec![[[variance, 0.0], [0.0, variance]]; centres_px.len()], vec![1; centres_px.len()]);
+        Self { centres_px, covariance_px2, area_px2, cut: Vec::new(), unfitted: 0 }
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.centres_px.clear();
+        self.covariance_px2.clear();
+        self.area_px2.clear();
+        self.cut.clear();
+        self.unfitted = 0;
+    }
+
+    pub(super) fn shift(&mut self, by_px: DVec2) {
+        if by_px != DVec2::ZERO {
+            self.centres_px.iter_mut().for_each(|centre| *centre += by_px);
+            self.cut.iter_mut().for_each(|cut| cut.centre_px += by_px);
+        }
+    }
+
+    pub(super) fn reserve(&mut self, markers: usize, cut: usize) {
+        self.centres_px.reserve(markers);
+        self.covariance_px2.reserve(markers);
+        self.area_px2.reserve(markers);
+        self.cut.reserve(cut);
+    }
+
+    pub(super) fn push(&mut self, centre_px: DVec2, covariance_px2: Symmetric<2>, area_px2: u32) {
+        self.centres_px.push(centre_px);
+        self.covariance_px2.push(covariance_px2);
+        self.area_px2.push(area_px2);
+    }
+}
