@@ -1,6 +1,6 @@
 //! What can be wrong with a template or with a patch, said so that the reader knows what to do.
 
-use super::template::{LEAST_POINTS, MOST_POINTS, REACH_MM};
+use super::limits::{LEAST_POINTS, MOST_POINTS, REACH_MM};
 use crate::params::ParamsError;
 use crate::stop::Stopped;
 use crate::surface::SolidError;

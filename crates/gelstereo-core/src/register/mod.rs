@@ -14,6 +14,7 @@ mod free;
 mod fusion;
 mod held;
 mod icp;
+mod limits;
 mod localizer;
 mod observe;
 mod one_sided;
@@ -341,7 +342,7 @@ impl Registrar {
 
 /// Refuses what has no answer; returns the guess at unit length.
 fn check(points_mm: &[DVec3], guess: &Pose) -> Result<Pose, RegisterError> {
-    let far = |v: &DVec3| !v.is_finite() || v.abs().max_element() > template::REACH_MM;
+    let far = |v: &DVec3| !v.is_finite() || v.abs().max_element() > limits::REACH_MM;
     if let Some(index) = points_mm.iter().position(far) {
         return Err(RegisterError::PointNotFinite { index });
     }

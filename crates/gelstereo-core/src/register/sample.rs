@@ -1,7 +1,7 @@
 //! Even sampling of a mesh by dart throwing (Cook 1986).
 
 use super::error::TemplateError;
-use super::template::{LEAST_POINTS, MOST_POINTS};
+use super::limits::{LEAST_POINTS, MOST_POINTS};
 use crate::math::random::Stream;
 use crate::math::{DVec3, floor, sqrt};
 use crate::stop::{Stop, ask};

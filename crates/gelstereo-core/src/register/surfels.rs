@@ -5,7 +5,7 @@
 //! Past a sharp edge of the part they reach out by up to half their diagonal.
 
 use super::surface::Relief;
-use super::template::Template;
+use crate::math::DVec3;
 use crate::stop::{Stop, Stopped};
 use crate::surface::{Solid, SolidError, TriangleMesh};
 use alloc::vec::Vec;
@@ -14,8 +14,12 @@ use alloc::vec::Vec;
 const HALF_SIDE: f64 = 0.6;
 
 /// Squares, two triangles each; none for points that give no surface, as too distant ones.
-pub(super) fn surfels(template: &Template, stop: Stop<'_>) -> Result<Option<(Solid, Relief)>, Stopped> {
-    let (points_mm, normals, spacing_mm) = (template.points_mm(), template.normals(), template.spacing_mm());
+pub(super) fn surfels(
+    (points_mm, normals): (&[DVec3], &[DVec3]),
+    curvatures_per_mm: &[f64],
+    spacing_mm: f64,
+    stop: Stop<'_>,
+) -> Result<Option<(Solid, Relief)>, Stopped> {
     let mut corners = Vec::with_capacity(4 * points_mm.len());
     let mut triangles = Vec::with_capacity(2 * points_mm.len());
     for (&point, normal) in points_mm.iter().zip(normals) {
@@ -28,7 +32,7 @@ pub(super) fn surfels(template: &Template, stop: Stop<'_>) -> Result<Option<(Sol
     }
     let Ok(mesh) = TriangleMesh::new(corners, triangles) else { return Ok(None) };
     match Solid::new_unless(&mesh, stop) {
-        Ok(solid) => Ok(Some((solid, Relief::of_samples(normals, template.curvatures_per_mm())))),
+        Ok(solid) => Ok(Some((solid, Relief::of_samples(normals, curvatures_per_mm)))),
         Err(SolidError::Stopped) => Err(Stopped),
         Err(_) => Ok(None),
     }

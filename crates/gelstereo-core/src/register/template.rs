@@ -2,6 +2,7 @@
 
 use super::blocks::{self, Block};
 use super::error::TemplateError;
+use super::limits::{LEAST_POINTS, MOST_POINTS, REACH_MM};
 use super::sample;
 use super::surface::Relief;
 use super::surfels::surfels;
@@ -13,12 +14,6 @@ use crate::stop::{NEVER, Stop, Stopped, ask_often};
 use crate::surface::{Field, Solid, TriangleMesh};
 use alloc::vec::Vec;
 
-/// Fewest points that can carry a pose.
-pub(crate) const LEAST_POINTS: usize = 3;
-/// Most points that a template holds: a 100 mm cube at 0.5 mm.
-pub(crate) const MOST_POINTS: usize = 250_000;
-/// Coordinates beyond this, a million kilometres, are taken for a mistake.
-pub(crate) const REACH_MM: f64 = 1e12;
 /// Least spacing as a share of the extent: no template that can be held is finer, and squares do not underflow.
 pub(crate) const LEAST_SPACING: f64 = 1e-6;
 
@@ -118,7 +113,7 @@ impl Template {
         if self.is_exact {
             return self;
         }
-        match surfels(&self, NEVER) {
+        match self.surfels(NEVER) {
             Ok(Some((solid, relief))) => {
                 let bare = Self { solid: Some(solid), relief: Some(relief), ..self };
                 bare.with_field(Self::DEFAULT_CELL_MM, Self::DEFAULT_REACH_MM)
@@ -135,9 +130,15 @@ impl Template {
         if self.is_exact {
             return Ok(self);
         }
-        let Some((solid, relief)) = surfels(&self, stop)? else { return Ok(self) };
+        let Some((solid, relief)) = self.surfels(stop)? else {
+            return Ok(self);
+        };
         let bare = Self { solid: Some(solid), relief: Some(relief), ..self };
         bare.with_field_unless(Self::DEFAULT_CELL_MM, Self::DEFAULT_REACH_MM, stop)
+    }
+
+    fn surfels(&self, stop: Stop<'_>) -> Result<Option<(Solid, Relief)>, Stopped> {
+        surfels((&self.points_mm, &self.normals), self.curvatures_per_mm(), self.spacing_mm, stop)
     }
 
     /// Whether [`Self::with_surfels`] has made a surface.

@@ -2,11 +2,12 @@
 
 use super::gel::Gel;
 use super::hanging::Pressures;
+use super::point::Sample;
 use crate::math::linalg::{Symmetric, eigen};
 use crate::math::{DVec3, acos, asin, centroid, sqrt};
 use crate::params::{ContactParams, RegisterParams};
 use crate::register::RegisterError;
-use crate::register::template::REACH_MM;
+use crate::register::limits::REACH_MM;
 use crate::spatial::Grid;
 use alloc::vec::Vec;
 
@@ -111,37 +112,6 @@ fn is_positive(c: &Symmetric<3>) -> bool {
     let (second, across) = (c[1][1] - c[0][1] * y, c[1][2] - c[0][1] * z);
     let third = c[2][2] - c[0][2] * z - across * across / second;
     doubt > 0.0 && first > doubt && second > doubt && third > doubt
-}
-
-/// A point about the patch's centroid, with its covariance.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Sample {
-    pub p_mm: DVec3,
-    /// xx, yy, zz, xy, xz, yz.
-    covariance: [f64; 6],
-    /// Whether the gel around it is curved as free gel is, and not as gel on a part.
-    pub hangs: bool,
-    /// No standard deviation is larger, along whatever direction; in every frame the same.
-    pub most_sigma_mm: f64,
-}
-
-/// Share of the trace that a singular covariance is given along its null direction, more than rounding takes off it.
-const FLOOR: f64 = 1e-6;
-
-impl Sample {
-    pub fn new(p_mm: DVec3, covariance: [f64; 6]) -> Self {
-        let trace = covariance[0] + covariance[1] + covariance[2];
-        Self { p_mm, covariance, hangs: false, most_sigma_mm: sqrt((1.0 + FLOOR) * trace) }
-    }
-
-    /// Variance along a unit vector.
-    #[inline]
-    pub fn variance(&self, n: DVec3) -> f64 {
-        let [xx, yy, zz, xy, xz, yz] = self.covariance;
-        let floor = FLOOR * (xx + yy + zz);
-        let along = floor + xx * n.x * n.x + yy * n.y * n.y + zz * n.z * n.z;
-        along + 2.0 * (xy * n.x * n.y + xz * n.x * n.z + yz * n.y * n.z)
-    }
 }
 
 /// Unpressed markers this far from the patch tell of the part; those beyond are not looked at.

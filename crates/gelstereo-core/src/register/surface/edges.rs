@@ -10,7 +10,7 @@
 //! Where both markers touch, the heights change by so little when the crease passes that another pose may make up for it. No
 //! such crease is a wall.
 
-use super::gel::Node;
+use super::lattice::Node;
 use super::part::{Distances, Foot, Last, Range};
 use super::relief::CREASE_COS;
 use super::search::Candidate;

@@ -1,8 +1,9 @@
 //! Coarse looks: one pass over some of the points, on the field, for convergence.
 
-use super::contact::{Sample, Samples};
+use super::contact::Samples;
 use super::noise::{coarse_pressed, coarse_unpressed};
 use super::part::{Coarse, Near, press_in_object};
+use super::point::Sample;
 use super::step::{Normal, Placement};
 use crate::math::DVec3;
 

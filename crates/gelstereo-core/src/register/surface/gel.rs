@@ -6,8 +6,8 @@
 //! follows from the pose, not from the noise of the markers: choosing those that happen to lie near the part would pull
 //! the part to them.
 
-use super::contact::Sample;
-use super::lattice::{Lattice, Sweeps};
+use super::lattice::{Lattice, Node, Sweeps};
+use super::point::Sample;
 use super::step::cholesky;
 use crate::math::{DVec2, DVec3, exp, floor, sqrt};
 use alloc::vec::Vec;
@@ -20,18 +20,6 @@ const MARGIN_MM: f64 = 6.0;
 const SETTLED_MM: f64 = 3e-4;
 /// Markers whose nearest neighbour tells the pitch.
 const ASKED: usize = 15;
-
-/// A marker as a node of the gel.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Node {
-    pub sample: Sample,
-    /// Across the press, about the patch's centroid.
-    pub across_mm: DVec2,
-    /// Along it.
-    pub along_mm: f64,
-    /// Among the markers that were handed over.
-    pub index: usize,
-}
 
 /// The markers as nodes of the gel, row by row of the plane across the press.
 #[derive(Clone, Debug, Default)]

@@ -25,7 +25,7 @@ impl Pressures {
         let Self { heights_mm, here_mm, there_mm } = self;
         let stiffness = gel.stiffness(0.0);
         let [level, along_u, along_v] = gel.rest_plane(radius_mm);
-        let over_rest = |node: &super::gel::Node| {
+        let over_rest = |node: &super::lattice::Node| {
             let [u, v] = (node.across_mm / radius_mm).to_array();
             node.along_mm - level - along_u * u - along_v * v
         };
@@ -57,8 +57,8 @@ mod tests {
     use super::*;
     use crate::math::DVec3;
     use crate::math::random::Stream;
-    use crate::register::surface::contact::Sample;
     use crate::register::surface::lattice::Sweeps;
+    use crate::register::surface::point::Sample;
 
     const SIDE: i32 = 21;
     const PITCH_MM: f64 = 0.9;

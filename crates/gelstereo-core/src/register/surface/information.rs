@@ -21,7 +21,7 @@
 //! that a row of markers would vouch for itself.
 
 use super::edges::{Bounded, LEAST_KNOWN};
-use super::gel::Node;
+use super::lattice::Node;
 use super::part::Foot;
 use super::relief::CREASE_COS;
 use super::search::Candidate;

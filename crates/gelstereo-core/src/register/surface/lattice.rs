@@ -4,10 +4,22 @@
 //! (Young 1954, red and black), so that none waits for the one before. With an odd number of columns, of which one is empty,
 //! every second cell belongs to the same half from row to row, and neighbours are as far along the other half for all.
 
-use super::gel::Node;
+use super::point::Sample;
 use crate::math::{DVec2, abs, sqrt};
 use alloc::vec::Vec;
 use core::ops::Range;
+
+/// A marker as a node of the gel.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Node {
+    pub sample: Sample,
+    /// Across the press, about the patch's centroid.
+    pub across_mm: DVec2,
+    /// Along it.
+    pub along_mm: f64,
+    /// Among the markers that were handed over.
+    pub index: usize,
+}
 
 /// A neighbour is no farther than this, in pitches, and lies along an axis to this cosine: diagonals are none.
 const FARTHEST: f64 = 1.5;

@@ -1,6 +1,6 @@
 //! The linear system of a step of [`Settled`]: how the heights that are predicted change with what is sought.
 
-use super::gel::Node;
+use super::lattice::Node;
 use super::part::{Line, UNDER_MM};
 use super::search::Candidate;
 use super::settled::{

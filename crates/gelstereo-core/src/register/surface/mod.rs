@@ -23,6 +23,7 @@ mod noise;
 mod odds;
 mod others;
 mod part;
+mod point;
 mod polish;
 mod raster;
 mod relief;

@@ -6,8 +6,8 @@
 
 use super::contact::Samples;
 use super::edges::Wall;
-use super::gel::{Gel, Node};
-use super::lattice::Sweeps;
+use super::gel::Gel;
+use super::lattice::{Node, Sweeps};
 use super::misfit::MOST;
 use super::noise::{Likelihood, STRAY_MM};
 use super::part::{Coarse, Exact, Foot, Line, UNDER_MM};

@@ -1,4 +1,4 @@
-use super::super::contact::Sample;
+use super::super::point::Sample;
 use super::*;
 use crate::math::random::Stream;
 use crate::math::{DVec3, cos, sin};
