@@ -7,7 +7,7 @@ use gelstereo_core::math::linalg::{Symmetric, eigen};
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::params::{RegisterMethod, RegisterParams};
-use gelstereo_core::register::{Contact, Localizer, Registrar, Registration, Standing, Symmetry, Template};
+use gelstereo_core::register::{Contact, Localizer, Registrar, Registration, Standing, Template};
 use gelstereo_core::surface::TriangleMesh;
 use libfuzzer_sys::arbitrary::{Result, Unstructured};
 use libfuzzer_sys::fuzz_target;
@@ -41,7 +41,7 @@ fn templates() -> &'static [Template] {
         let solid = make(DVec3::new(3.0, 2.0, 5.0), false);
         let points = solid.as_ref().and_then(|t| Template::new(t.points_mm(), t.normals(), 0.6).ok());
         let turned = solid.clone().map(|t| {
-            let symmetries = Symmetry::of(&t, 0.05);
+            let symmetries = t.find_symmetries(0.05);
             t.with_symmetries(symmetries)
         });
         let made = [

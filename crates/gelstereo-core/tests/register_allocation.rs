@@ -12,7 +12,7 @@ use counting::ALLOCATIONS;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::params::{RegisterMethod, RegisterParams};
-use gelstereo_core::register::{Contact as Patch, Localizer, Registrar, Standing, Symmetry, Template};
+use gelstereo_core::register::{Contact as Patch, Localizer, Registrar, Standing, Template};
 use gelstereo_core::surface::Facing;
 use problems::follow::METHODS;
 
@@ -74,7 +74,7 @@ fn a_followed_part_allocates_nothing_whether_held_or_lost() {
     let shape = Shape::Cuboid { half_mm: DVec3::new(3.0, 4.0, 5.0) };
     // A box has three axes of two turns each.
     let template = shape.template(0.5);
-    let symmetries = Symmetry::of(&template, 0.02);
+    let symmetries = template.find_symmetries(0.02);
     assert_eq!(symmetries.len(), 3);
     let template = template.with_symmetries(symmetries);
     let mut random = Stream::new(2, "followed");

@@ -4,7 +4,7 @@ use crate::solids;
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::params::{RegisterMethod, RegisterParams};
 use gelstereo_core::register::{
-    Contact, Localizer, RegisterError, Registrar, Symmetry, Template, TemplateBytesError, TemplateError,
+    Contact, Localizer, RegisterError, Registrar, Template, TemplateBytesError, TemplateError,
 };
 use gelstereo_core::stop::{Stop, Stopped};
 use gelstereo_core::surface::TriangleMesh;
@@ -42,8 +42,8 @@ fn work_that_is_not_stopped_gives_the_same_bits() {
         stopped_at(usize::MAX, |stop| TEMPLATE.clone().with_field_unless(CELL_MM, REACH_MM, stop));
     assert_eq!(made.unwrap().digest(), gridded.digest());
     assert!(asked > 20, "{asked} questions");
-    let (found, asked) = stopped_at(usize::MAX, |stop| Symmetry::of_unless(&TEMPLATE, 0.02, stop));
-    assert_eq!(found.unwrap(), Symmetry::of(&TEMPLATE, 0.02));
+    let (found, asked) = stopped_at(usize::MAX, |stop| TEMPLATE.find_symmetries_unless(0.02, stop));
+    assert_eq!(found.unwrap(), TEMPLATE.find_symmetries(0.02));
     assert!(asked > 20, "{asked} questions");
     let (turned, _) = stopped_at(usize::MAX, |stop| MESH.turned_outward_unless(stop));
     assert_eq!(turned.unwrap(), MESH.turned_outward());
@@ -167,7 +167,7 @@ proptest! {
         let question = at(stopped_at(usize::MAX, grid).1);
         prop_assert_eq!(stopped_at(question, grid), (Err(Stopped), question + 1));
 
-        let find = |stop: Stop<'_>| Symmetry::of_unless(&TEMPLATE, 0.02, stop).map(|_| ());
+        let find = |stop: Stop<'_>| TEMPLATE.find_symmetries_unless(0.02, stop).map(|_| ());
         let question = at(stopped_at(usize::MAX, find).1);
         prop_assert_eq!(stopped_at(question, find), (Err(Stopped), question + 1));
 

@@ -140,7 +140,7 @@ fn a_round_part_may_stand_on_its_head() {
 fn a_guess_a_quarter_turn_on_gets_its_own_copy_and_no_other_as_an_alternative() {
     let (part, bare) = part("square peg");
     // As found in its surface, and as declared.
-    let found = bare.clone().with_symmetries(Symmetry::of(&bare, 0.02));
+    let found = bare.clone().with_symmetries(bare.find_symmetries(0.02));
     assert_eq!(found.symmetries()[0].order, Some(4));
     let settings = RegisterParams { method: RegisterMethod::SurfaceSearch, ..Default::default() };
     let mut random = Stream::new(7, "quarter");

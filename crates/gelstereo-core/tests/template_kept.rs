@@ -40,13 +40,13 @@ fn moved((vertices, triangles): (Vec<DVec3>, Vec<[u32; 3]>), pose: &Pose) -> (Ve
 }
 
 fn orders(template: &Template) -> Vec<Option<u32>> {
-    Symmetry::of(template, TOLERANCE_MM).iter().map(|s| s.order).collect()
+    template.find_symmetries(TOLERANCE_MM).iter().map(|s| s.order).collect()
 }
 
 #[test]
 fn bytes_give_the_same_template_back() {
     let whole = template(block(DVec3::ZERO, DVec3::new(3.0, 4.0, 5.0), 3)).with_field(0.3, 1.0);
-    let symmetries = Symmetry::of(&whole, TOLERANCE_MM);
+    let symmetries = whole.find_symmetries(TOLERANCE_MM);
     assert_eq!(symmetries.len(), 3);
     let whole = whole.with_symmetries(symmetries);
     let points = Template::new(whole.points_mm(), whole.normals(), 0.4).unwrap();
@@ -164,7 +164,7 @@ proptest! {
         back in 16_usize..1200, value in prop_oneof![any::<u64>(), any::<f64>().prop_map(f64::to_bits), 0..40_u64],
     ) {
         let made = template(block(DVec3::ZERO, DVec3::ONE, 1));
-        let symmetries = Symmetry::of(&made, TOLERANCE_MM);
+        let symmetries = made.find_symmetries(TOLERANCE_MM);
         let bytes = made.with_symmetries(symmetries).to_bytes();
         let at = bytes.len().saturating_sub(back).max(12);
         let bytes = forged(bytes, at, &value.to_le_bytes());
@@ -184,7 +184,7 @@ proptest! {
     ) {
         let pose = Pose::exp(DVec3::from_array(omega), DVec3::from_array(shift));
         let template = template(moved(prism(n, 7.0, |_| 5.0), &pose));
-        let found = Symmetry::of(&template, TOLERANCE_MM);
+        let found = template.find_symmetries(TOLERANCE_MM);
         // Around itself, and over every corner or side.
         prop_assert_eq!(found.len(), if n == 4 { 5 } else { n + 1 }, "{:?}", found);
         prop_assert_eq!(found[0].order, Some(n as u32));
@@ -205,7 +205,7 @@ fn axes_are_those_of_the_shape() {
     let cuboid = orders(&template(block(DVec3::ZERO, DVec3::new(3.0, 4.0, 5.0), 2)));
     assert_eq!(cuboid, [Some(2); 3]);
     // 128 facets of a radius of 5 mm are 0.0015 mm deep, 16 are 0.096.
-    let round = Symmetry::of(&template(prism(128, 7.0, |_| 5.0)), TOLERANCE_MM);
+    let round = template(prism(128, 7.0, |_| 5.0)).find_symmetries(TOLERANCE_MM);
     assert_eq!(round.iter().map(|s| s.order).collect::<Vec<_>>(), [None, Some(2)]);
     assert!(round[0].axis.distance(DVec3::Z) < 1e-9 && round[1].axis.z.abs() < 1e-9);
     assert_eq!(orders(&template(prism(16, 7.0, |_| 5.0)))[0], Some(16));

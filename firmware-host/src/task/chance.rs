@@ -75,7 +75,7 @@ impl Flank {
         let stride = points.len().div_ceil(MAX_POINTS).max(1);
         points = points.into_iter().step_by(stride).collect();
         let on_axis = |along: f64| axis * along;
-        let symmetries = Symmetry::of(template, ROUND_MM);
+        let symmetries = template.find_symmetries(ROUND_MM);
         let is_round = symmetries.iter().any(|symmetry| {
             let beside_mm = symmetry.centre_mm.cross(axis).length();
             symmetry.order.is_none() && symmetry.axis.cross(axis).length() < 1e-3 && beside_mm < ROUND_MM

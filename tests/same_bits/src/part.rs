@@ -5,7 +5,7 @@ use alloc::format;
 use core::array;
 use gelstereo_core::digest::Digest;
 use gelstereo_core::math::DVec3;
-use gelstereo_core::register::{Symmetry, Template};
+use gelstereo_core::register::Template;
 use gelstereo_core::surface::TriangleMesh;
 
 /// Distance of a template's samples.
@@ -49,7 +49,7 @@ pub fn templates(out: &mut Digests) -> Outcome<()> {
         add("mesh", of_mesh.digest());
         add("bytes", Digest::new().bytes(&of_mesh.to_bytes()).value());
         add("read_again", Template::from_bytes(&of_mesh.to_bytes())?.digest());
-        let symmetries = Symmetry::of(&of_mesh, 0.02);
+        let symmetries = of_mesh.find_symmetries(0.02);
         add("symmetries", of_mesh.clone().with_symmetries(symmetries).digest());
         let of_points = Template::new(of_mesh.points_mm(), of_mesh.normals(), SPACING_MM)?;
         add("points", of_points.digest());

@@ -25,6 +25,7 @@ mod soft;
 mod surface;
 mod surfels;
 mod symmetry;
+mod symmetry_axes;
 mod template;
 mod verdict;
 

@@ -1,25 +1,12 @@
-//! Rotations that a part looks the same after.
+//! Rotations that a part looks the same after, and the copies of a pose that they make.
 
-use super::template::Template;
-use crate::math::linalg::eigen;
-use crate::math::{DVec3, Pose, sqrt};
-use crate::stop::{NEVER, Stop, Stopped, ask};
-use crate::surface::{Solid, area_vector};
-use alloc::vec::Vec;
+use crate::math::{DQuat, DVec3, Pose, abs, atan2, cos, round, sin, sqrt};
 use core::f64::consts::{PI, TAU};
 
-/// Most equal turns of an axis that are looked for.
-const MOST_TURNS: u32 = 64;
-/// Faces, by area, whose normals and their sums are looked at as axes.
-const MOST_NORMALS: usize = 24;
-/// Normals closer than this cosine are of one face.
-const SAME: f64 = 1.0 - 1e-8;
-/// Axes closer than this are one, found twice: those across an axis of order n are π / n apart.
-const NEAREST_RAD: f64 = 0.5 * PI / MOST_TURNS as f64;
-/// Turns by multiples of the golden section, which no order has.
-const GOLDEN: f64 = 0.618_033_988_749_894_9;
-/// Points that a turn is tried on before all are.
-const FIRST_POINTS: usize = 256;
+/// Turns that are put together; symmetries of a body are turns about one axis each, and declared ones two or three.
+const MOST_COMBINED: usize = 8;
+/// Pairs of turns that are tried.
+const MOST_PAIRS: usize = 512;
 
 /// An axis about which a part can be turned and looks the same.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -51,203 +38,77 @@ impl Symmetry {
     /// Of the poses that show a part with these symmetries alike, the one nearest to another: the least turn away.
     #[must_use]
     pub fn nearest_copy(symmetries: &[Self], t_sensor_object: &Pose, other: &Pose) -> Pose {
-        super::copies::nearest(symmetries, t_sensor_object, other)
-    }
-
-    /// The axes of a template's exact surface: after a turn, every point of the template lies within `tolerance_mm`
-    /// of it.
-    ///
-    /// An axis goes through the area's centre along an eigenvector of its second moment; where that leaves a choice,
-    /// normals of the largest faces and sums of two and three of them are tried. Of the axes across a continuous one,
-    /// which are all alike, one is given; of a ball, three. Facets count: a round part is continuous if they are
-    /// finer than the tolerance. None without an exact surface.
-    #[must_use]
-    pub fn of(template: &Template, tolerance_mm: f64) -> Vec<Self> {
-        Self::of_unless(template, tolerance_mm, NEVER).unwrap_or_default()
-    }
-
-    /// As [`Self::of`], unless it is stopped.
-    ///
-    /// # Errors
-    /// [`Stopped`].
-    pub fn of_unless(template: &Template, tolerance_mm: f64, stop: Stop<'_>) -> Result<Vec<Self>, Stopped> {
-        let Some(solid) = template.solid() else { return Ok(Vec::new()) };
-        let (centre_mm, moment) = moments(solid);
-        let found = eigen(&moment);
-        let trace: f64 = found.values.iter().sum();
-        let is_eigenvector = |a: DVec3| {
-            let image = DVec3::from_array(moment.map(|row| DVec3::from_array(row).dot(a)));
-            sqrt((image - a * image.dot(a)).length_squared()) <= 1e-3 * trace
-        };
-        let all_alike = found.values[2] - found.values[0] <= 1e-3 * trace;
-        let mut candidates = Vec::new();
-        add_normals(&mut candidates, &largest_normals(solid, stop)?, all_alike);
-        // Last, as they may come close to an axis by chance where the moments leave a choice.
-        candidates.extend(found.vectors.iter().map(|&v| upright(DVec3::from_array(v))));
-        let part = Part { solid, points_mm: template.points_mm(), tolerance_mm, stop };
-        let mut axes: Vec<Self> = Vec::new();
-        for axis in candidates.into_iter().filter(|&a| is_eigenvector(a)) {
-            let is_known =
-                |known: &Self| known.axis.cross(axis).length_squared() <= NEAREST_RAD * NEAREST_RAD;
-            if axes.iter().any(is_known) {
-                continue;
-            }
-            let candidate = Self { axis, centre_mm, order: None };
-            // Axes across a continuous one are alike: after the first, only another continuous one, of a ball, counts.
-            let has = |is_round: bool| axes.iter().any(|a| a.order.is_none() == is_round);
-            let order = if has(true) && has(false) {
-                part.is_round(candidate)?.then_some(None)
-            } else {
-                part.order(candidate)?
-            };
-            axes.extend(order.map(|order| Self { order, ..candidate }));
-        }
-        if axes.iter().filter(|a| a.order.is_none()).count() > 1 {
-            let every = [DVec3::X, DVec3::Y, DVec3::Z];
-            return Ok(every.map(|axis| Self { axis, centre_mm, order: None }).to_vec());
-        }
-        if let Some(round) = axes.iter().find(|a| a.order.is_none()).copied() {
-            let across = axes.iter().find(|a| a.order.is_some()).copied();
-            return Ok([Some(round), across].into_iter().flatten().collect());
-        }
-        // By order; the sort keeps the candidates' order of equals.
-        axes.sort_by_key(|axis| core::cmp::Reverse(axis.order));
-        Ok(axes)
+        nearest_copy(symmetries, t_sensor_object, other)
     }
 }
 
-struct Part<'a> {
-    solid: &'a Solid,
-    points_mm: &'a [DVec3],
-    tolerance_mm: f64,
-    stop: Stop<'a>,
+/// The copy of a pose that is the least turn away from another.
+pub(super) fn nearest_copy(symmetries: &[Symmetry], t_sensor_object: &Pose, other: &Pose) -> Pose {
+    let product = *t_sensor_object * nearest_turn(symmetries, t_sensor_object, other);
+    product.normalized().unwrap_or(*t_sensor_object)
 }
 
-impl Part<'_> {
-    /// How often the part looks the same around an axis, if more than once.
-    fn order(&self, axis: Symmetry) -> Result<Option<Option<u32>>, Stopped> {
-        if self.is_round(axis)? {
-            return Ok(Some(None));
-        }
-        // Every turn: one by 1/17 leaves sixteen facets nearly where they were, its eighth multiple does not.
-        let looks_the_same = |n: u32| {
-            let step = TAU / f64::from(n);
-            self.hold((1..=n / 2).map(|k| axis.turned(f64::from(k) * step)))
-        };
-        for n in (2..=MOST_TURNS).rev() {
-            if looks_the_same(n)? {
-                return Ok(Some(Some(n)));
+/// The turn S of the part, object frame to object frame, that brings T S nearest to the other pose by its angle.
+///
+/// Every turn of a body's group is one about one of its axes, or where these are declared by what makes them alone, mostly
+/// two put together. The best one or two are taken until none is better.
+fn nearest_turn(symmetries: &[Symmetry], t_sensor_object: &Pose, other: &Pose) -> Pose {
+    let turns: usize = symmetries.iter().filter_map(|s| s.order).map(|n| n as usize).sum();
+    // A list of so many has all axes.
+    let has_pairs = turns * symmetries.len() <= MOST_PAIRS;
+    let mut turn = Pose::IDENTITY;
+    for _ in 0..MOST_COMBINED {
+        let off = other.rotation.conjugate() * t_sensor_object.rotation * turn.rotation;
+        let mut best = Best { w: abs(off.w), turn: None };
+        best.try_one(symmetries, off, &Pose::IDENTITY);
+        for symmetry in symmetries.iter().filter(|_| has_pairs) {
+            for k in 1..symmetry.order.unwrap_or(1) {
+                let first = symmetry.turned(TAU * f64::from(k) / f64::from(symmetry.order.unwrap_or(1)));
+                best.try_one(symmetries, off * first.rotation, &first);
             }
         }
-        Ok(None)
+        let Some(next) = best.turn else { break };
+        turn = turn * next;
     }
-
-    /// Whether the part looks the same after any turn around an axis.
-    ///
-    /// Squares, as 34 of the turns by the golden section itself come back to within 1/75 of one: of any facets up to 128 one
-    /// of these turns is a quarter of a facet off or more, where a facet is off by 3/4 of its depth.
-    fn is_round(&self, axis: Symmetry) -> Result<bool, Stopped> {
-        self.hold((1..=8).map(|k| axis.turned(f64::from(k * k) * GOLDEN * TAU)))
-    }
-
-    /// Whether the part looks the same after each of these turns: some points first, which most wrong turns fail.
-    fn hold(&self, turns: impl Iterator<Item = Pose>) -> Result<bool, Stopped> {
-        let stride = self.points_mm.len().div_ceil(FIRST_POINTS);
-        for turn in turns {
-            if !(self.holds(&turn, stride)? && self.holds(&turn, 1)?) {
-                return Ok(false);
-            }
-        }
-        Ok(true)
-    }
-
-    /// Whether every so many points lie on the surface after a turn.
-    fn holds(&self, turn: &Pose, stride: usize) -> Result<bool, Stopped> {
-        for (step, p) in self.points_mm.iter().step_by(stride).enumerate() {
-            ask(self.stop, step)?;
-            let turned = turn.transform_point(*p);
-            if self.solid.closest_within(turned, self.tolerance_mm, None).is_none() {
-                return Ok(false);
-            }
-        }
-        Ok(true)
-    }
+    turn
 }
 
-/// Centre and second central moment of the area.
-fn moments(solid: &Solid) -> (DVec3, [[f64; 3]; 3]) {
-    let corners = |t: &[u32; 3]| t.map(|i| solid.vertices_mm()[i as usize]);
-    let area = |c: &[DVec3; 3]| sqrt(area_vector(c).length_squared());
-    let origin = solid.bounds_mm().0;
-    let (mut total, mut sum) = (0.0, DVec3::ZERO);
-    for [a, b, c] in solid.triangles().iter().map(corners) {
-        let weight = area(&[a, b, c]);
-        total += weight;
-        sum += ((a - origin) + (b - origin) + (c - origin)) * (weight / 3.0);
-    }
-    let centre = origin + sum / total;
-    let mut moment = [[0.0; 3]; 3];
-    for [a, b, c] in solid.triangles().iter().map(corners) {
-        let weight = area(&[a, b, c]) / (12.0 * total);
-        let [a, b, c] = [a - centre, b - centre, c - centre];
-        for v in [a, b, c, a + b + c] {
-            for i in 0..3 {
-                for j in 0..3 {
-                    moment[i][j] += weight * v[i] * v[j];
-                }
-            }
-        }
-    }
-    (centre, moment)
+/// The turn that leaves the largest cosine w of half the angle.
+struct Best {
+    w: f64,
+    turn: Option<Pose>,
 }
 
-/// Different directions of the largest faces, whichever way they look.
-fn largest_normals(solid: &Solid, stop: Stop<'_>) -> Result<Vec<DVec3>, Stopped> {
-    let mut faces: Vec<(f64, DVec3)> = Vec::new();
-    for (triangle, corners) in solid.triangles().iter().enumerate() {
-        ask(stop, triangle)?;
-        let normal = solid.face_normal(triangle as u32);
-        if normal == DVec3::ZERO {
-            continue;
-        }
-        let corners = corners.map(|i| solid.vertices_mm()[i as usize]);
-        let area = sqrt(area_vector(&corners).length_squared());
-        // Among the first ones only: a finely divided round part has no large faces.
-        match faces.iter_mut().take(8 * MOST_NORMALS).find(|(_, n)| n.dot(normal).abs() > SAME) {
-            Some(face) => face.0 += area,
-            None => faces.push((area, upright(normal))),
-        }
-    }
-    faces.sort_by(|a, b| b.0.total_cmp(&a.0));
-    faces.truncate(MOST_NORMALS);
-    Ok(faces.into_iter().map(|(_, normal)| normal).collect())
-}
-
-/// Normals, and sums of two and, if asked for, three of them.
-fn add_normals(candidates: &mut Vec<DVec3>, normals: &[DVec3], triples: bool) {
-    let mut add = |v: DVec3| {
-        let length = sqrt(v.length_squared());
-        if length > 1e-6 {
-            candidates.push(upright(v / length));
-        }
-    };
-    normals.iter().for_each(|&n| add(n));
-    for (i, &a) in normals.iter().enumerate() {
-        for (j, &b) in normals[..i].iter().enumerate() {
-            add(a + b);
-            add(a - b);
-            for &c in normals[..j].iter().filter(|_| triples && i < 8) {
-                for sum in [a + b + c, a + b - c, a - b + c, a - b - c] {
-                    add(sum);
-                }
+impl Best {
+    /// One turn about each axis, after `first`, which leaves the rotation `off`.
+    fn try_one(&mut self, symmetries: &[Symmetry], off: DQuat, first: &Pose) {
+        for symmetry in symmetries {
+            let half_rad = best_half_turn(symmetry, off);
+            let w = abs(off.w * cos(half_rad) - along(symmetry, off) * sin(half_rad));
+            // Round-off is no reason to turn.
+            if w > self.w + 8.0 * f64::EPSILON {
+                *self = Self { w, turn: Some(*first * symmetry.turned(2.0 * half_rad)) };
             }
         }
     }
 }
 
-/// The one of a direction and its opposite whose largest coordinate is positive.
-fn upright(v: DVec3) -> DVec3 {
-    let largest =
-        v.to_array().into_iter().fold(0.0, |most: f64, x| if x.abs() > most.abs() { x } else { most });
-    if largest < 0.0 { -v } else { v }
+fn along(symmetry: &Symmetry, off: DQuat) -> f64 {
+    DVec3::new(off.x, off.y, off.z).dot(symmetry.axis)
+}
+
+/// Half the angle h of the turn about the axis that leaves the least rotation: w cos h - (v·a) sin h is largest.
+fn best_half_turn(symmetry: &Symmetry, off: DQuat) -> f64 {
+    let (w, v) = (off.w, along(symmetry, off));
+    // Where both vanish any turn is as good.
+    if sqrt(w * w + v * v) < 1e-9 {
+        return 0.0;
+    }
+    let half_rad = atan2(-v, w);
+    // Within half a turn: w and -w are one rotation.
+    let half_rad = half_rad - PI * round(half_rad / PI);
+    symmetry.order.map_or(half_rad, |n| {
+        let step = PI / f64::from(n);
+        step * round(half_rad / step)
+    })
 }

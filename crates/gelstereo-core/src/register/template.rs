@@ -7,6 +7,7 @@ use super::sample;
 use super::surface::Relief;
 use super::surfels::surfels;
 use super::symmetry::Symmetry;
+use super::symmetry_axes::symmetries;
 use crate::digest::Digest;
 use crate::math::{DVec3, Pose, sqrt};
 use crate::spatial::KdTree;
@@ -150,7 +151,7 @@ impl Template {
     pub(super) fn with_solid(self, solid: Solid, stop: Stop<'_>) -> Result<Self, Stopped> {
         let relief = Some(Relief::new(&solid, stop)?);
         let mut exact = Self { solid: Some(solid), relief, field: None, is_exact: true, ..self };
-        exact.alike = Symmetry::of_unless(&exact, ALIKE_MM, stop)?;
+        exact.alike = exact.find_symmetries_unless(ALIKE_MM, stop)?;
         Ok(exact)
     }
 
@@ -234,7 +235,32 @@ impl Template {
         Some((self.solid.as_ref()?, self.field.as_ref()?, self.relief.as_ref()?))
     }
 
-    /// With these symmetries instead of those it has: declared ones, or [`Symmetry::of`] it. Registration then answers
+    /// The axes of a template's exact surface: after a turn, every point of the template lies within `tolerance_mm`
+    /// of it.
+    ///
+    /// An axis goes through the area's centre along an eigenvector of its second moment; where that leaves a choice,
+    /// normals of the largest faces and sums of two and three of them are tried. Of the axes across a continuous one,
+    /// which are all alike, one is given; of a ball, three. Facets count: a round part is continuous if they are
+    /// finer than the tolerance. None without an exact surface.
+    #[must_use]
+    pub fn find_symmetries(&self, tolerance_mm: f64) -> Vec<Symmetry> {
+        self.find_symmetries_unless(tolerance_mm, NEVER).unwrap_or_default()
+    }
+
+    /// As [`Self::find_symmetries`], unless it is stopped.
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    pub fn find_symmetries_unless(
+        &self,
+        tolerance_mm: f64,
+        stop: Stop<'_>,
+    ) -> Result<Vec<Symmetry>, Stopped> {
+        let Some(solid) = self.solid() else { return Ok(Vec::new()) };
+        symmetries(solid, &self.points_mm, tolerance_mm, stop)
+    }
+
+    /// With these symmetries instead of those it has: declared ones, or [`Self::find_symmetries`]. Registration then answers
     /// with the copy that is nearest to the guess.
     #[must_use]
     pub fn with_symmetries(mut self, symmetries: Vec<Symmetry>) -> Self {

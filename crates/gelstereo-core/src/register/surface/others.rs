@@ -18,6 +18,7 @@ use super::settled::SettledScratch;
 use super::step::{Normal, Placement, cholesky};
 use crate::math::{DVec3, Pose};
 use crate::register::observe::{dot, halves, stack};
+use crate::register::symmetry::nearest_copy;
 use crate::register::{Observability, copies, held};
 use alloc::vec::Vec;
 use core::f64::consts::TAU;
@@ -197,7 +198,7 @@ impl<'a, 'b> Others<'a, 'b> {
 
     /// What brings one pose to another that is a turn of the part away from it or none, about the centroid.
     fn since(&self, one: &Placement, other: &Placement) -> Pose {
-        let nearest = copies::nearest(self.search.symmetries, &one.pose, &other.pose);
+        let nearest = nearest_copy(self.search.symmetries, &one.pose, &other.pose);
         let motion = nearest * other.pose.inverse();
         motion.normalized().unwrap_or(motion)
     }
