@@ -333,8 +333,9 @@ impl Template {
         }
         let all = match declared {
             Some(declared) => declared,
-            None => stoppable(py, |stop| core::Symmetry::of_unless(&self.inner, tolerance_mm, stop))?
-                .map_err(raise)?,
+            None => {
+                stoppable(py, |stop| self.inner.find_symmetries_unless(tolerance_mm, stop))?.map_err(raise)?
+            }
         };
         let inner = py.detach(|| self.inner.clone().with_symmetries(all));
         Ok(Self { inner })

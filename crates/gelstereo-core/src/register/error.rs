@@ -79,7 +79,7 @@ impl core::fmt::Display for TemplateError {
                 f,
                 "the spacing is {found_mm} mm for points that extend over {extent_mm} mm; valid is a positive \
                  spacing from {:e} times the extent to the extent itself (are both in millimetres?)",
-                super::template::LEAST_SPACING
+                super::limits::LEAST_SPACING
             ),
         }
     }

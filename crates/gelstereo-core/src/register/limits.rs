@@ -6,3 +6,5 @@ pub(crate) const LEAST_POINTS: usize = 3;
 pub(crate) const MOST_POINTS: usize = 250_000;
 /// Coordinates beyond this, a million kilometres, are taken for a mistake.
 pub(crate) const REACH_MM: f64 = 1e12;
+/// Least spacing as a share of the extent: no template that can be held is finer, and squares do not underflow.
+pub(crate) const LEAST_SPACING: f64 = 1e-6;

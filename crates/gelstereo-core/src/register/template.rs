@@ -2,7 +2,7 @@
 
 use super::blocks::{self, Block};
 use super::error::TemplateError;
-use super::limits::{LEAST_POINTS, MOST_POINTS, REACH_MM};
+use super::limits::{LEAST_POINTS, LEAST_SPACING, MOST_POINTS, REACH_MM};
 use super::sample;
 use super::surface::Relief;
 use super::surfels::surfels;
@@ -14,9 +14,6 @@ use crate::spatial::KdTree;
 use crate::stop::{NEVER, Stop, Stopped, ask_often};
 use crate::surface::{Field, Solid, TriangleMesh};
 use alloc::vec::Vec;
-
-/// Least spacing as a share of the extent: no template that can be held is finer, and squares do not underflow.
-pub(crate) const LEAST_SPACING: f64 = 1e-6;
 
 /// After a turn that leaves every point of the surface within this of it, less than the noise of points, a contact is as
 /// likely as before.
