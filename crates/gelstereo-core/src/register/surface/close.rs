@@ -1,8 +1,9 @@
 //! From the guess alone: a part that is followed, and one whose pose is nearly known.
 
+use super::candidate::{Candidate, End};
 use super::fit::{Clear, View};
-use super::polish::{End, Polish, PolishScratch};
-use super::search::{Candidate, Search};
+use super::polish::{Polish, PolishScratch};
+use super::search::Search;
 use crate::math::{exp, ln};
 use alloc::vec::Vec;
 

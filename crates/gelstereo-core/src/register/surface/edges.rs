@@ -10,10 +10,10 @@
 //! Where both markers touch, the heights change by so little when the crease passes that another pose may make up for it. No
 //! such crease is a wall.
 
+use super::candidate::Candidate;
 use super::lattice::Node;
 use super::part::{Distances, Foot, Last, Range};
 use super::relief::CREASE_COS;
-use super::search::Candidate;
 use super::settled::{Settled, SettledScratch, Sight};
 use crate::math::linalg::{Symmetric, eigen};
 use crate::math::{DVec3, abs, erfc, exp, sqrt};

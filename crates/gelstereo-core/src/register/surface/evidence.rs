@@ -1,9 +1,9 @@
 //! What the contact says about the pose that was found: information, free directions, and other poses as likely.
 
+use super::candidate::{Candidate, End};
 use super::contact::Samples;
 use super::odds::{odds, searched};
-use super::polish::{End, PolishScratch};
-use super::search::Candidate;
+use super::polish::PolishScratch;
 use super::settled::SettledScratch;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec3, Pose, sqrt};

@@ -20,11 +20,11 @@
 //! for sure or lie amid a face. Then it is told once more: that brings in those whose face the first have fixed. After
 //! that a row of markers would vouch for itself.
 
+use super::candidate::Candidate;
 use super::edges::{Bounded, LEAST_KNOWN};
 use super::lattice::Node;
 use super::part::Foot;
 use super::relief::CREASE_COS;
-use super::search::Candidate;
 use super::settled::{BETWEEN, LONGEST_MM, Row, Settled, SettledScratch};
 use crate::math::linalg::Symmetric;
 use crate::math::{erfc, exp, sqrt};

@@ -1,8 +1,8 @@
 //! The linear system of a step of [`Settled`]: how the heights that are predicted change with what is sought.
 
+use super::candidate::Candidate;
 use super::lattice::Node;
 use super::part::{Line, UNDER_MM};
-use super::search::Candidate;
 use super::settled::{
     DECAY, DECAY_SIGMA, LAST_SCALE_MM, LONGEST_MM, PLANE, Prediction, Row, SWEEPS_A_LOOKUP, Settled,
     SettledScratch, Sight, UNKNOWN,

@@ -4,8 +4,9 @@
 //! A pose that is wrong can touch most of the patch. The gel beside it then stands too high or too low, and over all
 //! markers that shows in their squared deviations.
 
+use super::candidate::Candidate;
 use super::rest::Rest;
-use super::search::{Candidate, Search};
+use super::search::Search;
 use super::settled::{LIFTED, Prediction, SettledScratch};
 use crate::math::sqrt;
 

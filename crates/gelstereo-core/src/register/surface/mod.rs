@@ -7,6 +7,7 @@
 //! ([`settled`]). One start finds it from close by; from farther off many are needed, since threads, teeth
 //! and edges each have a minimum of their own.
 
+mod candidate;
 mod close;
 mod contact;
 mod edges;
@@ -48,11 +49,12 @@ use crate::math::{DVec3, Pose};
 use crate::params::{RegisterMethod, RegisterParams};
 use crate::stop::{NEVER, Stop, ask_often};
 use alloc::vec::Vec;
+use candidate::Candidate;
 use contact::{Extent, Samples};
 use part::{Coarse, Exact};
 use polish::PolishScratch;
 use raster::Raster;
-use search::{Candidate, Search};
+use search::Search;
 use settled::SettledScratch;
 use step::{Placement, Prior};
 
@@ -169,7 +171,7 @@ fn check_reach(
     solid: &crate::surface::Solid,
     params: &RegisterParams,
 ) -> Result<(), RegisterError> {
-    let reach_mm = params.search_radius_mm + REACH * params.start_sigma_mm;
+    let reach_mm = params.search_radius_mm + starts::REACH * params.start_sigma_mm;
     let placed = || search.samples.pressed.iter().map(|s| search.prior.guess.object_point(s.p_mm));
     // What the field knows is within its own reach, and a cell.
     let field = search.field.field;
@@ -191,6 +193,3 @@ fn check_reach(
     }
     Err(RegisterError::OutOfReach { within, least: LEAST_PATCH, nearest_mm, reach_mm })
 }
-
-/// Starts lie within this many standard deviations of the guess.
-const REACH: f64 = 2.4;

@@ -1,9 +1,9 @@
 //! Whether the part is where it is said to be: the odds of that over something else being there.
 
+use super::candidate::Candidate;
 use super::contact::Samples;
 use super::noise::{LEAST_OUTLIERS, Likelihood, STRAY_MM};
 use super::polish::{PolishScratch, Reading};
-use super::search::Candidate;
 use super::settled::SettledScratch;
 use crate::math::{exp, ln, sqrt};
 use crate::params::RegisterParams;

@@ -10,10 +10,11 @@
 //! and its inverse are tried on all answers: so the pitches of a thread are found that no start has led to. Turns after
 //! which the whole part looks the same are known before; they are tried on every answer, too.
 
+use super::candidate::{Candidate, End};
 use super::evidence;
-use super::polish::{End, PolishScratch};
+use super::polish::PolishScratch;
 use super::screening::insertion_sort;
-use super::search::{Candidate, HOPELESS, Search, Stage};
+use super::search::{HOPELESS, Search, Stage};
 use super::settled::SettledScratch;
 use super::step::{Normal, Placement, cholesky};
 use crate::math::{DVec3, Pose};

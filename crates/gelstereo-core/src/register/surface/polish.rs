@@ -4,11 +4,11 @@
 //! step that does not make the pose more likely is halved: at creases the nearest face changes, and whole steps of
 //! Gauss and Newton would go back and forth between two faces for ever.
 
+use super::candidate::{Candidate, End};
 use super::contact::Samples;
 use super::fit::{Clear, View};
 use super::noise::{Bell, Likelihood, Loose, STRAY_MM};
 use super::part::{Coarse, Distances, Last, Near, Range, press_in_object};
-use super::search::Candidate;
 use super::step::{Normal, Placement, Prior};
 use crate::math::{DVec3, sqrt};
 use crate::params::RegisterParams;
@@ -124,14 +124,6 @@ pub(super) struct Polish<'a, D> {
     pub halvings: u32,
     /// Whether the field tells how far the other markers are in the part: at edges it is blunt, and takes a tenth as long.
     pub pushes_bluntly: bool,
-}
-
-/// Where it ended.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct End {
-    pub converged: bool,
-    pub iterations: u32,
-    pub work: u64,
 }
 
 impl<D: Distances> Polish<'_, D> {

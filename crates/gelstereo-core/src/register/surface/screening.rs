@@ -1,8 +1,9 @@
 //! Screening: rounds of coarse steps of many candidates, of which fewer and fewer go on.
 
+use super::candidate::Candidate;
 use super::contact::{COARSE, MEDIUM};
 use super::fit::View;
-use super::search::{Candidate, Search};
+use super::search::Search;
 use super::settled::KEPT;
 use super::step::Normal;
 use crate::math::sqrt;

@@ -1,12 +1,13 @@
 //! Many starts, successive halving: each round looks at fewer candidates more closely.
 
+use super::candidate::{Candidate, End};
 use super::contact::Samples;
 use super::evidence::Told;
 use super::fit::View;
 use super::odds::odds;
 use super::others::Others;
 use super::part::{Coarse, Distances, Exact};
-use super::polish::{End, OUT_OF_REACH_MM, Polish, PolishScratch};
+use super::polish::{OUT_OF_REACH_MM, Polish, PolishScratch};
 use super::rest::Rest;
 use super::screening::{FIRST, SECOND, keep};
 use super::settled::{KEPT, Settled, SettledScratch};
@@ -17,24 +18,6 @@ use crate::params::RegisterParams;
 use crate::register::Symmetry;
 use crate::stop::Stop;
 use alloc::vec::Vec;
-
-/// A pose in the running.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Candidate {
-    pub placement: Placement,
-    /// Of the gel, where it is asked.
-    pub rest: Rest,
-    /// Which of the kept predictions is its own, where the gel is asked.
-    pub slot: usize,
-    /// The lower the better; comparable within a round.
-    pub cost: f64,
-}
-
-impl Candidate {
-    pub fn at(placement: Placement) -> Self {
-        Self { placement, rest: Rest::UNKNOWN, slot: 0, cost: f64::INFINITY }
-    }
-}
 
 /// Steps on the field before candidates are compared, and how many go on.
 const FIELD_STEPS: u32 = 4;

@@ -4,6 +4,7 @@
 //! What touches and what hangs at a pose is what the gel does there ([`Gel`]). Unknown beside the pose are the gel's plane of
 //! rest and the decay length.
 
+use super::candidate::{Candidate, End};
 use super::contact::Samples;
 use super::edges::Wall;
 use super::gel::Gel;
@@ -11,9 +12,7 @@ use super::lattice::{Node, Sweeps};
 use super::misfit::MOST;
 use super::noise::{Likelihood, STRAY_MM};
 use super::part::{Coarse, Exact, Foot, Line, UNDER_MM};
-use super::polish::End;
 use super::rest::{DECAY_LOGS, Rest};
-use super::search::Candidate;
 use super::step::{Normal, Prior};
 
 use crate::math::{DVec3, abs, exp, sqrt};

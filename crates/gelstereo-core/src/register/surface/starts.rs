@@ -1,8 +1,10 @@
 //! Where to begin: points of a low-discrepancy sequence, mapped to the uncertainty of the guess.
 
-use super::REACH;
 use super::step::{Placement, Prior};
 use crate::math::{DVec3, cbrt, cos, floor, sin, sqrt};
+
+/// Starts lie within this many standard deviations of the guess.
+pub(super) const REACH: f64 = 2.4;
 
 /// Powers of 1 / φ, φ⁷ = φ + 1: the additive recurrence of least discrepancy known in six dimensions (Roberts 2018).
 const STEPS: [f64; 6] = [
