@@ -3,6 +3,7 @@
 //! The source is the patch of salient points, the target the template at the guess; what is returned maps the
 //! object's frame to the sensor's, so it is Eq. 7's inverse already.
 
+mod alternatives;
 mod assess;
 mod blocks;
 mod codec;
@@ -30,6 +31,7 @@ mod template;
 mod verdict;
 
 pub use crate::params::GuessSigma;
+pub use alternatives::{Alternative, Alternatives};
 pub use codec::TemplateBytesError;
 pub use error::{RegisterError, TemplateError};
 pub use free::{FreeDirection, FreeDirections, Motion};
@@ -38,9 +40,7 @@ pub use localizer::{Localizer, Located, Standing};
 pub use observe::Observability;
 pub use rigid::{RigidFit, RigidFitError, rigid_fit};
 pub use soft::{SoftMatch, soft_match};
-pub use surface::{
-    Alternative, Alternatives, Contact, GelDecay, Misfit, check_among, unpressed, unpressed_for,
-};
+pub use surface::{Contact, GelDecay, Misfit, check_among, unpressed, unpressed_for};
 pub use symmetry::Symmetry;
 pub use template::Template;
 pub use verdict::Verdict;

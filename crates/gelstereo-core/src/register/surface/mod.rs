@@ -36,7 +36,6 @@ mod starts;
 mod step;
 
 pub use contact::Contact;
-pub use evidence::{Alternative, Alternatives};
 pub use markers::{check_among, unpressed, unpressed_for};
 pub use misfit::Misfit;
 pub(super) use misfit::Usual;
