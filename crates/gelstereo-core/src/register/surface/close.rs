@@ -3,7 +3,7 @@
 use super::candidate::{Candidate, End};
 use super::fit::{Clear, View};
 use super::polish::{Polish, PolishScratch};
-use super::search::Search;
+use super::state::Search;
 use crate::math::{exp, ln};
 use alloc::vec::Vec;
 

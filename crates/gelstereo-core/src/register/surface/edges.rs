@@ -13,8 +13,9 @@
 use super::candidate::Candidate;
 use super::lattice::Node;
 use super::part::{Distances, Foot, Last, Range};
+use super::prediction::{SettledScratch, Sight, Wall};
 use super::relief::CREASE_COS;
-use super::settled::{Settled, SettledScratch, Sight};
+use super::settled::Settled;
 use crate::math::linalg::{Symmetric, eigen};
 use crate::math::{DVec3, abs, erfc, exp, sqrt};
 use crate::register::observe::{Vector6, add_outer, dot, stack};
@@ -33,18 +34,6 @@ const SWEEPS: usize = 3;
 /// Standard deviations beyond which a wall does not cut, and which the mean is within of it.
 const FAR: f64 = 6.0;
 const ALL: Range = Range { from_mm: f64::NEG_INFINITY, to_mm: f64::INFINITY };
-
-/// A pose z is on this side of the wall where `row` · z is less than `room_mm`.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Wall {
-    row: Vector6,
-    room_mm: f64,
-    /// How sharp it is.
-    sigma_mm: f64,
-    /// What it adds: a precision, and that times where it would have the pose.
-    precision: f64,
-    pull: f64,
-}
 
 /// The edge at which the face under a node ends, on the way to its neighbour.
 struct Edge {

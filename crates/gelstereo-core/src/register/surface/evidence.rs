@@ -4,7 +4,7 @@ use super::candidate::{Candidate, End};
 use super::contact::Samples;
 use super::odds::{odds, searched};
 use super::polish::PolishScratch;
-use super::settled::SettledScratch;
+use super::prediction::SettledScratch;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec3, Pose, sqrt};
 use crate::params::{RegisterMethod, RegisterParams};

@@ -3,10 +3,8 @@
 use super::candidate::Candidate;
 use super::lattice::Node;
 use super::part::{Line, UNDER_MM};
-use super::settled::{
-    DECAY, DECAY_SIGMA, LAST_SCALE_MM, LONGEST_MM, PLANE, Prediction, Row, SWEEPS_A_LOOKUP, Settled,
-    SettledScratch, Sight, UNKNOWN,
-};
+use super::prediction::{DECAY, PLANE, Prediction, Row, SettledScratch, Sight, UNKNOWN};
+use super::settled::{DECAY_SIGMA, LAST_SCALE_MM, LONGEST_MM, SWEEPS_A_LOOKUP, Settled};
 use super::step::{Normal, cholesky};
 use crate::math::linalg::{Symmetric, eigen};
 use crate::math::sqrt;

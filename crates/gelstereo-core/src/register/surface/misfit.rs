@@ -5,13 +5,11 @@
 //! markers that shows in their squared deviations.
 
 use super::candidate::Candidate;
+use super::prediction::{LIFTED, MOST_SQUARE, Prediction, SettledScratch};
 use super::rest::Rest;
-use super::search::Search;
-use super::settled::{LIFTED, Prediction, SettledScratch};
+use super::state::Search;
 use crate::math::sqrt;
 
-/// A squared deviation counts up to this: an outlier weighs no more than a marker four standard deviations off.
-pub(super) const MOST: f64 = 16.0;
 /// Steps from a pose that comes from a rung without the gel: it is off by several standard deviations of theirs.
 const STEPS: u32 = 3;
 /// A right pose at its peak is doubted once in e^14, 1.2 million, frames, were its markers independent. What is wrong
@@ -39,9 +37,9 @@ impl Misfit {
     fn of(here: &Prediction) -> Self {
         let (mut markers, mut sum, mut sum_squares) = (0_usize, 0.0, 0.0);
         for (sight, &height_mm) in here.sights.iter().zip(&here.heights_mm) {
-            let square = (sight.residual_mm * sight.residual_mm / sight.variance_mm2).min(MOST);
+            let square = (sight.residual_mm * sight.residual_mm / sight.variance_mm2).min(MOST_SQUARE);
             let is_lifted = height_mm * height_mm > LIFTED * LIFTED * sight.variance_mm2;
-            if sight.touches || is_lifted || square == MOST {
+            if sight.touches || is_lifted || square == MOST_SQUARE {
                 markers += 1;
                 sum += square;
                 sum_squares += square * square;
@@ -67,8 +65,8 @@ impl Usual {
     pub fn new(outlier_share: f64) -> Self {
         let good = 1.0 - outlier_share;
         Self {
-            mean: good + outlier_share * MOST,
-            mean_square: 3.0 * good + outlier_share * MOST * MOST,
+            mean: good + outlier_share * MOST_SQUARE,
+            mean_square: 3.0 * good + outlier_share * MOST_SQUARE * MOST_SQUARE,
             markers: BEFORE,
             since: 0,
         }
@@ -97,7 +95,7 @@ impl Usual {
     pub fn is_exceeded(&self, by: &Misfit) -> bool {
         let count = by.markers as f64;
         let variance = (self.mean_square - self.mean * self.mean).max(0.0);
-        let b = ALARM_LOG * MOST / 3.0;
+        let b = ALARM_LOG * MOST_SQUARE / 3.0;
         let most = b + sqrt(b * b + 2.0 * ALARM_LOG * count * variance);
         count * (by.mean - self.mean) > most
     }

@@ -26,6 +26,7 @@ mod others;
 mod part;
 mod point;
 mod polish;
+mod prediction;
 mod raster;
 mod relief;
 mod rest;
@@ -33,6 +34,7 @@ mod screening;
 mod search;
 mod settled;
 mod starts;
+mod state;
 mod step;
 
 pub use contact::Contact;
@@ -52,9 +54,9 @@ use candidate::Candidate;
 use contact::{Extent, Samples};
 use part::{Coarse, Exact};
 use polish::PolishScratch;
+use prediction::SettledScratch;
 use raster::Raster;
-use search::Search;
-use settled::SettledScratch;
+use state::Search;
 use step::{Placement, Prior};
 
 /// What the surface rungs keep from run to run.

@@ -4,7 +4,7 @@ use super::candidate::Candidate;
 use super::contact::Samples;
 use super::noise::{LEAST_OUTLIERS, Likelihood, STRAY_MM};
 use super::polish::{PolishScratch, Reading};
-use super::settled::SettledScratch;
+use super::prediction::SettledScratch;
 use crate::math::{exp, ln, sqrt};
 use crate::params::RegisterParams;
 use crate::register::Observability;

@@ -13,9 +13,9 @@
 use super::candidate::{Candidate, End};
 use super::evidence;
 use super::polish::PolishScratch;
+use super::prediction::SettledScratch;
 use super::screening::insertion_sort;
-use super::search::{HOPELESS, Search, Stage};
-use super::settled::SettledScratch;
+use super::state::{HOPELESS, Search, Stage};
 use super::step::{Normal, Placement, cholesky};
 use crate::math::{DVec3, Pose};
 use crate::register::observe::{dot, halves, stack};

@@ -3,8 +3,8 @@
 use super::candidate::Candidate;
 use super::contact::{COARSE, MEDIUM};
 use super::fit::View;
-use super::search::Search;
-use super::settled::KEPT;
+use super::prediction::KEPT;
+use super::state::Search;
 use super::step::Normal;
 use crate::math::sqrt;
 use alloc::vec::Vec;

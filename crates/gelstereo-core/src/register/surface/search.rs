@@ -1,22 +1,16 @@
 //! Many starts, successive halving: each round looks at fewer candidates more closely.
 
 use super::candidate::{Candidate, End};
-use super::contact::Samples;
 use super::evidence::Told;
-use super::fit::View;
 use super::odds::odds;
 use super::others::Others;
-use super::part::{Coarse, Distances, Exact};
-use super::polish::{OUT_OF_REACH_MM, Polish, PolishScratch};
+use super::polish::PolishScratch;
+use super::prediction::{KEPT, SettledScratch};
 use super::rest::Rest;
 use super::screening::{FIRST, SECOND, keep};
-use super::settled::{KEPT, Settled, SettledScratch};
+use super::settled::Settled;
 use super::starts::start;
-use super::step::{Placement, Prior};
-use crate::math::DVec3;
-use crate::params::RegisterParams;
-use crate::register::Symmetry;
-use crate::stop::Stop;
+use super::state::{HOPELESS, Search, Stage};
 use alloc::vec::Vec;
 
 /// Steps on the field before candidates are compared, and how many go on.
@@ -25,10 +19,6 @@ const FINALISTS: usize = 3;
 /// Steps of all of them on the exact surface, and of those that are left.
 const FIRST_STEPS: u32 = 3;
 const MOST_STEPS: u32 = 15;
-/// Halvings of a step on the exact surface.
-const HALVINGS: u32 = 4;
-/// Finalists whose likelihood is less than that of the best by this, in logarithms, are not polished on.
-pub(super) const HOPELESS: f64 = 12.0;
 /// With fewer of the markers around the contact explained the gel is another than it is said to be, and is not asked.
 const EXPLAINED: f64 = 0.75;
 /// Widths of the steps that ask the gel on the field, and how many candidates go on from there: of the first few, and of
@@ -50,67 +40,7 @@ const SHARP_MM: f64 = 0.05;
 /// Width on the field of those that come after the best one, which are near their end.
 const FIELD_MM: f64 = 0.1;
 
-/// The steps of a pose that comes after the best one: on the field, the first on the exact surface, and to the end.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Stage {
-    Field,
-    First,
-    Last,
-}
-
-/// What a search works with.
-pub(super) struct Search<'a> {
-    pub params: &'a RegisterParams,
-    pub samples: &'a Samples,
-    pub press_direction: DVec3,
-    pub field: Coarse<'a>,
-    pub faces: Exact<'a>,
-    pub prior: Prior,
-    pub stop: Stop<'a>,
-    pub work: u64,
-    /// Work after which it stops: the budget, or a part's share of it.
-    pub limit: u64,
-    /// Whether the answer is that of the gel.
-    pub is_settled: bool,
-    /// Whether other answers may be missing among those that are left.
-    pub is_cut: bool,
-    /// Where readings are those of the answer, if that is not itself: the part looks the same there.
-    pub read_at: Option<Placement>,
-    /// Turns that are declared to make no other pose.
-    pub symmetries: &'a [Symmetry],
-    /// Turns after which the part looks the same, declared or not.
-    pub alike: &'a [Symmetry],
-}
-
 impl Search<'_> {
-    /// All points.
-    fn whole(&self) -> View<'_> {
-        View::of(self.samples, usize::MAX, usize::MAX, self.press_direction)
-    }
-
-    pub fn has_spent(&self) -> bool {
-        self.work >= self.limit || (self.stop)()
-    }
-
-    pub fn left(&self) -> u64 {
-        if (self.stop)() { 0 } else { self.limit.saturating_sub(self.work) }
-    }
-
-    pub fn polish<D: Distances>(&self, part: D) -> Polish<'_, D> {
-        Polish {
-            params: self.params,
-            samples: self.samples,
-            view: self.whole(),
-            field: self.field,
-            part,
-            prior: self.prior,
-            stop: self.stop,
-            reach_mm: self.params.scaled(OUT_OF_REACH_MM),
-            halvings: HALVINGS,
-            pushes_bluntly: false,
-        }
-    }
-
     /// From many starts. The best answer comes first, then the others; leaves the cheapest of the second round in
     /// `runners_up`.
     pub fn many(
