@@ -27,6 +27,7 @@ pub mod smooth;
 pub mod threshold;
 mod walls;
 mod whole;
+pub mod window;
 mod windows;
 
 pub use error::DetectError;

@@ -1,8 +1,8 @@
 //! The pieces that the mask of a small window falls into, a row in 64 bits.
 
 use super::components::{Blob, Run};
-use super::near::{MOST_SIDE_PX, Window};
 use super::row_bits::bits;
+use super::window::{MOST_SIDE_PX, Window};
 use alloc::vec::Vec;
 
 /// The mask of one window, and the pieces that it falls into.

@@ -2,9 +2,10 @@
 
 use super::Detector;
 use super::glance::{Eye, Glance, Kind, Spot};
-use super::near::{Found, Sight, Window};
+use super::near::{Found, Sight};
 use super::pieces::Pieces;
 use super::sieve::in_shape;
+use super::window::{self, Window};
 use super::{centre, covered};
 use crate::image::GrayView;
 use crate::math::DVec2;
@@ -50,7 +51,7 @@ impl Glances {
         self.seen.reserve(positions);
         self.pieces.reserve();
         self.mask.clear();
-        self.mask.reserve(super::near::MOST_SIDE_PX);
+        self.mask.reserve(window::MOST_SIDE_PX);
         let side = |size: usize| (size as f64 / kind.cell_px()) as usize + 3;
         self.cells.clear();
         self.cells.reserve(side(width) * side(height));

@@ -5,17 +5,10 @@
 //! 2014). What curvature and sampling change is the same for all markers of an image to first order, and measured on samples.
 
 use super::disc::{Levels, Matrix, Outline};
+use super::edge::Across;
 use crate::math::Factor;
 use crate::math::sqrt;
 use core::f64::consts::{FRAC_1_SQRT_2, PI};
-
-/// Integrals across a straight edge, over the distance in px: weight times slope, weight, weight times share.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Across {
-    pub slope: f64,
-    pub weight: f64,
-    pub inside: f64,
-}
 
 /// cos and sin of 8 points of half an ellipse; the other half has the same products.
 const HALF_TURN: [(f64, f64); 8] = {

@@ -4,6 +4,9 @@
 use super::design::MOST_SIDE_PX;
 use crate::image::GrayView;
 
+/// The share of a disc is stored with so many fractional bits: its product with a contrast of 255 fits 16 bits.
+pub(super) const SHARE_BITS: u32 = 7;
+
 /// Numbers that are multiplied at once.
 const BLOCK: usize = 32;
 /// Most numbers of a patch.
@@ -72,7 +75,7 @@ impl Patch {
         let (share, mask) = (share.as_chunks::<BLOCK>().0, mask.as_chunks::<BLOCK>().0);
         for (((rest, levels), share), mask) in self.rest.iter_mut().zip(&self.levels).zip(share).zip(mask) {
             for k in 0..BLOCK {
-                let disc = share[k].wrapping_mul(contrast) >> super::tables::SHARE_BITS;
+                let disc = share[k].wrapping_mul(contrast) >> SHARE_BITS;
                 rest[k] = levels[k].wrapping_sub(disc) & mask[k];
             }
         }

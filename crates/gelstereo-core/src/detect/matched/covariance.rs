@@ -6,7 +6,7 @@
 //! take a sixteenth of the products to factor; that of what is odd to the left is that of what is odd upwards, transposed.
 
 use super::cholesky::Cholesky;
-use super::design::Support;
+use super::support::Support;
 use crate::detect::fit::Noise;
 use crate::math::exp;
 use alloc::vec::Vec;

@@ -13,6 +13,7 @@ mod covariance;
 mod design;
 mod disc;
 mod learn;
+mod support;
 mod tables;
 
 use super::Markers;

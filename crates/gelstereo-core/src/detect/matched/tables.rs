@@ -1,8 +1,9 @@
 //! Weights as whole numbers for every disc and place within a pixel that an image has needed so far.
 
-use super::correlate::{columns, numbers};
-use super::design::{Design, MOST_SIDE_PX, Support, Weights};
+use super::correlate::{SHARE_BITS, columns, numbers};
+use super::design::{Design, MOST_SIDE_PX, Weights};
 use super::disc::Disc;
+use super::support::Support;
 use crate::detect::fit::Noise;
 use crate::math::{DVec2, abs, exp, floor, ln, round};
 use alloc::vec::Vec;
@@ -24,8 +25,6 @@ const KINDS: usize = 6;
 const MOST_WEIGHT: i32 = 8191;
 /// Numbers beside it are whole: adding it rounds.
 const LIFT: f64 = 1.5 * (1_u64 << 52) as f64;
-/// The share of a disc is stored with so many fractional bits: its product with a contrast of 255 fits 16 bits.
-pub(super) const SHARE_BITS: u32 = 7;
 /// Sets there is room for, of discs as large as those of the first image. The markers of an image need two or three.
 const MOST_SETS: usize = 12;
 /// Larger discs than in the first image that are served: pixels more on a side of their support.
