@@ -26,6 +26,7 @@ explore: export PROPTEST_CASES ?= 200
 
 # Lints first: they fail soonest.
 test-rust: prerequisites
+	$(PYTHON) .ci/imports.py crates/gelstereo-core/src
 	cargo fmt --all --check
 	cargo clippy --workspace --all-targets --quiet -- -D warnings
 	cargo clippy --workspace --quiet -- -D warnings -D clippy::unwrap_used -D clippy::expect_used -D clippy::print_stdout
