@@ -8,13 +8,6 @@ use alloc::vec::Vec;
 /// Shares of the usual marker's area beyond which a component is a speck of paint or noise, or the edge of something.
 const SHARES_OF_AREA: (f64, f64) = (0.4, 2.0);
 
-/// Least share where all smaller components than that stand apart as markers do. (Drawn discs whose radii differ by 20 %: 95.3 %
-/// are found by the share above, all by this one. Of 60 specks of dust it takes 8.4 for markers, and that above 4.1.)
-const SMALL_SHARE: f64 = 0.3;
-
-/// Components of each kind that are looked at to tell how far they stand apart.
-const SAMPLES: usize = 16;
-
 /// Markers differ in area: one that shows all of the usual one may still lack this share of its own.
 const AREA_SPREAD: f64 = 0.2;
 
@@ -53,37 +46,7 @@ impl Sieve {
         }
         sieve.usual_px2 = usual_area_px2(areas_px2);
         sieve.range_px2 = area_range_px2(params.threshold, sieve.usual_px2);
-        if params.threshold == Threshold::Auto {
-            let small_px2 = ((SMALL_SHARE * sieve.usual_px2) as u32, sieve.range_px2.0);
-            if sieve.small_stand_apart(blobs, small_px2) {
-                sieve.range_px2.0 = small_px2.0;
-            }
-        }
         (sieve, found)
-    }
-
-    /// Whether all components of areas below the range are as far from the nearest marker as markers are; specks are nearer or
-    /// farther.
-    fn small_stand_apart(&self, blobs: &[Blob], (least_px2, below_px2): (u32, u32)) -> bool {
-        let is_small = |blob: &&Blob| (least_px2..below_px2).contains(&blob.area_px2) && self.is_marker(blob);
-        let small = || blobs.iter().filter(is_small);
-        if small().next().is_none() {
-            return false;
-        }
-        let usual = || blobs.iter().filter(|blob| self.passes_whole(blob));
-        // Squares of distances, in half pixels.
-        let apart = |blob: &Blob| {
-            let (x, y) = blob.ends();
-            let far = |(other_x, other_y): (i64, i64)| (x - other_x).pow(2) + (y - other_y).pow(2);
-            usual().map(Blob::ends).map(far).filter(|&far| far > 0).min().unwrap_or(0)
-        };
-        let mut pitches = [0; SAMPLES];
-        for (pitch, blob) in pitches.iter_mut().zip(some(usual)) {
-            *pitch = apart(blob);
-        }
-        pitches.sort_unstable();
-        let pitch = pitches[SAMPLES / 2];
-        some(small).map(apart).all(|far| 2 * far > pitch && far < 2 * pitch)
     }
 
     /// Whether a component is a marker that lies whole in the image.
@@ -113,12 +76,6 @@ impl Sieve {
     fn in_range(&self, blob: &Blob) -> bool {
         (self.range_px2.0..=self.range_px2.1).contains(&blob.area_px2)
     }
-}
-
-/// [`SAMPLES`] of the components at most, spread evenly.
-fn some<'a, I: Iterator<Item = &'a Blob>>(blobs: impl Fn() -> I) -> impl Iterator<Item = &'a Blob> {
-    let step = blobs().count().div_ceil(SAMPLES).max(1);
-    blobs().step_by(step)
 }
 
 /// Least and largest area of a marker beside others of a usual area.
