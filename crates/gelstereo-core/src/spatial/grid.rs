@@ -13,7 +13,8 @@ const EVEN_SIDE: f64 = 2.2;
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Grid {
     origin: DVec2,
-    per_px: f64,
+    /// Buckets for each unit of the points' coordinates: pixels, or millimetres in [`Self::build_evenly`].
+    per_unit: f64,
     columns: usize,
     rows: usize,
     /// Where each bucket starts in `items`, and the end of the last one.
@@ -55,8 +56,8 @@ impl Grid {
         let spread = high - low;
         let side = side_px.max(spread.max_element() / MOST_BUCKETS as f64);
         self.origin = low;
-        self.per_px = if side > 0.0 && side.is_finite() { 1.0 / side } else { 0.0 };
-        let buckets = |extent: f64| ((extent * self.per_px) as usize).min(MOST_BUCKETS) + 1;
+        self.per_unit = if side > 0.0 && side.is_finite() { 1.0 / side } else { 0.0 };
+        let buckets = |extent: f64| ((extent * self.per_unit) as usize).min(MOST_BUCKETS) + 1;
         (self.columns, self.rows) = (buckets(spread.x), buckets(spread.y));
         self.starts.resize(self.columns * self.rows + 1, 0);
         for point in finite() {
@@ -102,8 +103,8 @@ impl Grid {
         if self.columns == 0 || !target.is_finite() {
             return;
         }
-        let low = (target - self.origin - radius_px) * self.per_px;
-        let high = (target - self.origin + radius_px) * self.per_px;
+        let low = (target - self.origin - radius_px) * self.per_unit;
+        let high = (target - self.origin + radius_px) * self.per_unit;
         if high.min_element() < 0.0 || low.x >= self.columns as f64 || low.y >= self.rows as f64 {
             return;
         }
@@ -138,7 +139,7 @@ impl Grid {
         squared: impl Fn(usize) -> f64,
     ) -> [(f64, u32); K] {
         let nothing = [(f64::INFINITY, own as u32); K];
-        let (mut best, side) = (nothing, 1.0 / self.per_px);
+        let (mut best, side) = (nothing, 1.0 / self.per_unit);
         let see = |best: &mut [(f64, u32); K], index: usize| {
             if index != own {
                 insert(best, squared(index), index as u32);
@@ -154,7 +155,7 @@ impl Grid {
     }
 
     fn bucket(&self, point: DVec2) -> usize {
-        let at = (point - self.origin) * self.per_px;
+        let at = (point - self.origin) * self.per_unit;
         bucket_of(at.y).min(self.rows - 1) * self.columns + bucket_of(at.x).min(self.columns - 1)
     }
 }

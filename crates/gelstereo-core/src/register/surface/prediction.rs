@@ -119,7 +119,7 @@ pub(super) struct SettledScratch {
 }
 
 impl SettledScratch {
-    /// For another contact, of which nothing is known; room in all predictions, since they change places.
+    /// Starts another contact. All predictions are swapped with one another, so each gets room for every node.
     pub fn clear(&mut self, gel: &Gel) {
         let count = gel.nodes.len();
         for one in self.kept.iter_mut().chain([&mut self.here, &mut self.there]) {
