@@ -7,7 +7,7 @@ server as a check on the server itself.
 from __future__ import annotations
 
 import os
-import queue
+import select
 import signal
 import socket
 import subprocess
@@ -28,31 +28,44 @@ PEERS = Path(__file__).parent / "gripper_peers"
 
 
 class Server:
-    """A server process; ``lines`` has what it printed."""
+    """A server process, which prints each command before it answers it."""
 
     def __init__(self, script: str, *arguments: str) -> None:
         command = [sys.executable, str(PEERS / script), *arguments]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        self._queue: queue.Queue[str] = queue.Queue()
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
-        assert self._queue.get(timeout=30) == "ready"
-
-    def _read(self) -> None:
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, bufsize=0)
         assert self.process.stdout is not None
-        for line in self.process.stdout:
-            self._queue.put(line.strip())
+        self._out = self.process.stdout.fileno()
+        self._printed = ""
+        assert self.next_command() == "ready"
 
     def commands(self) -> list[str]:
+        """Every command that was answered since the last call."""
+        while select.select([self._out], [], [], 0)[0]:
+            self._read()
         lines = []
-        while not self._queue.empty():
-            lines.append(self._queue.get().removeprefix("command "))
+        while "\n" in self._printed:
+            lines.append(self._line())
         return lines
+
+    def next_command(self) -> str:
+        """The next command, waited for."""
+        while "\n" not in self._printed:
+            assert select.select([self._out], [], [], 30)[0], "nothing came within 30 s"
+            self._read()
+        return self._line()
+
+    def _read(self) -> None:
+        printed = os.read(self._out, 1 << 16)
+        assert printed, "the server ended"
+        self._printed += printed.decode()
+
+    def _line(self) -> str:
+        line, _, self._printed = self._printed.partition("\n")
+        return line.removeprefix("command ")
 
     def close(self) -> None:
         self.process.kill()
         self.process.wait()
-        self._reader.join(timeout=10)
         assert self.process.stdout is not None
         self.process.stdout.close()
 
@@ -158,20 +171,14 @@ def test_ctrl_c_ends_an_activation(
         cell.write_text(f'[gripper]\nkind = "{kind}"\nport = "{port}"\n{TABLES[kind]}\n')
         command = [host_binary(), "gripper", "--config", str(cell), "activate"]
         host = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        commands: list[str] = []
-        deadline = time.monotonic() + 30
-        while begun not in commands:
-            assert time.monotonic() < deadline, commands
-            commands += server.commands()
-            time.sleep(0.01)
+        while server.next_command() != begun:
+            pass
         host.send_signal(signal.SIGINT)
         out, err = host.communicate(timeout=10)
         assert host.returncode == 1, out + err
-        # The server's words may come later than the host's end.
-        while commands[-1] != ended:
-            assert time.monotonic() < deadline, commands
-            commands += server.commands()
-            time.sleep(0.01)
+        # The answer to the last command may be lost with the host.
+        while server.next_command() != ended:
+            pass
 
 
 def test_a_robotiq_gripper_is_reached_by_rtu_over_tcp(tmp_path: Path) -> None:
@@ -308,8 +315,8 @@ def test_ctrl_c_ends_an_activation_from_python(monkeypatch: pytest.MonkeyPatch) 
         threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT)).start()
         with pytest.raises(KeyboardInterrupt):
             hand.activate()
-        commands = server.commands()
-        assert "0100 0000 0000" in commands and commands[-1] == "0000 0000 0000"
+        commands = [server.next_command() for _ in range(3)]
+        assert commands == ["0000 0000 0000", "0100 0000 0000", "0000 0000 0000"]
 
 
 def test_settings_of_grippers_are_checked_in_python() -> None:
