@@ -164,6 +164,8 @@ def test_ctrl_c_ends_an_activation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, begun: str, ended: str
 ) -> None:
     monkeypatch.setenv("ACTIVATION_S", "600")
+    # A command is printed before it is answered: the signal arrives while the host reads.
+    monkeypatch.setenv("ANSWER_S", "0.1")
     opened = on_tcp("urcap_server.py") if kind == "robotiq_urcap" else on_a_wire("modbus_server.py", kind)
     with opened as (line, server):
         cell = tmp_path / "cell.toml"

@@ -4,14 +4,19 @@ It has the registers of `modbus_server`'s 2F-85. No server of this protocol by o
 published client, drives this one in the tests as a check on it.
 
 usage: urcap_server.py PORT [HELD]
+The environment variable ANSWER_S is how long every answer takes.
 """
 
 from __future__ import annotations
 
+import os
 import socketserver
 import sys
+import time
 
 from modbus_server import TwoFinger85
+
+ANSWER_S = float(os.environ.get("ANSWER_S", "0"))
 
 # Register, lowest bit and mask of each variable of the command.
 COMMAND = {
@@ -64,7 +69,9 @@ class Handler(socketserver.StreamRequestHandler):
 
     def handle(self) -> None:
         for line in self.rfile:
-            self.wfile.write(urcap.answer(line.decode()).encode())
+            answer = urcap.answer(line.decode())
+            time.sleep(ANSWER_S)
+            self.wfile.write(answer.encode())
 
 
 class Server(socketserver.TCPServer):

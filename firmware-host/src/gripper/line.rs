@@ -107,9 +107,11 @@ impl Line for SerialLine {
     }
 
     fn receive(&mut self, buffer: &mut [u8], deadline: Instant) -> Result<usize, GripperError> {
-        let wait = deadline.saturating_duration_since(Instant::now());
-        self.port.set_timeout(wait).map_err(|error| fail(&self.name, error))?;
-        match self.port.read(buffer) {
+        let read = until(deadline, |wait| {
+            self.port.set_timeout(wait)?;
+            self.port.read(buffer)
+        });
+        match read {
             Ok(0) => Err(fail(&self.name, "the port is closed; was the adapter unplugged?")),
             Ok(count) => Ok(count),
             Err(error) if is_timeout(&error) => Ok(0),
@@ -164,10 +166,12 @@ impl Line for TcpLine {
     }
 
     fn receive(&mut self, buffer: &mut [u8], deadline: Instant) -> Result<usize, GripperError> {
-        // A timeout of zero would wait for ever.
-        let wait = deadline.saturating_duration_since(Instant::now()).max(Duration::from_micros(1));
-        self.stream.set_read_timeout(Some(wait)).map_err(|error| fail(&self.name, error))?;
-        match self.stream.read(buffer) {
+        let read = until(deadline, |wait| {
+            // A timeout of zero would wait for ever.
+            self.stream.set_read_timeout(Some(wait.max(Duration::from_micros(1))))?;
+            self.stream.read(buffer)
+        });
+        match read {
             Ok(0) => Err(fail(&self.name, "the other side closed the connection")),
             Ok(count) => Ok(count),
             Err(error) if is_timeout(&error) => Ok(0),
@@ -181,6 +185,20 @@ impl Line for TcpLine {
 
     fn sent_ns(&self) -> Option<u64> {
         self.sent_ns
+    }
+}
+
+/// Reads with what is left until `deadline`, again after a signal: what was asked is still to be answered.
+fn until(
+    deadline: Instant,
+    mut read: impl FnMut(Duration) -> std::io::Result<usize>,
+) -> std::io::Result<usize> {
+    loop {
+        let wait = deadline.saturating_duration_since(Instant::now());
+        match read(wait) {
+            Err(error) if error.kind() == ErrorKind::Interrupted && !wait.is_zero() => {}
+            result => return result,
+        }
     }
 }
 
