@@ -44,11 +44,9 @@ def verged_rig() -> gelstereo.Rig:
     )
 
 
-def detect_both(
-    press: list[gelstereo.SimulatedFrame], background: str, centre: str
-) -> tuple[np.ndarray, np.ndarray]:
+def detect_both(press: list[gelstereo.SimulatedFrame], centre: str) -> tuple[np.ndarray, np.ndarray]:
     """Centres by the core and by OpenCV, both in the order of the true markers."""
-    params = gelstereo.Params().replace({"detect": {"background": background, "centre": centre}})
+    params = gelstereo.Params().replace(detect={"centre": centre})
     reference = baseline.Baseline(geometry(gelstereo.Scene().rig), params.to_dict())
     found = gelstereo.Detector(params).detect(press[-1].left).centres_px, reference.detect(press[-1].left)
     truth = press[-1].left_px
@@ -57,9 +55,8 @@ def detect_both(
     return ours, theirs
 
 
-@pytest.mark.parametrize("background", ["gaussian", "box"])
-def test_binary_centres_agree(press: list[gelstereo.SimulatedFrame], background: str) -> None:
-    ours, theirs = detect_both(press, background, "binary")
+def test_binary_centres_agree(press: list[gelstereo.SimulatedFrame]) -> None:
+    ours, theirs = detect_both(press, "binary")
     distance = np.linalg.norm(ours - theirs, axis=1)
     # The two round the blurred images differently, by a level at most: a pixel at the threshold of a marker of about
     # 50 moves its centre by a 50th of its distance, 5 px at most. Two such pixels are rare.
@@ -67,9 +64,8 @@ def test_binary_centres_agree(press: list[gelstereo.SimulatedFrame], background:
     assert np.median(distance) < 0.025
 
 
-@pytest.mark.parametrize("background", ["gaussian", "box"])
-def test_grey_centres_are_no_worse(press: list[gelstereo.SimulatedFrame], background: str) -> None:
-    ours, theirs = detect_both(press, background, "grey")
+def test_grey_centres_are_no_worse(press: list[gelstereo.SimulatedFrame]) -> None:
+    ours, theirs = detect_both(press, "grey")
     error_px = [np.sqrt(np.mean(np.sum((c - press[-1].left_px) ** 2, axis=1))) for c in (ours, theirs)]
     # Two different weightings; the rms over 625 markers has a relative spread of 1 / sqrt(2 * 625), 3 %.
     assert error_px[0] < 1.1 * error_px[1]

@@ -159,7 +159,7 @@ def test_results_are_read_only(noisy_press: list[SimulatedFrame]) -> None:
     assert found.centres_px is found.centres_px  # made once
 
 
-@pytest.mark.parametrize("background", ["box", "blocks"])
+@pytest.mark.parametrize("background", ["gaussian", "blocks"])
 def test_near_expected_positions_the_same_markers_are_found(
     noisy_press: list[SimulatedFrame], background: str
 ) -> None:

@@ -135,7 +135,6 @@ SAMPLES = {
     ),
     "filterreg_plane": registering("filterreg_plane", sigma_floor_mm=2.0, sigma_start_mm=2.0),
     "ransac_icp": registering("ransac_icp", ransac_hypotheses=1_000_000),
-    "icp_plane": registering("icp_plane", max_iterations=100_000, step_tolerance=1e-12),
     "surface_search": registering(
         "surface_search", 2_000, starts=4096, budget=100_000_000, max_iterations=100_000
     ),

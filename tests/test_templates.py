@@ -186,7 +186,7 @@ template = Template.from_triangles(*geometry.shape_mesh({"kind": "sphere", "radi
 points = template.points_mm[template.points_mm[:, 2] < -2.0]
 guess = geometry.se3_exp([0.01, -0.02, 0.03, 0.3, -0.2, 0.1])
 methods = [Params().replace({"register.method": name})
-           for name in ("filterreg_point", "filterreg_plane", "ransac_icp", "icp_plane")]
+           for name in ("filterreg_point", "filterreg_plane", "ransac_icp")]
 def digests(points=points):
     return [localize(points, template, t_sensor_object=guess, params=params).digest for params in methods]
 """
@@ -196,7 +196,7 @@ def test_row_34_registration_in_threads_processes_and_any_layout() -> None:
     scope: dict[str, Any] = {}
     exec(REGISTER, scope)
     expected = scope["digests"]()
-    assert len(set(expected)) == 4
+    assert len(set(expected)) == 3
     with ThreadPoolExecutor(2) as pool:
         for found in pool.map(lambda _: scope["digests"](), range(2)):
             assert found == expected

@@ -20,7 +20,7 @@ impl<'a> Arbitrary<'a> for Input {
     fn arbitrary(u: &mut Unstructured<'a>) -> Result<Self> {
         let mut params = Params::default();
         let detect = &mut params.detect;
-        detect.background = *u.choose(&[Background::Gaussian, Background::Box, Background::Blocks])?;
+        detect.background = *u.choose(&[Background::Gaussian, Background::Blocks])?;
         detect.centre =
             *u.choose(&[Centre::Binary, Centre::Grey, Centre::Band, Centre::Matched, Centre::Fit])?;
         detect.threshold = *u.choose(&[Threshold::Fixed, Threshold::Auto])?;

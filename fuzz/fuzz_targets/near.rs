@@ -45,7 +45,7 @@ fn position(u: &mut Unstructured<'_>, centres: &[DVec2]) -> Result<DVec2> {
 fn run(mut u: Unstructured<'_>) -> Result<()> {
     let mut params = Params::default();
     let detect = &mut params.detect;
-    detect.background = *u.choose(&[Background::Box, Background::Blocks, Background::Gaussian])?;
+    detect.background = *u.choose(&[Background::Blocks, Background::Gaussian])?;
     detect.centre = *u.choose(&[Centre::Binary, Centre::Grey, Centre::Fit])?;
     detect.threshold = *u.choose(&[Threshold::Fixed, Threshold::Auto])?;
     detect.polarity = *u.choose(&[Polarity::Dark, Polarity::Bright])?;

@@ -13,11 +13,10 @@ use libfuzzer_sys::arbitrary::{Result, Unstructured};
 use libfuzzer_sys::fuzz_target;
 use std::sync::OnceLock;
 
-const RUNGS: [RegisterMethod; 7] = [
+const RUNGS: [RegisterMethod; 6] = [
     RegisterMethod::FilterregPoint,
     RegisterMethod::FilterregPlane,
     RegisterMethod::RansacIcp,
-    RegisterMethod::IcpPlane,
     RegisterMethod::SurfaceTrack,
     RegisterMethod::SurfaceClose,
     RegisterMethod::SurfaceSearch,

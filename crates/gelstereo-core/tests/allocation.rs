@@ -31,7 +31,7 @@ fn detection_allocates_for_the_first_image_only() {
     // The most components there can be, and the most runs.
     let noise: Vec<u8> = (0..640 * 480).map(|_| stream.next_u64() as u8).collect();
     let stripes: Vec<u8> = (0..640 * 480).map(|n| if n % 2 == 0 { 0 } else { 255 }).collect();
-    let backgrounds = [Background::Gaussian, Background::Box, Background::Blocks];
+    let backgrounds = [Background::Gaussian, Background::Blocks];
     let thresholds = [Threshold::Fixed, Threshold::Auto];
     for (background, threshold) in backgrounds.into_iter().flat_map(|b| thresholds.map(|t| (b, t))) {
         for (centre, kernel_px) in [
@@ -83,7 +83,7 @@ fn the_search_near_positions_allocates_for_the_first_image_only() {
     let few = Dots::new(640, 480, truth[..100].to_vec()).render();
     let mut stream = Stream::new(1, "noise");
     let noise: Vec<u8> = (0..640 * 480).map(|_| stream.next_u64() as u8).collect();
-    for background in [Background::Gaussian, Background::Box, Background::Blocks] {
+    for background in [Background::Gaussian, Background::Blocks] {
         for threshold in [Threshold::Fixed, Threshold::Auto] {
             let mut params = Params::preset("balanced").unwrap().detect;
             (params.background, params.threshold, params.min_area_px2) = (background, threshold, 1);

@@ -1,8 +1,8 @@
-//! Blur, box mean, morphology and components against plain definitions.
+//! Blur, morphology and components against plain definitions.
 
 use crate::support;
 
-use gelstereo_core::detect::blur::{BoxMean, FRACTION_BITS, GaussianBlur, reflect101};
+use gelstereo_core::detect::blur::{FRACTION_BITS, GaussianBlur, reflect101};
 use gelstereo_core::detect::components::Components;
 use gelstereo_core::detect::morphology::Closing;
 use gelstereo_core::image::MOST_SIDE_PX;
@@ -14,15 +14,6 @@ fn gaussian(image: &[u8], width: usize, kernel_px: usize) -> Vec<u16> {
     let mut out = vec![0; image.len()];
     for (y, row) in out.chunks_exact_mut(width).enumerate() {
         blur.row(view(image, width), y, row);
-    }
-    out
-}
-
-fn box_mean(image: &[u8], width: usize, kernel_px: usize) -> Vec<u16> {
-    let mut mean = BoxMean::new(kernel_px);
-    let mut out = vec![0; image.len()];
-    for (y, row) in out.chunks_exact_mut(width).enumerate() {
-        mean.row(view(image, width), y, row);
     }
     out
 }
@@ -48,7 +39,6 @@ fn a_constant_image_stays_constant() {
             let image = vec![level; 40 * 30];
             let expected = u16::from(level) << FRACTION_BITS;
             assert!(gaussian(&image, 40, kernel_px).iter().all(|&v| v == expected), "{level} {kernel_px}");
-            assert!(box_mean(&image, 40, kernel_px).iter().all(|&v| v == expected), "{level} {kernel_px}");
         }
     }
 }
@@ -114,23 +104,6 @@ proptest! {
                 }
                 let level = f64::from(found[y * width + x]) / 128.0;
                 prop_assert!((level - sum / total / total).abs() <= most);
-            }
-        }
-    }
-
-    #[test]
-    fn box_mean_is_the_mean_of_its_square((image, width) in images(), radius in 0..30_usize) {
-        let height = image.len() / width;
-        let found = box_mean(&image, width, 2 * radius + 1);
-        let side = radius as isize;
-        for y in 0..height {
-            for x in 0..width {
-                let sum: u64 = (-side..=side).flat_map(|dy| (-side..=side).map(move |dx| (dy, dx))).map(|(dy, dx)| {
-                    u64::from(image[reflect101(y as isize + dy, height) * width + reflect101(x as isize + dx, width)])
-                }).sum();
-                let mean = sum as f64 / ((2 * radius + 1) * (2 * radius + 1)) as f64;
-                // Half a last place, and the reciprocal's share of it.
-                prop_assert!((f64::from(found[y * width + x]) - mean * 128.0).abs() <= 0.51);
             }
         }
     }

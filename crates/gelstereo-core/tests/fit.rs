@@ -12,7 +12,7 @@ use proptest::prelude::*;
 use support::{Dots, errors, paper_lattice, view};
 
 fn params() -> DetectParams {
-    DetectParams { background: Background::Box, centre: Centre::Fit, ..DetectParams::default() }
+    DetectParams { background: Background::Blocks, centre: Centre::Fit, ..DetectParams::default() }
 }
 
 fn detect(params: &DetectParams, image: &[u8], width: usize) -> Markers {

@@ -18,7 +18,7 @@ const ALL_BLUR_PX: f64 = 0.85;
 
 fn params(centre: Centre) -> DetectParams {
     DetectParams {
-        background: Background::Box,
+        background: Background::Blocks,
         threshold: Threshold::Auto,
         centre,
         ..DetectParams::default()

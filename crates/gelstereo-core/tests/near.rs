@@ -12,7 +12,7 @@ use support::{Dots, lattice, one_marker_and_what_is_none, paper_lattice, view};
 
 fn rungs() -> Vec<DetectParams> {
     let mut rungs = Vec::new();
-    for background in [Background::Box, Background::Blocks] {
+    for background in [Background::Gaussian, Background::Blocks] {
         for threshold in [Threshold::Fixed, Threshold::Auto] {
             for (centre, morphology_kernel_px) in
                 [(Centre::Binary, 1), (Centre::Grey, 1), (Centre::Grey, 3), (Centre::Matched, 1)]
@@ -140,7 +140,7 @@ proptest! {
         blocks in any::<bool>(),
     ) {
         let params = DetectParams {
-            background: if blocks { Background::Blocks } else { Background::Box },
+            background: if blocks { Background::Blocks } else { Background::Gaussian },
             smooth_kernel_px: 1, min_area_px2: 3, max_area_px2: 60, min_fill: 0.0, ..DetectParams::default()
         };
         let at = DVec2::from(at);

@@ -28,7 +28,6 @@ fn a_second_run_allocates_nothing() {
         RegisterMethod::FilterregPoint,
         RegisterMethod::FilterregPlane,
         RegisterMethod::RansacIcp,
-        RegisterMethod::IcpPlane,
         RegisterMethod::SurfaceTrack,
         RegisterMethod::SurfaceClose,
         RegisterMethod::SurfaceSearch,

@@ -11,11 +11,10 @@ use gelstereo_core::surface::TriangleMesh;
 use proptest::prelude::*;
 use std::sync::OnceLock;
 
-const METHODS: [RegisterMethod; 7] = [
+const METHODS: [RegisterMethod; 6] = [
     RegisterMethod::FilterregPoint,
     RegisterMethod::FilterregPlane,
     RegisterMethod::RansacIcp,
-    RegisterMethod::IcpPlane,
     RegisterMethod::SurfaceTrack,
     RegisterMethod::SurfaceClose,
     RegisterMethod::SurfaceSearch,

@@ -12,12 +12,8 @@ use gelstereo_core::register::{FreeDirection, Motion, RegisterError, Registrar, 
 use proptest::prelude::*;
 
 const EPS: f64 = f64::EPSILON;
-const METHODS: [RegisterMethod; 4] = [
-    RegisterMethod::FilterregPoint,
-    RegisterMethod::FilterregPlane,
-    RegisterMethod::RansacIcp,
-    RegisterMethod::IcpPlane,
-];
+const METHODS: [RegisterMethod; 3] =
+    [RegisterMethod::FilterregPoint, RegisterMethod::FilterregPlane, RegisterMethod::RansacIcp];
 
 fn vector(limit: f64) -> impl Strategy<Value = DVec3> {
     prop::array::uniform3(-limit..limit).prop_map(DVec3::from_array)
@@ -85,7 +81,7 @@ fn row_09_the_answer_moves_with_the_offset() {
     let turn = Pose::exp(DVec3::new(0.6, 0.6, 0.3), DVec3::ZERO);
     let contact = Contact::press(&shape, turn, 2.2, 0.03, &mut random);
     let guess = contact.guess(0.02, 0.3, &mut random);
-    for method in [RegisterMethod::FilterregPoint, RegisterMethod::FilterregPlane, RegisterMethod::IcpPlane] {
+    for method in [RegisterMethod::FilterregPoint, RegisterMethod::FilterregPlane] {
         let mut registrar = Registrar::new(&params(method));
         let here = registrar.run(&contact.points_mm, &template, &guess).unwrap();
         for offset_mm in [1e3, 1e6, 1e9] {
@@ -276,22 +272,21 @@ fn row_10_covariance_is_finite_and_inverts_the_information_where_it_can() {
 fn row_10_free_directions_stay_at_the_guess() {
     let shape = Shape::Cylinder { a_mm: 4.0, b_mm: 4.0, half_length_mm: 12.0 };
     let template = shape.template(0.3);
-    for method in [RegisterMethod::FilterregPlane, RegisterMethod::IcpPlane] {
-        let mut random = Stream::new(4, "still");
-        for _ in 0..10 {
-            let contact =
-                Contact::press(&shape, Pose::exp(DVec3::Y * 1.5, DVec3::ZERO), 1.0, 0.03, &mut random);
-            let guess = contact.guess(0.05, 0.5, &mut random);
-            let found = Registrar::new(&params(method)).run(&contact.points_mm, &template, &guess).unwrap();
-            // How the patch moved over the object, as a twist about its centroid with rotations scaled by its radius.
-            let moved = found.t_sensor_object.inverse() * guess;
-            let rho = found.observability.radius_mm;
-            for d in found.free.iter() {
-                let along = along_mm(d, &moved, rho);
-                // Steps avoid the free directions at the pose where they are taken; these turn with the patch, by up to
-                // 0.1 rad (0.05 of the guess and 0.5 mm over 4 mm) while it moves by up to 0.5 mm.
-                assert!(along.abs() < 0.05, "{method:?}: {along} mm along {d}");
-            }
+    let mut random = Stream::new(4, "still");
+    for _ in 0..10 {
+        let contact = Contact::press(&shape, Pose::exp(DVec3::Y * 1.5, DVec3::ZERO), 1.0, 0.03, &mut random);
+        let guess = contact.guess(0.05, 0.5, &mut random);
+        let found = Registrar::new(&params(RegisterMethod::FilterregPlane))
+            .run(&contact.points_mm, &template, &guess)
+            .unwrap();
+        // How the patch moved over the object, as a twist about its centroid with rotations scaled by its radius.
+        let moved = found.t_sensor_object.inverse() * guess;
+        let rho = found.observability.radius_mm;
+        for d in found.free.iter() {
+            let along = along_mm(d, &moved, rho);
+            // Steps avoid the free directions at the pose where they are taken; these turn with the patch, by up to
+            // 0.1 rad (0.05 of the guess and 0.5 mm over 4 mm) while it moves by up to 0.5 mm.
+            assert!(along.abs() < 0.05, "{along} mm along {d}");
         }
     }
 }
@@ -414,7 +409,7 @@ proptest! {
     #[test]
     fn any_patch_gets_a_finite_answer_or_an_error(
         points in prop::collection::vec(prop::array::uniform3(prop_oneof![-6.0..6.0_f64, any::<f64>(), Just(4.0)]), 0..30),
-        omega in vector(3.0), v in vector(8.0), method in 0..4_usize,
+        omega in vector(3.0), v in vector(8.0), method in 0..METHODS.len(),
     ) {
         let points: Vec<DVec3> = points.into_iter().map(DVec3::from_array).collect();
         let template = Shape::Cuboid { half_mm: DVec3::new(3.0, 4.0, 5.0) }.template(0.8);

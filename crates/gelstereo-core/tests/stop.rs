@@ -59,11 +59,10 @@ static SCAN: LazyLock<Template> = LazyLock::new(|| {
     Template::new(TEMPLATE.points_mm(), TEMPLATE.normals(), SPACING_MM).unwrap().with_surfels()
 });
 
-const METHODS: [RegisterMethod; 7] = [
+const METHODS: [RegisterMethod; 6] = [
     RegisterMethod::FilterregPoint,
     RegisterMethod::FilterregPlane,
     RegisterMethod::RansacIcp,
-    RegisterMethod::IcpPlane,
     RegisterMethod::SurfaceTrack,
     RegisterMethod::SurfaceClose,
     RegisterMethod::SurfaceSearch,

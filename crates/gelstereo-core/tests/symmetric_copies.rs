@@ -184,7 +184,6 @@ fn row_10_the_parts_own_turns_are_named() {
     let round = bare.clone().with_symmetries(vec![declared]);
     for method in [
         RegisterMethod::FilterregPlane,
-        RegisterMethod::IcpPlane,
         RegisterMethod::SurfaceTrack,
         RegisterMethod::SurfaceClose,
         RegisterMethod::SurfaceSearch,

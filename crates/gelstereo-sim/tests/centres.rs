@@ -88,7 +88,7 @@ impl Condition {
 /// Mean over markers and axes of the squared errors over their covariance, the 2-D rms error and the number of errors.
 fn errors(centre: Centre, pictures: &[Picture]) -> (f64, f64, f64) {
     let params = DetectParams {
-        background: Background::Box,
+        background: Background::Blocks,
         threshold: Threshold::Auto,
         centre,
         ..DetectParams::default()

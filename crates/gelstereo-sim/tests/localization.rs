@@ -174,23 +174,14 @@ fn errors(method: RegisterMethod) -> Vec<(f64, f64)> {
 const MOST_MM: f64 = 0.05;
 const MOST_DEGREES: f64 = 0.5;
 
-// Known to miss them, and so not asserted: FilterregPlane's tilt on the board at 0.8 mm (0.53 degrees from one start
-// of five), IcpPlane's on the cylinder at 0.8 mm (0.81), and both on the tilted cylinder at 0.8 mm (left out above:
-// 0.38 mm and 5.2 degrees, 0.74 mm and 6.1), where two free directions are reported though the axis is hardly held.
+// Known to miss them, and so not asserted: the tilt on the board at 0.8 mm (0.53 degrees from one start of five), and the
+// tilted cylinder at 0.8 mm (left out above: 0.38 mm and 5.2 degrees), where two free directions are reported though the
+// axis is hardly held.
 
 #[test]
 fn filterreg_plane_finds_the_part_behind_a_soft_shoulder() {
     for (press, (mm, degrees)) in presses().iter().zip(errors(RegisterMethod::FilterregPlane)) {
         let known_miss = press.name == "board" && press.press_mm < 1.0;
-        assert!(mm <= MOST_MM, "{}: {mm} mm", press.name);
-        assert!(degrees <= MOST_DEGREES || known_miss, "{}: {degrees} degrees", press.name);
-    }
-}
-
-#[test]
-fn icp_plane_finds_the_part_behind_a_soft_shoulder() {
-    for (press, (mm, degrees)) in presses().iter().zip(errors(RegisterMethod::IcpPlane)) {
-        let known_miss = press.name == "cylinder" && press.press_mm < 1.0;
         assert!(mm <= MOST_MM, "{}: {mm} mm", press.name);
         assert!(degrees <= MOST_DEGREES || known_miss, "{}: {degrees} degrees", press.name);
     }

@@ -262,9 +262,18 @@ class Baseline:
     """Sections III and IV-A of the paper; the first frame must show all markers untouched."""
 
     def __init__(
-        self, geometry: StereoGeometry, params: Mapping[str, Any], lattice: tuple[int, int] = (25, 25)
+        self,
+        geometry: StereoGeometry,
+        params: Mapping[str, Any],
+        lattice: tuple[int, int] = (25, 25),
+        box: bool = False,
     ) -> None:
-        """``params``: the parsed TOML of `gelstereo.Params`; ``lattice``: rows and columns."""
+        """Take settings.
+
+        ``params``: the parsed TOML of `gelstereo.Params`; ``lattice``: rows and columns; ``box``: the surround is the
+        mean over a square.
+        """
+        self._box = box
         self._rows, self._cols = lattice
         self._geometry = geometry
         self._params = params
@@ -281,7 +290,7 @@ class Baseline:
             smooth_kernel_px=detect["smooth_kernel_px"],
             background_kernel_px=detect["background_kernel_px"],
             bright=detect["polarity"] == "bright",
-            box=detect["background"] == "box",
+            box=self._box,
         )
         names = ("threshold_levels", "morphology_kernel_px", "min_area_px2", "max_area_px2", "min_fill")
         centroids = grey_centroids if detect["centre"] == "grey" else binary_centroids

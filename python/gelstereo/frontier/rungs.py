@@ -31,17 +31,13 @@ class Rung:
         return Params.preset(self.preset).replace({k: dict(v) for k, v in self.changes.items()})
 
 
-_FIT: dict[str, Any] = {"background": "box", "threshold": "auto", "centre": "fit"}
+_FIT: dict[str, Any] = {"background": "blocks", "threshold": "auto", "centre": "fit"}
 #: Little of the errors of points and contacts is left to the centres.
 _POINTS: dict[str, dict[str, Any]] = {"detect": _FIT}
 
 RUNGS = (
     Rung("detect", "gaussian + binary (paper)", {"detect": {"background": "gaussian", "centre": "binary"}}),
     Rung("detect", "gaussian + grey", {"detect": {"background": "gaussian", "centre": "grey"}}),
-    Rung("detect", "box + binary", {"detect": {"background": "box", "centre": "binary"}}),
-    Rung("detect", "box + grey", {"detect": {"background": "box", "centre": "grey"}}),
-    Rung("detect", "box + fit", {"detect": {"background": "box", "centre": "fit"}}),
-    Rung("detect", "box + auto + fit", {"detect": _FIT}),
     Rung(
         "detect",
         "blocks + binary",
@@ -74,6 +70,7 @@ RUNGS = (
         "blocks + auto + matched",
         {"detect": {"background": "blocks", "threshold": "auto", "centre": "matched"}},
     ),
+    Rung("detect", "blocks + auto + fit", {"detect": _FIT}),
     Rung("label", "foresight (paper)", {"label": {"method": "foresight"}}, "balanced"),
     Rung(
         "label",
@@ -91,7 +88,6 @@ RUNGS = (
     Rung("register", "filterreg_point (paper)", {"register": {"method": "filterreg_point"}}),
     Rung("register", "filterreg_plane", {"register": {"method": "filterreg_plane"}}),
     Rung("register", "ransac_icp (paper's comparison)", {"register": {"method": "ransac_icp"}}),
-    Rung("register", "icp_plane", {"register": {"method": "icp_plane"}}),
     Rung("register", "surface_track", {"register": {"method": "surface_track"}}),
     Rung("register", "surface_close", {"register": {"method": "surface_close"}}),
     Rung("register", "surface_search", {"register": {"method": "surface_search"}}),

@@ -86,9 +86,9 @@ def measure_detection(rounds: int, counter: InstructionCounter, report: Report) 
             files = write_input(Path(folder), rung.params(), frames[-2:])
             instructions[rung.name] = counter.count("detect", files)
     yardstick = "OpenCV: gaussian + components (baseline)"
-    detectors[yardstick] = _baseline_detector({})
+    detectors[yardstick] = _baseline_detector(box=False, centre="binary")
     detectors["OpenCV: gaussian + SimpleBlobDetector"] = _blob_detector
-    detectors["OpenCV: box + grey centroid"] = _baseline_detector({"background": "box", "centre": "grey"})
+    detectors["OpenCV: box + grey centroid"] = _baseline_detector(box=True, centre="grey")
     fast = FastBaseline(geometry_of(VGA.rig()), Params.preset("balanced").to_dict())
     detectors["OpenCV: box + grey windows (fast)"] = fast.detect
     errors = []
@@ -111,9 +111,9 @@ def _native_detector(rung: Rung) -> Callable[[npt.NDArray[np.uint8]], Array]:
     return lambda image: detector.detect(image).centres_px
 
 
-def _baseline_detector(changes: dict[str, Any]) -> Callable[[npt.NDArray[np.uint8]], Array]:
-    settings = Params().replace({"detect": changes}).to_dict()
-    return Baseline(geometry_of(VGA.rig()), settings).detect
+def _baseline_detector(box: bool, centre: str) -> Callable[[npt.NDArray[np.uint8]], Array]:
+    settings = Params().replace(detect={"centre": centre}).to_dict()
+    return Baseline(geometry_of(VGA.rig()), settings, box=box).detect
 
 
 def _blob_detector(image: npt.NDArray[np.uint8]) -> Array:

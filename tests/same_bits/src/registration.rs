@@ -49,7 +49,8 @@ pub fn methods(out: &mut Digests) -> Outcome<()> {
     for (part, mesh) in [("wedge", wedge()?), ("block", block()?)] {
         let (template, touches, mut touch) = (template(&mesh)?, touches(&mesh)?, Touch::default());
         let (frame, pose) = touches.first().ok_or("nothing touches")?;
-        for method in every!(M: FilterregPoint FilterregPlane RansacIcp IcpPlane SurfaceTrack SurfaceClose SurfaceSearch)
+        for method in
+            every!(M: FilterregPoint FilterregPlane RansacIcp SurfaceTrack SurfaceClose SurfaceSearch)
         {
             let found = Registrar::new(&settings(method))
                 .register(&touch.of(frame), &template, &beside(pose))

@@ -57,7 +57,7 @@ pub fn rungs(out: &mut Digests) -> Outcome<()> {
         let pairs = if rung == Polarity::Dark { &of_dark } else { &of_bright };
         add(format!("polarity/{rung:?}"), pairs, &|params| params.detect.polarity = rung)?;
     }
-    for rung in every!(Background: Gaussian Box Blocks) {
+    for rung in every!(Background: Gaussian Blocks) {
         add(format!("background/{rung:?}"), &of_dark, &|params| params.detect.background = rung)?;
     }
     for rung in every!(Threshold: Fixed Auto) {

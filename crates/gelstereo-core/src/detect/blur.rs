@@ -5,7 +5,6 @@
 
 use crate::image::GrayView;
 use crate::math::exp;
-use alloc::vec;
 use alloc::vec::Vec;
 
 /// Fractional bits of a filtered grey level: 255 becomes 32 640, and the sum of two still fits 16 bits.
@@ -125,57 +124,5 @@ fn mirror_ends<T: Copy>(padded: &mut [T], radius: usize) {
     for k in 1..=radius {
         padded[radius - k] = padded[radius + reflect101(-(k as isize), len)];
         padded[radius + len - 1 + k] = padded[radius + reflect101((len - 1 + k) as isize, len)];
-    }
-}
-
-/// Mean over a square with mirrored borders, by running sums: its cost per pixel does not depend on the square.
-#[derive(Clone, Debug)]
-pub struct BoxMean {
-    radius: usize,
-    /// round(2^39 / side²).
-    reciprocal: u64,
-    columns: Vec<u32>,
-    padded: Vec<u32>,
-}
-
-impl BoxMean {
-    /// For an odd side, 1 to 255 px; an even side counts as the next smaller odd one.
-    #[must_use]
-    pub fn new(kernel_px: usize) -> Self {
-        let radius = kernel_px / 2;
-        let area = (2 * radius as u64 + 1).pow(2);
-        Self { radius, reciprocal: ((1 << 39) + area / 2) / area, columns: vec![], padded: vec![] }
-    }
-
-    /// Writes filtered row `y` of `image` to `out`. Row 0 starts an image; the others must follow in order.
-    pub fn row(&mut self, image: GrayView<'_>, y: usize, out: &mut [u16]) {
-        let (width, radius) = (image.width(), self.radius as isize);
-        let source = |dy: isize| image.row(reflect101(y as isize + dy, image.height()));
-        if y == 0 {
-            self.columns.clear();
-            self.columns.resize(width, 0);
-            for dy in -radius..=radius {
-                add_centre(&mut self.columns, source(dy), 1);
-            }
-        } else {
-            for ((column, &enters), &leaves) in
-                self.columns.iter_mut().zip(source(radius)).zip(source(-radius - 1))
-            {
-                *column = column.wrapping_add(u32::from(enters)).wrapping_sub(u32::from(leaves));
-            }
-        }
-        self.padded.clear();
-        self.padded.resize(width + 2 * self.radius, 0);
-        self.padded[self.radius..self.radius + width].copy_from_slice(&self.columns);
-        mirror_ends(&mut self.padded, self.radius);
-        let side = 2 * self.radius + 1;
-        let mut sum: u32 = self.padded[..side - 1].iter().sum();
-        for (x, out) in out.iter_mut().enumerate() {
-            sum += self.padded[x + side - 1];
-            // The reciprocal is off by at most a half: the error is below 255 x 255² / 2 / 2^32 of the last place, so
-            // that the mean of equal pixels is exact after rounding.
-            *out = ((u64::from(sum) * self.reciprocal + (1 << 31)) >> 32) as u16;
-            sum -= self.padded[x];
-        }
     }
 }

@@ -1,7 +1,7 @@
 //! Which pixels are darker (or brighter) than their surround by the threshold, row by row.
 
 use super::blocks::{BLOCK_PX, Blocks};
-use super::blur::{BoxMean, FRACTION_BITS, GaussianBlur};
+use super::blur::{FRACTION_BITS, GaussianBlur};
 use super::noise::NoiseLevel;
 use super::smooth::Smoother;
 use super::threshold::Thresholds;
@@ -32,15 +32,9 @@ pub struct Difference {
 #[derive(Clone, Debug)]
 enum Rung {
     /// Both filtered images at full precision, as the paper.
-    Rows { smooth: GaussianBlur, surround: Surround, smooth_row: Vec<u16>, surround_row: Vec<u16> },
+    Rows { smooth: GaussianBlur, surround: GaussianBlur, smooth_row: Vec<u16>, surround_row: Vec<u16> },
     /// The smoothed image against one level a block.
     Blocks,
-}
-
-#[derive(Clone, Debug)]
-enum Surround {
-    Gaussian(GaussianBlur),
-    Box(BoxMean),
 }
 
 #[derive(Clone, Debug, Default)]
@@ -53,20 +47,18 @@ impl Difference {
     /// With these settings.
     #[must_use]
     pub fn new(params: &DetectParams) -> Self {
-        let rows = |surround| Rung::Rows {
-            smooth: GaussianBlur::new(params.smooth_kernel_px),
-            surround,
-            smooth_row: Vec::new(),
-            surround_row: Vec::new(),
-        };
         let kernel_px = params.background_kernel_px;
         Self {
             polarity: params.polarity,
             threshold: params.threshold,
             threshold_levels: params.threshold_levels,
             rung: match params.background {
-                Background::Gaussian => rows(Surround::Gaussian(GaussianBlur::new(kernel_px))),
-                Background::Box => rows(Surround::Box(BoxMean::new(kernel_px))),
+                Background::Gaussian => Rung::Rows {
+                    smooth: GaussianBlur::new(params.smooth_kernel_px),
+                    surround: GaussianBlur::new(kernel_px),
+                    smooth_row: Vec::new(),
+                    surround_row: Vec::new(),
+                },
                 Background::Blocks => Rung::Blocks,
             },
             smoother: Smoother::new(params.smooth_kernel_px, params.polarity),
@@ -142,10 +134,7 @@ impl Difference {
                 smooth_row.resize(width, 0);
                 surround_row.resize(width, 0);
                 smooth.row(image, y, smooth_row);
-                match surround {
-                    Surround::Gaussian(blur) => blur.row(image, y, surround_row),
-                    Surround::Box(mean) => mean.row(image, y, surround_row),
-                }
+                surround.row(image, y, surround_row);
                 let (bright, dark) = match self.polarity {
                     Polarity::Dark => (surround_row, smooth_row),
                     Polarity::Bright => (smooth_row, surround_row),

@@ -21,8 +21,6 @@ pub enum Background {
     /// Gaussian of `background_kernel_px` (the paper): the slowest stage of all.
     #[default]
     Gaussian,
-    /// Mean over a square of `background_kernel_px`: constant cost per pixel.
-    Box,
     /// Mean over a square of blocks of 8 x 8 px, about `background_kernel_px` wide, one level for each block; smoothed
     /// to whole grey levels. The fastest.
     Blocks,

@@ -17,8 +17,6 @@ pub enum RegisterMethod {
     /// RANSAC, then point-to-point ICP (the paper's comparison): 100 / 81 / 19 %, 47 ms. It draws points by their number, so
     /// that another order of points is another seed; for the other rungs it is rounding, or nothing.
     RansacIcp,
-    /// Point-to-plane ICP alone, from the guess, with the same model of the shoulder: 100 / 100 / 38 %, 0.9 ms.
-    IcpPlane,
     /// Steps on a field of distances to the part, from a pose that is nearly right, as the last frame's is: 0.1 ms.
     /// It looks at salient points alone, and from 5 degrees and 1 mm off it finds 61 % of the contacts below. It looks for
     /// no alternatives: where several poses explain a contact it follows the one that it starts from.

@@ -31,7 +31,7 @@ pub(super) fn registration(
     }
     let frame = PatchFrame::new(&scratch.sources, template.spacing_mm());
     let mut system = System::new(frame.radius_mm, params.point_sigma_mm);
-    let by_plane = matches!(params.method, RegisterMethod::FilterregPlane | RegisterMethod::IcpPlane);
+    let by_plane = params.method == RegisterMethod::FilterregPlane;
     let one_sided = OneSided::new(params.point_sigma_mm, params.max_distance_mm);
     let (mut sum_squared, mut total, mut along_normals) = (0.0, 0.0, 0.0);
     for (step, (soft, &point)) in scratch.soft.iter().zip(&scratch.sources).enumerate() {

@@ -286,18 +286,27 @@ impl Registrar {
         self.params.validate()?;
         let points_mm = contact.points_mm;
         let guess = check(points_mm, guess)?;
-        use RegisterMethod::{SurfaceClose, SurfaceSearch, SurfaceTrack};
-        let sigma_mm = self.params.point_sigma_mm;
-        let (mut found, resolution_mm) = match self.params.method {
-            SurfaceTrack | SurfaceClose | SurfaceSearch => {
-                (surface::run(&self.params, (contact, template), &guess, &mut self.surface, stop)?, sigma_mm)
-            }
-            // Normals are read at samples, and so at most half a spacing off.
-            _ => (
-                self.by_samples(points_mm, template, &guess, stop)?,
-                sigma_mm.max(0.5 * template.spacing_mm()),
-            ),
+        use RegisterMethod::{
+            FilterregPlane, FilterregPoint, RansacIcp, SurfaceClose, SurfaceSearch, SurfaceTrack,
         };
+        let Self { params, scratch, surface } = self;
+        let problem = &Problem { params, points_mm, template, stop };
+        let outcome = match params.method {
+            FilterregPoint => filterreg::run(problem, scratch, &guess, filterreg::Metric::Point)?,
+            FilterregPlane => filterreg::run(problem, scratch, &guess, filterreg::Metric::Plane)?,
+            RansacIcp => {
+                let start = ransac::search(problem, scratch, &guess)?;
+                icp::run(problem, scratch, &start)?
+            }
+            SurfaceTrack | SurfaceClose | SurfaceSearch => {
+                let mut found = surface::run(params, (contact, template), &guess, surface, stop)?;
+                copies::honour(&mut found, template.symmetries(), &guess, params.point_sigma_mm);
+                return Ok(found);
+            }
+        };
+        let mut found = assess::registration(problem, scratch, &outcome)?;
+        // Normals are read at samples, and so at most half a spacing off.
+        let resolution_mm = params.point_sigma_mm.max(0.5 * template.spacing_mm());
         copies::honour(&mut found, template.symmetries(), &guess, resolution_mm);
         Ok(found)
     }
@@ -312,32 +321,6 @@ impl Registrar {
         usual: Option<&surface::Usual>,
     ) -> Option<Misfit> {
         surface::misfit(&self.params, of, t_sensor_object, usual, &mut self.surface)
-    }
-
-    /// The rungs on the template's points.
-    fn by_samples(
-        &mut self,
-        points_mm: &[DVec3],
-        template: &Template,
-        guess: &Pose,
-        stop: Stop<'_>,
-    ) -> Result<Registration, RegisterError> {
-        let problem = &Problem { params: &self.params, points_mm, template, stop };
-        let scratch = &mut self.scratch;
-        let outcome = match self.params.method {
-            RegisterMethod::FilterregPoint => {
-                filterreg::run(problem, scratch, guess, filterreg::Metric::Point)
-            }
-            RegisterMethod::FilterregPlane => {
-                filterreg::run(problem, scratch, guess, filterreg::Metric::Plane)
-            }
-            RegisterMethod::RansacIcp => {
-                let start = ransac::search(problem, scratch, guess)?;
-                icp::point_to_point(problem, scratch, &start)
-            }
-            _ => icp::point_to_plane(problem, scratch, guess),
-        }?;
-        assess::registration(problem, scratch, &outcome)
     }
 }
 

@@ -81,10 +81,10 @@ mod tests {
 
     #[test]
     fn a_method_is_given_the_markers_that_it_looks_at_or_refuses() {
-        use RegisterMethod::{IcpPlane, SurfaceClose, SurfaceSearch, SurfaceTrack};
+        use RegisterMethod::{FilterregPlane, SurfaceClose, SurfaceSearch, SurfaceTrack};
         let mut all: Vec<DVec3> = (0..20).map(|k| DVec3::new(f64::from(k), 1.0, 2.0)).collect();
         let counts = |all: &[DVec3]| {
-            let methods = [IcpPlane, SurfaceTrack, SurfaceClose, SurfaceSearch];
+            let methods = [FilterregPlane, SurfaceTrack, SurfaceClose, SurfaceSearch];
             methods.map(|method| unpressed_for(method, all, &all[3..9]).len())
         };
         assert_eq!(counts(&all), [0, 0, 14, 14]);
