@@ -27,12 +27,6 @@ FLOORS = (
     ("pipeline",),
 )
 
-#: Cycles that are still there: stages of one type in several files.
-EXCEPTIONS = (
-    ("detect", "detect/band", "detect/glance/eyes", "detect/half", "detect/near", "detect/windows"),
-    ("detect/fit", "detect/fit/learn", "detect/fit/template"),
-)
-
 Module = tuple[str, ...]
 
 
@@ -65,9 +59,9 @@ def imports(own: Module, texts: dict[Module, str]) -> set[Module]:
     """Modules that one names in its code, re-exports and tests aside."""
     text = re.sub(r"//[^\n]*|pub\(in [^)]*\)", "", texts[own]).split("#[cfg(test)]\nmod ")[0]
     uses = [item for use in re.findall(r"^\s*use ([^;]+);", text, re.M) for item in trees(use)]
-    uses += re.findall(
-        r"\b((?:crate|super|self)(?:::\w+)+)", re.sub(r"^.*\buse [^;]+;", "", text, flags=re.M)
-    )
+    children = "|".join(module[-1] for module in texts if module[:-1] == own)
+    first = f"crate|super|self|{children}" if children else "crate|super|self"
+    uses += re.findall(rf"(?<!::)\b((?:{first})(?:::\w+)+)", re.sub(r"^.*\buse [^;]+;", "", text, flags=re.M))
     found = set()
     for use in uses:
         first, *rest = (part.split(" as ")[0] for part in use.split("::"))
@@ -90,8 +84,7 @@ def main() -> int:
     floor = {name: number for number, names in enumerate(FLOORS) for name in names}
     faults, graph = [], {}
     for own in filter(None, texts):
-        excused = {name for group in EXCEPTIONS if "/".join(own) in group for name in group}
-        graph[own] = {other for other in imports(own, texts) if "/".join(other) not in excused}
+        graph[own] = imports(own, texts)
         above = [o for o in sorted(graph[own]) if o[0] != own[0] and floor[o[0]] >= floor[own[0]]]
         faults += [f"{'/'.join(own)} imports {'/'.join(other)}, which is not below it" for other in above]
     try:

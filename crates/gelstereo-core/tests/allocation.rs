@@ -5,7 +5,7 @@ use crate::support;
 
 use counting::ALLOCATIONS;
 use gelstereo_core::camera::{Camera, Layer, Layers};
-use gelstereo_core::detect::near::Found;
+use gelstereo_core::detect::Found;
 use gelstereo_core::detect::{Detector, Markers};
 use gelstereo_core::label::{FoundLattice, LatticeFinder, anchor, foresight_sort, rest_lattice};
 use gelstereo_core::math::random::Stream;
@@ -103,7 +103,7 @@ fn the_search_in_windows_allocates_nothing_once_there_is_room() {
     let mut stream = Stream::new(1, "noise");
     let noise: Vec<u8> = (0..640 * 480).map(|_| stream.next_u64() as u8).collect();
     let mut detector = Detector::new(&Params::preset("balanced").unwrap().detect);
-    let (kind, mut found) = (detector.kind_for_windows(58.0, 17.6).unwrap(), Found::default());
+    let (kind, mut found) = (detector.size_for_windows(58.0, 17.6).unwrap(), Found::default());
     assert!(allocations(|| detector.reserve_windows(truth.len(), &kind, (640, 480), &mut found)) > 0);
     let mut search = |image: &[u8]| detector.run_windows(view(image, 640), &truth, (&kind, 8.8), &mut found);
     assert_eq!(allocations(|| [&noise, &few, &noise].into_iter().for_each(|i| search(i))), 0);

@@ -2,9 +2,9 @@
 
 use crate::support;
 
-use gelstereo_core::detect::blur::{FRACTION_BITS, GaussianBlur, reflect101};
-use gelstereo_core::detect::components::Components;
-use gelstereo_core::detect::morphology::Closing;
+use gelstereo_core::detect::mask::blur::{FRACTION_BITS, GaussianBlur, reflect101};
+use gelstereo_core::detect::mask::components::Components;
+use gelstereo_core::detect::mask::morphology::Closing;
 use gelstereo_core::image::MOST_SIDE_PX;
 use proptest::prelude::*;
 use support::view;

@@ -2,7 +2,7 @@
 
 use crate::support;
 
-use gelstereo_core::detect::fit::{DiscFit, Start};
+use gelstereo_core::detect::centre::fit::{DiscFit, Start};
 use gelstereo_core::detect::{Detector, Markers};
 use gelstereo_core::image::GrayView;
 use gelstereo_core::math::random::Stream;

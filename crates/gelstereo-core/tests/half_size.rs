@@ -3,7 +3,7 @@
 
 use crate::support;
 
-use gelstereo_core::detect::glance::Kind;
+use gelstereo_core::detect::MarkerSize;
 use gelstereo_core::detect::{Detector, Markers};
 use gelstereo_core::math::DVec2;
 use gelstereo_core::math::random::Stream;
@@ -46,10 +46,10 @@ fn most_apart_px(noise: f64, contrast: f64) -> f64 {
 fn most_apart_beside_others_px(markers: &Markers) -> f64 {
     let count = markers.area_px2.len().max(1) as f64;
     let area_px2 = markers.area_px2.iter().map(|&area| f64::from(area)).sum::<f64>() / count;
-    let Some(kind) = Kind::of(area_px2) else { return 0.0 };
-    let side_px = kind.side_px as f64;
+    let Some(size) = MarkerSize::of(area_px2) else { return 0.0 };
+    let side_px = size.side_px as f64;
     let corner_px = (side_px / 5.0).floor().max(2.0);
-    let tilted_px = 0.7 * kind.radius_px * 0.5_f64.sqrt() / (side_px - corner_px);
+    let tilted_px = 0.7 * size.radius_px * 0.5_f64.sqrt() / (side_px - corner_px);
     2.0 * tilted_px.max(0.5 * side_px / area_px2)
 }
 

@@ -2,8 +2,8 @@
 
 use crate::support;
 
-use gelstereo_core::detect::fit::Noise;
-use gelstereo_core::detect::matched::{MOST_MISFIT, Matched, Refined};
+use gelstereo_core::detect::centre::fit::Noise;
+use gelstereo_core::detect::centre::matched::{MOST_MISFIT, Matched, Refined};
 use gelstereo_core::detect::{Detector, Markers};
 use gelstereo_core::image::GrayView;
 use gelstereo_core::math::random::Stream;

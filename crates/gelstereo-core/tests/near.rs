@@ -2,8 +2,8 @@
 
 use crate::support;
 
-use gelstereo_core::detect::near::{Found, Sight};
 use gelstereo_core::detect::{DetectError, Detector, Markers};
+use gelstereo_core::detect::{Found, Sight};
 use gelstereo_core::math::DVec2;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::params::{Background, Centre, DetectParams, Threshold};

@@ -2,10 +2,10 @@
 
 use crate::support;
 
-use gelstereo_core::detect::blocks::{BLOCK_PX, Blocks, BoxSums};
-use gelstereo_core::detect::blur::reflect101;
-use gelstereo_core::detect::noise::NoiseLevel;
-use gelstereo_core::detect::smooth::Smoother;
+use gelstereo_core::detect::mask::blocks::{BLOCK_PX, Blocks, BoxSums};
+use gelstereo_core::detect::mask::blur::reflect101;
+use gelstereo_core::detect::mask::noise_level::NoiseLevel;
+use gelstereo_core::detect::mask::smooth::Smoother;
 use gelstereo_core::detect::{DetectError, Detector, Markers};
 use gelstereo_core::math::DVec2;
 use gelstereo_core::params::{Background, DetectParams, Polarity, Threshold};

@@ -3,7 +3,7 @@
 use crate::support;
 
 use gelstereo_core::detect::Markers;
-use gelstereo_core::detect::near::{Found, Sight};
+use gelstereo_core::detect::{Found, Sight};
 use gelstereo_core::math::DVec2;
 use gelstereo_core::params::{Motion, TrackParams};
 use gelstereo_core::track::{MarkerState, Verdict};

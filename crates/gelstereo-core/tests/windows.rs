@@ -3,8 +3,8 @@
 
 use crate::support;
 
-use gelstereo_core::detect::near::{Found, Sight};
 use gelstereo_core::detect::{Detector, Markers};
+use gelstereo_core::detect::{Found, Sight};
 use gelstereo_core::math::DVec2;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::params::{DetectParams, Params, Polarity};
@@ -22,8 +22,8 @@ fn params() -> DetectParams {
 
 fn windows(params: &DetectParams, image: &[u8], width: usize, at: &[DVec2], reach_px: f64) -> Found {
     let (mut detector, mut found) = (Detector::new(params), Found::default());
-    let kind = detector.kind_for_windows(AREA_PX2, 17.6).unwrap();
-    detector.run_windows(view(image, width), at, (&kind, reach_px), &mut found);
+    let size = detector.size_for_windows(AREA_PX2, 17.6).unwrap();
+    detector.run_windows(view(image, width), at, (&size, reach_px), &mut found);
     assert_eq!(found.sights.len(), at.len());
     found
 }
@@ -64,9 +64,9 @@ fn matched_steps_from_windows_are_as_good_as_those_of_the_whole_image() {
     let image = Dots { noise: 2.0, seed: 3, ..Dots::new(640, 480, truth.clone()) }.render();
     let (mut detector, mut all, mut found) = (Detector::new(&params), Markers::default(), Found::default());
     detector.run(view(&image, 640), &mut all).unwrap();
-    let kind = detector.kind_for_windows(AREA_PX2, 17.6).unwrap();
+    let size = detector.size_for_windows(AREA_PX2, 17.6).unwrap();
     let expected: Vec<DVec2> = truth.iter().map(|&t| t + DVec2::new(1.3, -0.8)).collect();
-    detector.run_windows(view(&image, 640), &expected, (&kind, REACH_PX), &mut found);
+    detector.run_windows(view(&image, 640), &expected, (&size, REACH_PX), &mut found);
     assert_eq!((found.markers.centres_px.len(), found.markers.unfitted), (625, all.unfitted));
     let [whole_px, windows_px] = [&all, &found.markers].map(|m| support::errors(&m.centres_px, &truth).0);
     assert!(windows_px <= 1.1 * whole_px, "{windows_px} {whole_px}");

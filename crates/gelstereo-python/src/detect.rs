@@ -4,7 +4,7 @@ use crate::arrays::{self, Array1, Image, Matrix, Numbers};
 use crate::errors::raise;
 use crate::params::Params;
 use gelstereo_core::detect as core;
-use gelstereo_core::detect::near::{Found, Sight};
+use gelstereo_core::detect::{Found, Sight};
 use gelstereo_core::math::DVec2;
 use gelstereo_core::params::{DetectParams, Polarity};
 use numpy::{PyArray2, PyArray3};

@@ -2,8 +2,15 @@
 
 use crate::math::DVec2;
 use crate::math::linalg::Symmetric;
+use crate::params::DetectParams;
 use alloc::vec;
 use alloc::vec::Vec;
+
+/// Most markers of an image, those that the border cuts included: 90 x 90 and a few.
+pub const MOST_MARKERS: usize = 8192;
+
+/// Pixels of an image for each of the markers that it may have.
+pub const PIXELS_PER_MARKER: usize = 50;
 
 /// Markers found in one image, in the raster order of their first pixels.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -64,9 +71,22 @@ impl Markers {
         self.cut.reserve(cut);
     }
 
-    pub(super) fn push(&mut self, centre_px: DVec2, covariance_px2: Symmetric<2>, area_px2: u32) {
+    /// Lists a marker with one variance for both coordinates.
+    pub(super) fn push(&mut self, centre_px: DVec2, variance_px2: f64, area_px2: u32) {
         self.centres_px.push(centre_px);
-        self.covariance_px2.push(covariance_px2);
+        self.covariance_px2.push([[variance_px2, 0.0], [0.0, variance_px2]]);
         self.area_px2.push(area_px2);
     }
+}
+
+/// Most markers of an image of this size (width, height), however small they may be; more are refused.
+///
+/// Dots can be told apart from a pitch of about 6 px on, and a square lattice covers at most three quarters of the image: one marker
+/// for each [`PIXELS_PER_MARKER`].
+#[must_use]
+pub fn most_markers(params: &DetectParams, size_px: (usize, usize)) -> usize {
+    let pixels = size_px.0 * size_px.1;
+    (pixels / params.min_area_px2.max(4) as usize)
+        .min((pixels / PIXELS_PER_MARKER).max(1024))
+        .min(MOST_MARKERS)
 }

@@ -120,7 +120,7 @@ impl ViewStages {
             let Self { windows, detector, markers, tracks, .. } = self;
             let size_px = (image.width(), image.height());
             windows.begin(detector, size_px, (self.cols, self.pitch_px), (markers, tracks));
-            if windows.kind.is_none() {
+            if windows.marker_size.is_none() {
                 self.detect_in_windows(image, params);
             }
         }

@@ -1,8 +1,8 @@
 //! Detection in windows around predicted positions (`detect.search = windows`).
 
-use crate::detect::glance::Kind;
-use crate::detect::near::{Found, Sight};
+use crate::detect::MarkerSize;
 use crate::detect::{DetectError, Detector, Markers};
+use crate::detect::{Found, Sight};
 use crate::image::GrayView;
 use crate::math::DVec2;
 use crate::track::{MarkerState, Tracks};
@@ -30,7 +30,7 @@ pub(super) struct Windows {
     places_px: Vec<DVec2>,
     pub found: Found,
     /// What markers look like, if that is enough to search each window by its own light.
-    pub kind: Option<Kind>,
+    pub marker_size: Option<MarkerSize>,
     /// The tracks of this frame, which stand only when they are certain.
     pub tracks: Tracks,
 }
@@ -44,13 +44,13 @@ impl Windows {
         (cols, pitch_px): (usize, f64),
         (markers, tracks): (&Markers, &Tracks),
     ) {
-        self.kind = detector.kind_for_windows(usual_area_px2(markers), pitch_px);
+        self.marker_size = detector.size_for_windows(usual_area_px2(markers), pitch_px);
         self.places_px.clear();
         self.places_px.extend_from_slice(&tracks.positions_px);
         add_sentinels(&tracks.positions_px, cols, &mut self.places_px);
         self.tracks.reserve_like(tracks);
-        if let Some(kind) = &self.kind {
-            detector.reserve_windows(self.places_px.len(), kind, size_px, &mut self.found);
+        if let Some(marker_size) = &self.marker_size {
+            detector.reserve_windows(self.places_px.len(), marker_size, size_px, &mut self.found);
         }
     }
 
@@ -71,8 +71,10 @@ impl Windows {
         self.places_px.extend_from_slice(predicted_px);
         add_sentinels(predicted_px, cols, &mut self.places_px);
         let reach_px = REACH_PITCHES * pitch_px;
-        match &self.kind {
-            Some(kind) => detector.run_windows(image, &self.places_px, (kind, reach_px), &mut self.found),
+        match &self.marker_size {
+            Some(marker_size) => {
+                detector.run_windows(image, &self.places_px, (marker_size, reach_px), &mut self.found)
+            }
             None => detector.run_near(image, &self.places_px, reach_px, &mut self.found)?,
         }
         self.tracks.clone_from(tracks);

@@ -1,6 +1,6 @@
 //! What windows know of the nearest detections.
 
-use crate::detect::near::{Found, Sight};
+use crate::detect::{Found, Sight};
 
 /// Nearer to one of two points than so much of their distance is nearer to it than to the other; less than half, for round-off.
 const NEARER: f64 = 0.499;

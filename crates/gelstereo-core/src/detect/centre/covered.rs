@@ -1,0 +1,157 @@
+//! How far off the centre of a marker may be that something covers in part.
+
+use crate::detect::markers::Markers;
+use crate::detect::mask::blob_filter::usual_area_px2;
+use crate::image::{GrayView, reaches};
+use crate::math::{DVec2, abs, ceil, sqrt};
+use alloc::vec::Vec;
+use core::f64::consts::FRAC_1_PI;
+use core::ops::Range;
+
+/// Grey level from which on a pixel shows a light's reflection: it saturates the sensor, and gel does not.
+pub(in crate::detect) const GLARE_LEVEL: u8 = 250;
+/// Pixels that are that bright by chance.
+const FEW: usize = 2;
+/// Pixels beyond a marker's outline that its centre depends on.
+const AROUND_PX: f64 = 3.0;
+/// Markers differ in area by this share without anything over them: by the light, by their tilt on a pressed gel.
+const AREA_SPREAD: f64 = 0.2;
+/// Share of a marker that a reflection beside it hides at least, by where its light is spread.
+const LEAST_HIDDEN: f64 = 0.1;
+/// Neighbours whose areas a marker is compared with: those around it on a square lattice.
+const NEIGHBOURS: usize = 8;
+/// Side of a cell in which reflections are noted: about that of a marker's square.
+const CELL_PX: usize = 16;
+
+/// Columns and rows of the square that the centre of a marker of this radius depends on.
+fn square(image: GrayView<'_>, centre_px: DVec2, radius_px: f64) -> (Range<usize>, Range<usize>) {
+    let reach = ceil(radius_px + AROUND_PX);
+    let range = |at: f64, size: usize| {
+        let (first, end) =
+            ((at - reach).max(0.0) as usize, (at + reach + 1.0).clamp(0.0, size as f64) as usize);
+        first.min(end)..end
+    };
+    (range(centre_px.x, image.width()), range(centre_px.y, image.height()))
+}
+
+/// Whether a light's reflection is in the square around a marker of this radius.
+pub(in crate::detect) fn is_under_glare(image: GrayView<'_>, centre_px: DVec2, radius_px: f64) -> bool {
+    let (columns, rows) = square(image, centre_px, radius_px);
+    let bright =
+        |y: usize| image.row(y)[columns.clone()].iter().filter(|&&level| level >= GLARE_LEVEL).count();
+    rows.map(bright).sum::<usize>() > FEW
+}
+
+/// Where in an image light's reflections are, in square cells.
+#[derive(Clone, Debug, Default)]
+pub(in crate::detect) struct Glares {
+    has_any: Vec<bool>,
+    columns: usize,
+}
+
+impl Glares {
+    /// Makes room for images of this size.
+    pub fn reserve(&mut self, (width, height): (usize, usize)) {
+        self.columns = width.div_ceil(CELL_PX);
+        self.has_any.clear();
+        self.has_any.resize(self.columns * height.div_ceil(CELL_PX), false);
+    }
+
+    /// Finds them; whether there are any. No allocation for an image as large as one before.
+    fn find(&mut self, image: GrayView<'_>) -> bool {
+        self.reserve((image.width(), image.height()));
+        let is_bright = |pixels: &[u8]| reaches(pixels, GLARE_LEVEL);
+        let mut found = false;
+        for y in (0..image.height()).filter(|&y| is_bright(image.row(y))) {
+            found = true;
+            let cells = &mut self.has_any[y / CELL_PX * self.columns..];
+            for (cell, pixels) in cells.iter_mut().zip(image.row(y).chunks(CELL_PX)) {
+                *cell |= is_bright(pixels);
+            }
+        }
+        found
+    }
+
+    /// Whether some may be in the square that a marker of this radius depends on.
+    fn may_reach(&self, (columns, rows): &(Range<usize>, Range<usize>)) -> bool {
+        let cells = |range: &Range<usize>| range.start / CELL_PX..range.end.div_ceil(CELL_PX);
+        cells(rows).any(|row| self.has_any[row * self.columns..][cells(columns)].contains(&true))
+    }
+
+    /// Tells markers beside a light's reflection that it may hide a part of them; `areas_px2` is scratch. Models of a marker
+    /// that take a share of its pixels' contrast do not see what is missing at its rim.
+    pub fn doubt(&mut self, image: GrayView<'_>, areas_px2: &mut Vec<u32>, markers: &mut Markers) {
+        if !self.find(image) {
+            return;
+        }
+        areas_px2.clear();
+        areas_px2.extend_from_slice(&markers.area_px2);
+        let usual_px2 = usual_area_px2(areas_px2);
+        let radius_px = sqrt(usual_px2 * FRAC_1_PI);
+        let places = markers.centres_px.iter().zip(&markers.area_px2);
+        for ((&centre_px, &area_px2), [[xx, _], [_, yy]]) in places.zip(&mut markers.covariance_px2) {
+            let is_near = usual_px2 > 0.0 && self.may_reach(&square(image, centre_px, radius_px));
+            if is_near && is_under_glare(image, centre_px, radius_px) {
+                let least = variance_px2(image, centre_px, (f64::from(area_px2), usual_px2));
+                (*xx, *yy) = (xx.max(least), yy.max(least));
+            }
+        }
+    }
+}
+
+/// Variance of a coordinate of a marker that no model fits, px²: what hides a part of it moves the centroid of the rest by
+/// the radius times the hidden share, which is known by its area beside the usual one.
+pub(in crate::detect) fn variance_px2(
+    image: GrayView<'_>,
+    centre_px: DVec2,
+    (area_px2, usual_px2): (f64, f64),
+) -> f64 {
+    if !(usual_px2 > 0.0) {
+        return 0.0;
+    }
+    let radius_px = sqrt(usual_px2 * FRAC_1_PI);
+    let differs = abs(1.0 - area_px2 / usual_px2);
+    let hidden = if is_under_glare(image, centre_px, radius_px) {
+        differs.max(LEAST_HIDDEN)
+    } else {
+        (differs - AREA_SPREAD).max(0.0)
+    };
+    (radius_px * hidden) * (radius_px * hidden)
+}
+
+/// As [`variance_px2`], of a marker of the list that no model fits, beside the areas of the markers around it: perspective and
+/// a curved gel make areas differ over the image without anything over the markers.
+pub(in crate::detect) fn unfitted_px2(image: GrayView<'_>, markers: &Markers, index: usize) -> f64 {
+    let (centre_px, area_px2) = (markers.centres_px[index], markers.area_px2[index]);
+    let (least, most) = areas_around_px2(markers, index);
+    let usual_px2 = area_px2.clamp(least, most);
+    variance_px2(image, centre_px, (f64::from(area_px2), f64::from(usual_px2)))
+}
+
+/// Range of the areas of the markers nearest to one of the list, without the smallest and the largest: one of them may be
+/// covered too. Any area without so many markers.
+fn areas_around_px2(markers: &Markers, index: usize) -> (u32, u32) {
+    let mut nearest = [(f64::INFINITY, 0); NEIGHBOURS];
+    let others = markers.centres_px.iter().zip(&markers.area_px2).enumerate().filter(|&(k, _)| k != index);
+    for (_, (centre_px, &area_px2)) in others {
+        let far_px2 = centre_px.distance_squared(markers.centres_px[index]);
+        let place = nearest.partition_point(|&(nearer_px2, _)| nearer_px2 <= far_px2);
+        if place < NEIGHBOURS {
+            nearest[place..].rotate_right(1);
+            nearest[place] = (far_px2, area_px2);
+        }
+    }
+    nearest.sort_unstable_by_key(|&(_, area_px2)| area_px2);
+    let [(first_px2, _), ..] = nearest;
+    if first_px2.is_finite() { (nearest[1].1, nearest[NEIGHBOURS - 2].1) } else { (0, u32::MAX) }
+}
+
+/// As [`variance_px2`], of a marker that something touches, so that it has no band; 0 of others.
+pub(in crate::detect) fn without_band_px2(
+    band: u8,
+    image: GrayView<'_>,
+    centre_px: DVec2,
+    (area_px2, usual_px2): (u32, f64),
+) -> f64 {
+    if band == 0 { variance_px2(image, centre_px, (f64::from(area_px2), usual_px2)) } else { 0.0 }
+}

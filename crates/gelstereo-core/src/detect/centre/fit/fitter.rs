@@ -1,0 +1,226 @@
+//! The fit of one marker, with what is common to the markers of its image.
+
+use super::contour;
+use super::disc::{Levels, Matrix, Outline, Window};
+use super::edge::Edge;
+use super::step::{Fitted, Start, apply, covariance, plausible, step};
+use super::template::Template;
+use crate::detect::centre::covered;
+use crate::detect::centre::influence::Variances;
+use crate::detect::centre::noise::Noise;
+use crate::image::GrayView;
+use crate::math::linalg::Symmetric;
+use crate::math::{Factor, abs, round, sqrt};
+use crate::params::DetectParams;
+use core::f64::consts::FRAC_1_PI;
+
+/// Gel around the outline that takes part: farther pixels say nothing of the edge and little of the light.
+pub(super) const REACH_PX: f64 = 3.5;
+/// The least of it: the edge's outer half.
+const LEAST_REACH_PX: f64 = 1.0;
+/// Steps at most; two are the rule.
+const MOST_STEPS: usize = 8;
+/// Where the search begins: a pixel's own width and a little defocus.
+pub(super) const FIRST_BLUR_PX: f64 = 0.8;
+/// Residuals larger than this times what the noise explains widen the covariance: below, it is chance and the profile's
+/// small faults, which cost the centre nothing.
+const CHANCE: f64 = 3.0;
+/// Squared residuals so much larger beside a light's reflection are of the reflection, and so is the fit. On the path-traced
+/// images for work 3 doubts more that are right to 0.02 px; 12 and 30 do as well.
+const NOT_A_DISC: f64 = 30.0;
+/// Shares of the covariance that are believed.
+const LEAST_INFLATION: f64 = 0.5;
+const MOST_INFLATION: f64 = 10.0;
+/// A step of the outline that is shorter leaves the model's slopes as they are.
+const SAME_SLOPES_PX: f64 = 0.25;
+/// A step that moves the outline by less leaves its shape as it is.
+const SAME_SHAPE_PX: f64 = 0.15;
+/// Steps by the integral along the outline, and the least radius of curvature that the outline may have for it, in blurs.
+const QUICK_STEPS: usize = 2;
+const STRAIGHT_BLURS: f64 = 2.0;
+/// Radii of windows that differ by less are alike.
+const LIKE_USUAL_PX: f64 = 0.5;
+
+/// Fits single markers. What the image's markers have in common is learned elsewhere.
+#[derive(Clone, Debug)]
+pub(super) struct Fitter {
+    pub given_blur_px: Option<f64>,
+    step_px: f64,
+    most_side_px: usize,
+    pub edge: Edge,
+    pub window: Window,
+    pub noise: Noise,
+    pub blur_px: f64,
+    /// Fitted radius less that of the start, median over the samples.
+    pub radius_off_px: f64,
+    /// Contrast of the samples, grey levels.
+    pub contrast: f64,
+    /// Variance of a coordinate by sampling.
+    pub sampling_px2: f64,
+    pub template: Template,
+    /// Variance of a centre over the inverse information, for a variance of 1 of white noise and of grain: the sandwich
+    /// J⁻¹ K J⁻¹ over J⁻¹ (Huber 1967), for the weights are those of a straight edge without end in the light of the
+    /// samples.
+    pub sandwich: Variances,
+    /// Square roots of the normal matrix's diagonal over that of the integral along the outline; `None` when no sample's
+    /// outline is straight enough for it.
+    pub over_contour: Option<[f64; 5]>,
+}
+
+impl Fitter {
+    /// With these settings.
+    pub fn new(params: &DetectParams) -> Self {
+        // Twice the reach beyond the longer axis of the largest marker, twice as long as the other.
+        let longest_px = sqrt(8.0 * FRAC_1_PI * f64::from(params.max_area_px2));
+        let most_side_px = (longest_px + 4.0 * REACH_PX) as usize;
+        Self {
+            given_blur_px: params.fit.blur_px,
+            step_px: params.fit.step_px,
+            most_side_px,
+            edge: Edge::new(),
+            window: Window::default(),
+            noise: Noise::default(),
+            blur_px: FIRST_BLUR_PX,
+            radius_off_px: 0.0,
+            contrast: 0.0,
+            sampling_px2: 0.0,
+            template: Template::new(),
+            sandwich: Variances::default(),
+            over_contour: None,
+        }
+    }
+
+    /// Fits one marker with the noise and blur last learned. `None` when the fit does not settle, or not on a disc like
+    /// the start's, and where a light's reflection is part of what it fitted.
+    pub fn run(&mut self, image: GrayView<'_>, start: &Start) -> Option<Fitted> {
+        let (pixels, mut outline) = self.begin(image, start)?;
+        let offset = start.centre_px - self.window.origin;
+        let mut last = None;
+        for steps in 1..=MOST_STEPS {
+            self.window.draw(&outline, self.blur_px, &self.edge);
+            let (levels, follow) = self.window.levels()?;
+            // A matrix serves until the outline has moved much (chord method): it decides how fast the steps end, not
+            // where.
+            let factor = match last.filter(|&(_, moved)| moved <= SAME_SLOPES_PX && steps != QUICK_STEPS + 1)
+            {
+                Some((factor, _)) => factor,
+                None => self.factor(&outline, &levels, &follow, steps)?,
+            };
+            let pull = self.window.pull(&levels);
+            let step = step(&factor, &pull.right, &levels)?;
+            let moved_px = apply(&mut outline, &step);
+            last = Some((factor, moved_px));
+            if !plausible(start, outline.centre - offset, outline.spread_px2()) {
+                return None;
+            }
+            let centre_moved_px = sqrt(step[0] * step[0] + step[1] * step[1]);
+            if centre_moved_px <= self.step_px && moved_px <= SAME_SHAPE_PX.max(self.step_px) {
+                let surprise = pull.residual2 / (pixels as f64 - 9.0) / self.noise.variance_levels2();
+                if surprise > NOT_A_DISC && covered::is_under_glare(image, start.centre_px, start.radius_px())
+                {
+                    return None;
+                }
+                let inflation = self.inflation(&levels) * (surprise / CHANCE).max(1.0);
+                return Some(Fitted {
+                    centre_px: self.window.origin + outline.centre,
+                    covariance_px2: self.of_second_order(covariance(&factor, &levels, inflation)?),
+                    spread_px2: outline.spread_px2()?,
+                    contrast_levels: levels.contrast,
+                    steps,
+                });
+            }
+        }
+        None
+    }
+
+    /// Loads the marker's pixels; their number, and the outline before the first step.
+    fn begin(&mut self, image: GrayView<'_>, start: &Start) -> Option<(usize, Outline)> {
+        let usual_px = self.template.radius_px();
+        if abs(self.window_px(start) - usual_px) <= LIKE_USUAL_PX && start.centre_px.is_finite() {
+            let pixels = self.window.load(image, start.centre_px, usual_px);
+            let offset = start.centre_px - self.window.origin;
+            if let Some(outline) = self.template.start(&self.window, offset)
+                && plausible(start, outline.centre - offset, outline.spread_px2())
+            {
+                return Some((pixels, outline));
+            }
+        }
+        let pixels = self.load(image, start)?;
+        Some((pixels, Outline::new(start.centre_px - self.window.origin, &self.grown(start))?))
+    }
+
+    /// Covariance over the inverse information, in the light of this marker.
+    fn inflation(&self, levels: &Levels) -> f64 {
+        let Noise { white_levels2, grain_levels2, .. } = self.noise;
+        let grain_levels2 = grain_levels2 * self.noise.grain_share(levels.ground);
+        let Variances { white, grain } = self.sandwich;
+        (white * white_levels2 + grain * grain_levels2).clamp(LEAST_INFLATION, MOST_INFLATION)
+    }
+
+    /// The covariance with what the noise adds to it in second order, and with what sampling adds.
+    ///
+    /// Noise also bends the level's slope across the edge, so that a stretch of outline that is displaced by u is pulled by
+    /// too much or too little: the step's error grows by M⁻¹ Σ B n u, of variance 1 + <u²> <k²> times that of the step (B
+    /// the displacements by each parameter, M = Σ B Bᵀ, n the noise of the second derivative, whose variance is <k²> times
+    /// that of the first). Terms of third order cancel. The mean <u²> of an outline with five parameters, by its trace, is 5/4 of
+    /// that of the centre.
+    fn of_second_order(&self, covariance_px2: Symmetric<2>) -> Symmetric<2> {
+        let displaced_px2 = 1.25 * (covariance_px2[0][0] + covariance_px2[1][1]);
+        let more = 1.0 + displaced_px2 * self.edge.curvature_per_px2();
+        let [[xx, xy], [_, yy]] = covariance_px2.map(|row| row.map(|entry| entry * more));
+        [[xx + self.sampling_px2, xy], [xy, yy + self.sampling_px2]]
+    }
+
+    /// Factor of the normal matrix: by the integral along the outline, or pixel by pixel where the outline bends within a
+    /// blur, or where steps by the former did not settle.
+    fn factor(
+        &self,
+        outline: &Outline,
+        levels: &Levels,
+        follow: &Factor<4>,
+        steps: usize,
+    ) -> Option<Factor<5>> {
+        let over = self.over_contour.filter(|_| steps <= QUICK_STEPS && self.is_straight(outline));
+        let quick =
+            over.and_then(|over| Factor::new(&contour::scaled(&self.along(outline, levels, follow)?, &over)));
+        quick.or_else(|| Factor::new(&self.window.matrix(follow, self.blur_px)))
+    }
+
+    /// The integral along the outline.
+    pub(super) fn along(&self, outline: &Outline, levels: &Levels, follow: &Factor<4>) -> Option<Matrix> {
+        contour::matrix(outline, self.edge.across(), levels, follow)
+    }
+
+    /// Whether an outline is straight enough for that everywhere.
+    pub(super) fn is_straight(&self, outline: &Outline) -> bool {
+        outline.sharpest_px().is_some_and(|radius| radius >= self.blur_px * STRAIGHT_BLURS)
+    }
+
+    /// The start's ellipse with the radius that this image's fits came to.
+    fn grown(&self, start: &Start) -> Symmetric<2> {
+        let scale = (1.0 + self.radius_off_px / start.radius_px()).clamp(0.5, 2.0);
+        start.spread_px2.map(|row| row.map(|entry| entry * scale * scale))
+    }
+
+    /// Loads the pixels that belong to this marker alone; their number, if it suffices.
+    pub(super) fn load(&mut self, image: GrayView<'_>, start: &Start) -> Option<usize> {
+        let radius_px = self.window_px(start);
+        if !(2.0 * radius_px + 1.0 <= self.most_side_px as f64 && start.centre_px.is_finite()) {
+            return None;
+        }
+        self.window.reserve(self.most_side_px);
+        Some(self.window.load(image, start.centre_px, radius_px)).filter(|&pixels| pixels >= 20)
+    }
+
+    /// How far they reach from its centre.
+    pub(super) fn window_px(&self, start: &Start) -> f64 {
+        let [[xx, xy], [_, yy]] = start.spread_px2;
+        let mean = 0.5 * (xx + yy);
+        let longest = sqrt(mean + sqrt((mean * mean - (xx * yy - xy * xy)).max(0.0)));
+        // A neighbour of the same size begins at its radius, with its own blur around.
+        let gap = start.neighbour_px - 2.0 * longest - 1.5 * self.blur_px;
+        let reach = (REACH_PX + self.blur_px - FIRST_BLUR_PX).max(REACH_PX).min(gap).max(LEAST_REACH_PX);
+        // Markers alike share one window's places.
+        round(2.0 * (longest + reach)) * 0.5
+    }
+}

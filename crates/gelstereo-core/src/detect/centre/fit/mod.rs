@@ -1,0 +1,209 @@
+//! Centres by a model of the whole marker: a blurred disc, tilted into an ellipse, on ground whose light slopes.
+//!
+//! Nine parameters per marker (centre, ellipse, contrast, ground, its two slopes), and for the whole image the blur, the
+//! noise and the grain. Gauss-Newton steps move the outline until the residuals, weighted for the image's noise along the
+//! edge, balance; the first step is a linear filter that is the same for all markers. In white noise that is least squares; in
+//! grain, which makes neighbouring pixels alike, least squares would be half as precise again as the bound (Kay,
+//! Estimation Theory, section 4.5: whitened residuals).
+
+mod bessel;
+mod contour;
+mod disc;
+mod edge;
+mod fitter;
+mod lanes;
+mod learn;
+mod step;
+mod template;
+
+pub use super::noise::Noise;
+pub use step::{Fitted, Start};
+
+use super::covered;
+use super::weighted::WeightedCentroid;
+use super::{CentreRung, Components, MaskedMarkers};
+use crate::detect::markers::Markers;
+use crate::detect::mask::components::{Blob, Most, Run};
+use crate::detect::mask::segmentation::LEAST_NEIGHBOUR_PX2;
+use crate::image::GrayView;
+use crate::math::DVec2;
+use crate::math::linalg::Symmetric;
+use crate::params::DetectParams;
+use crate::spatial::Grid;
+use alloc::vec::Vec;
+use fitter::{FIRST_BLUR_PX, Fitter, REACH_PX};
+use learn::Learner;
+
+/// Least search radius for neighbours.
+const LEAST_FAR_PX: f64 = 2.0 + REACH_PX + 4.0 * FIRST_BLUR_PX;
+/// Standard deviation of a grey centroid over the bound, where the fit did not settle.
+const UNFITTED: f64 = 4.0;
+
+/// The fit of all markers of an image, and its scratch.
+#[derive(Clone, Debug)]
+pub struct DiscFit {
+    fitter: Fitter,
+    learner: Learner,
+    weighted: WeightedCentroid,
+    variance_px2: f64,
+    starts: Vec<Start>,
+    /// Indices of those of the last image that did not fit.
+    unfitted: Vec<u32>,
+    grid: Grid,
+    centres_px: Vec<DVec2>,
+}
+
+impl DiscFit {
+    /// With these settings.
+    #[must_use]
+    pub fn new(params: &DetectParams) -> Self {
+        Self {
+            fitter: Fitter::new(params),
+            learner: Learner::new(),
+            weighted: WeightedCentroid::new(params),
+            variance_px2: params.centre_sigma_px * params.centre_sigma_px,
+            starts: Vec::new(),
+            unfitted: Vec::new(),
+            grid: Grid::default(),
+            centres_px: Vec::new(),
+        }
+    }
+
+    /// Noise of the last image that was learned.
+    #[must_use]
+    pub const fn noise(&self) -> Noise {
+        self.fitter.noise
+    }
+
+    /// Standard deviation of its blur, pixels.
+    #[must_use]
+    pub const fn blur_px(&self) -> f64 {
+        self.fitter.blur_px
+    }
+
+    /// Learns noise and blur of an image from its gel (`mask` is 0 there) and some of its markers.
+    pub fn learn(&mut self, image: GrayView<'_>, mask: &[u8], starts: &[Start]) {
+        self.learner.reserve(starts.len());
+        self.learner.learn(&mut self.fitter, image, mask, starts);
+    }
+
+    /// Fits one marker with the noise and blur last learned. `None` when the fit does not settle, or not on a disc like
+    /// the start's, and where a light's reflection is part of what it fitted.
+    #[must_use]
+    pub fn run(&mut self, image: GrayView<'_>, start: &Start) -> Option<Fitted> {
+        self.fitter.run(image, start)
+    }
+
+    /// Forgets the markers of the last image; `most` is how many there can be.
+    fn clear(&mut self, most: usize) {
+        self.starts.clear();
+        self.starts.reserve(most);
+        self.unfitted.clear();
+        self.unfitted.reserve(most);
+        self.learner.reserve(most);
+    }
+
+    /// Takes note of a marker whose approximate centre and spread ([`Blob::spread_px2`]) are known.
+    fn add(&mut self, centre_px: DVec2, spread_px2: Symmetric<2>) {
+        self.starts.push(Start { centre_px, spread_px2, neighbour_px: f64::INFINITY });
+    }
+
+    /// Fits the markers noted, which `markers` lists in the same order, and replaces centre and covariance where that
+    /// succeeds. `others_px` are the centres of all components of the image's `mask`, for neighbours keep their pixels.
+    fn finish(
+        &mut self,
+        image: GrayView<'_>,
+        mask: &[u8],
+        others_px: impl Iterator<Item = DVec2>,
+        markers: &mut Markers,
+    ) {
+        self.find_neighbours(image, others_px);
+        let Self { fitter, learner, starts, unfitted, .. } = self;
+        learner.learn(fitter, image, mask, starts);
+        for (k, start) in starts.iter().enumerate() {
+            match fitter.run(image, start) {
+                Some(fitted) => {
+                    markers.centres_px[k] = fitted.centre_px;
+                    markers.covariance_px2[k] = fitted.covariance_px2;
+                }
+                None => {
+                    unfitted.push(k as u32);
+                    let least = unfitted_variance_px2(fitter, start);
+                    let covered = covered::unfitted_px2(image, markers, k);
+                    let [[xx, _], [_, yy]] = &mut markers.covariance_px2[k];
+                    (*xx, *yy) = (xx.max(least) + covered, yy.max(least) + covered);
+                }
+            }
+        }
+        markers.unfitted = unfitted.len();
+    }
+
+    fn find_neighbours(&mut self, image: GrayView<'_>, others_px: impl Iterator<Item = DVec2>) {
+        let Self { starts, grid, centres_px, .. } = self;
+        let widest = starts.iter().map(Start::radius_px).fold(1.0, f64::max);
+        // Beyond this a neighbour takes no pixel away.
+        let far_px = 2.0 * widest + REACH_PX + 4.0 * FIRST_BLUR_PX;
+        centres_px.clear();
+        let most = Most::of(image.width(), image.height()).kept;
+        centres_px.reserve(most);
+        centres_px.extend(others_px);
+        grid.reserve(most, (image.width(), image.height()), LEAST_FAR_PX);
+        grid.build(centres_px, far_px);
+        for start in starts {
+            let (at, own_px) = (start.centre_px, 0.5 * start.radius_px());
+            let other = grid.nearest(centres_px, at, far_px, |n| centres_px[n].distance(at) > own_px);
+            start.neighbour_px = other.map_or(f64::INFINITY, |n| centres_px[n].distance(at));
+        }
+    }
+}
+
+impl CentreRung for DiscFit {
+    fn centre_components(&mut self, found: &mut Components<'_>, out: &mut Markers) {
+        found.push_means(self.variance_px2, out);
+        self.clear(found.max_markers);
+        let (image, filter) = (found.image, found.filter);
+        let (components, mask) = found.segmentation.draw();
+        let whole = || components.blobs().iter().filter(|blob| filter.passes_whole(blob));
+        whole().for_each(|blob| self.add(blob.mean_px(), blob.spread_px2(components.runs(blob))));
+        let others = components.blobs().iter().filter(|blob| blob.area_px2 >= LEAST_NEIGHBOUR_PX2);
+        self.finish(image, mask, others.map(Blob::mean_px), out);
+        self.weighted.reserve(image.height());
+        let mut unfitted = self.unfitted.iter().map(|&k| k as usize).peekable();
+        for (k, blob) in whole().enumerate() {
+            if unfitted.next_if_eq(&k).is_some() {
+                out.centres_px[k] = self.weighted.run(image, blob, components.runs(blob));
+            }
+        }
+    }
+
+    fn centre_piece(&mut self, image: GrayView<'_>, blob: &Blob, runs: &[Run]) -> DVec2 {
+        self.weighted.run(image, blob, runs.iter())
+    }
+
+    fn refine_masked(
+        &mut self,
+        found: &MaskedMarkers<'_>,
+        _: &mut dyn FnMut(usize) -> Option<DVec2>,
+        out: &mut Markers,
+    ) {
+        self.clear(found.max_markers);
+        found.markers.iter().for_each(|m| self.add(m.centre_px, m.spread_px2));
+        self.finish(found.image, found.mask, found.markers.iter().map(|m| m.centre_px), out);
+    }
+
+    fn window_variance_px2(&self, _: u8) -> f64 {
+        self.variance_px2
+    }
+
+    /// Its residuals tell.
+    fn sees_glare(&self) -> bool {
+        true
+    }
+}
+
+/// Least variance of a coordinate, px², for the marker that did not fit.
+fn unfitted_variance_px2(fitter: &Fitter, start: &Start) -> f64 {
+    // (sigma / C)² 2 b / (sqrt(pi) r) for white noise.
+    let per_contrast2 = fitter.noise.variance_levels2() / (fitter.contrast * fitter.contrast).max(1.0);
+    UNFITTED * UNFITTED * per_contrast2 * 1.13 * fitter.blur_px / start.radius_px().max(1.0)
+}

@@ -1,0 +1,89 @@
+//! What the image's noise does to a fitted centre.
+
+use crate::math::{DVec2, exp};
+use alloc::vec;
+use alloc::vec::Vec;
+
+/// Farthest pixel from the middle that is looked at. A larger marker has edges that are straight within the grain.
+const REACH: i32 = 16;
+const SIDE: usize = 2 * REACH as usize + 1;
+/// Most pixels that are looked at.
+pub(in crate::detect) const MOST_PIXELS: usize = SIDE * SIDE;
+
+/// Something's variance for a variance of 1 of the white noise, and of the grain.
+#[derive(Clone, Copy, Debug, Default)]
+pub(in crate::detect) struct Variances {
+    pub white: f64,
+    pub grain: f64,
+}
+
+/// How a centre answers to the pixels of a window, px per grey level.
+#[derive(Clone, Debug)]
+pub(in crate::detect) struct Influence {
+    answers: Vec<DVec2>,
+    blurred: Vec<DVec2>,
+    /// Farthest pixel with an answer, along either axis.
+    farthest: usize,
+    fits: bool,
+}
+
+impl Influence {
+    pub fn new() -> Self {
+        let zero = || vec![DVec2::ZERO; SIDE * SIDE];
+        Self { answers: zero(), blurred: zero(), farthest: 0, fits: true }
+    }
+
+    pub fn clear(&mut self) {
+        self.answers.fill(DVec2::ZERO);
+        (self.farthest, self.fits) = (0, true);
+    }
+
+    pub fn set(&mut self, [x, y]: [i32; 2], answer: DVec2) {
+        if x.abs() <= REACH && y.abs() <= REACH {
+            self.farthest = self.farthest.max(x.unsigned_abs().max(y.unsigned_abs()) as usize);
+            self.answers[(y + REACH) as usize * SIDE + (x + REACH) as usize] = answer;
+        } else {
+            self.fits = false;
+        }
+    }
+
+    /// Variance of both coordinates together, px² per squared grey level of white noise and of grain: gᵀ C g for the
+    /// answers g and the noise's correlation C, exp(-dx² / (4 l²)) exp(-dy² / (4 l²)) for grain. `None` for a window that
+    /// is too large.
+    pub fn variances_px2(&mut self, grain_size_px: f64) -> Option<Variances> {
+        if !self.fits {
+            return None;
+        }
+        let l2 = grain_size_px * grain_size_px;
+        let alike: [f64; SIDE] = core::array::from_fn(|d| exp(-0.25 * (d * d) as f64 / l2));
+        let within = REACH as usize - self.farthest..REACH as usize + self.farthest + 1;
+        let rows = within.start * SIDE..within.end * SIDE;
+        let (answers, blurred) = (&self.answers[rows.clone()], &mut self.blurred[rows]);
+        let (mut white, mut grain) = (0.0, 0.0);
+        for (from, to) in answers.chunks_exact(SIDE).zip(blurred.chunks_exact_mut(SIDE)) {
+            let from = &from[within.clone()];
+            white += from.iter().map(|g| g.length_squared()).sum::<f64>();
+            blur(from, &mut to[within.clone()], &alike);
+        }
+        for (row, answers) in answers.chunks_exact(SIDE).enumerate() {
+            for (apart, blurred) in blurred.chunks_exact(SIDE).skip(row).enumerate() {
+                let pairs = answers[within.clone()].iter().zip(&blurred[within.clone()]);
+                // Rows are alike both ways.
+                let times = if apart == 0 { 1.0 } else { 2.0 };
+                grain += times * alike[apart] * pairs.map(|(a, b)| a.dot(*b)).sum::<f64>();
+            }
+        }
+        Some(Variances { white, grain })
+    }
+}
+
+/// Convolves a row with a symmetric kernel.
+fn blur(from: &[DVec2], to: &mut [DVec2], kernel: &[f64; SIDE]) {
+    to.fill(DVec2::ZERO);
+    let mirrored: [f64; 2 * SIDE - 1] = core::array::from_fn(|k| kernel[k.abs_diff(SIDE - 1)]);
+    for (x, &value) in from.iter().enumerate().filter(|(_, value)| **value != DVec2::ZERO) {
+        for (sum, share) in to.iter_mut().zip(&mirrored[SIDE - 1 - x..]) {
+            *sum += value * share;
+        }
+    }
+}

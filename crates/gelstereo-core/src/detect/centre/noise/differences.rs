@@ -1,0 +1,218 @@
+//! Differences between pixels of a row of gel, from which its noise is known.
+
+use crate::detect::mask::bit_rows::RowBits;
+use core::ops::Range;
+
+/// Differences from which the slope of the light is taken: few enough that it is the same for all of them, and enough that
+/// the noise of their mean, of which a share of 4 stretches / differences² is lost with it, is below a percent.
+pub(super) const SLOPE_DIFFERENCES: usize = 20;
+/// Fewer say nothing.
+pub(super) const LEAST_DIFFERENCES: usize = 16;
+/// Distances at which pixels are compared.
+const LAGS: [usize; 3] = [1, 2, 4];
+/// Half of the farthest.
+pub(super) const HALF_LAG_PX: usize = LAGS[2] / 2;
+
+/// Differences of the gel of one row, of which all that is `clearance_px` and [`HALF_LAG_PX`] near to a marker is set: in
+/// pieces in which the slope of the light is one. Too short ones are left out.
+pub(super) fn each_piece(
+    levels: &[u8],
+    near: &RowBits,
+    clearance_px: usize,
+    mut tell: impl FnMut(&Differences),
+) {
+    let mut piece = Differences::default();
+    for clear in near.clear_stretches() {
+        // What is left has its farthest partner clear of the next marker. The row ends as a marker begins.
+        let mut start = clear.start.saturating_sub(HALF_LAG_PX).max(clearance_px);
+        let end = (clear.end + HALF_LAG_PX).min(levels.len().saturating_sub(clearance_px));
+        while end > start + LAGS[2] {
+            let left = end - start - LAGS[2];
+            let count = if left < 2 * SLOPE_DIFFERENCES { left } else { SLOPE_DIFFERENCES };
+            piece.add(levels, start..start + count + LAGS[2]);
+            start += count;
+            if piece.count >= SLOPE_DIFFERENCES {
+                tell(&core::mem::take(&mut piece));
+            }
+        }
+    }
+    if piece.count >= LEAST_DIFFERENCES {
+        tell(&piece);
+    }
+}
+
+/// Differences at every lag between pixels of one region of a row.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Differences {
+    pub count: usize,
+    /// Sum of the levels of each pair's first pixel.
+    pub levels: u64,
+    sums: [i64; 3],
+    squares: [u64; 3],
+    /// Pixels that are in a sum of differences once: all others cancel. Half of them.
+    ends: [usize; 3],
+}
+
+impl Differences {
+    /// Σ (difference - mean difference)² at every lag.
+    pub fn squared(&self) -> [f64; 3] {
+        let count = self.count as f64;
+        core::array::from_fn(|lag| {
+            let (sum, square) = (self.sums[lag] as f64, self.squares[lag] as f64);
+            // White noise of variance s² leaves 2 s² in each square, and 2 s² for each pair of ends in the square of the
+            // sum. The part that is lost with the mean is larger for far pixels: it would be missed as grain.
+            (square - sum * sum / count) / (1.0 - self.ends[lag] as f64 / (count * count))
+        })
+    }
+
+    /// Adds a stretch of gel, longer than the farthest lag, of a row.
+    fn add(&mut self, row: &[u8], gel: Range<usize>) {
+        let stretch = &row[gel.clone()];
+        let count = stretch.len() - LAGS[2];
+        self.count += count;
+        for ((sum, ends), lag) in self.sums.iter_mut().zip(&mut self.ends).zip(LAGS) {
+            // All pixels but the first ones less all but the last ones: what both have is left out.
+            let both = lag.min(count);
+            let last = stretch[count.max(lag)..][..both].iter();
+            *sum += last.zip(stretch).map(|(&end, &start)| i64::from(end) - i64::from(start)).sum::<i64>();
+            *ends += both;
+        }
+        for at in (0..count).step_by(LANES) {
+            let masked = &MASK[LANES - LANES.min(count - at)..];
+            let (Some(mask), rest) = (masked.first_chunk(), &row[gel.start + at..]) else { return };
+            let mut end = [0; SPAN];
+            let pixels = rest.first_chunk().unwrap_or_else(|| {
+                end[..rest.len()].copy_from_slice(rest);
+                &end
+            });
+            self.levels += u64::from(sum_of_levels(pixels, mask));
+            let squares = [squares::<{ LAGS[0] }>, squares::<{ LAGS[1] }>, squares::<{ LAGS[2] }>];
+            for (sum, squares) in self.squares.iter_mut().zip(squares) {
+                *sum += u64::from(squares(pixels, mask));
+            }
+        }
+    }
+}
+
+/// Pixels whose squares are added at once, and those that they are compared with too.
+const LANES: usize = 32;
+const SPAN: usize = LANES + LAGS[2];
+/// From place [`LANES`] - n on it lets n pixels through.
+const MASK: [u8; 2 * LANES] = {
+    let (mut mask, mut x) = ([0; 2 * LANES], 0);
+    while x < LANES {
+        (mask[x], x) = (u8::MAX, x + 1);
+    }
+    mask
+};
+
+/// Squared differences of the pixels that a mask lets through from those at a lag. Differences as bytes, and products of 16
+/// bits: there are instructions for both, which are found in a function of its own.
+#[inline(never)]
+fn squares<const LAG: usize>(pixels: &[u8; SPAN], mask: &[u8; LANES]) -> u32 {
+    let mut apart = [0; LANES];
+    for x in 0..LANES {
+        let (a, b) = (pixels[x], pixels[x + LAG]);
+        apart[x] = (a.saturating_sub(b) | b.saturating_sub(a)) & mask[x];
+    }
+    apart.iter().map(|&d| u32::from(d) * u32::from(d)).sum()
+}
+
+#[inline(never)]
+fn sum_of_levels(pixels: &[u8; SPAN], mask: &[u8; LANES]) -> u32 {
+    pixels.iter().zip(mask).map(|(&level, &mask)| u32::from(level & mask)).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Differences, HALF_LAG_PX, LAGS, LANES, each_piece};
+    use crate::detect::mask::bit_rows::RowBits;
+    use crate::math::abs;
+    use alloc::vec::Vec;
+    use proptest::prelude::*;
+
+    /// A row of gel in stretches of these lengths, with a marker of this width after each: how long it is, and what is near
+    /// to markers.
+    fn masked(gel: &[usize], marker: usize, clearance: usize) -> (usize, RowBits) {
+        let mut near = RowBits::default();
+        let length = gel.iter().sum::<usize>() + gel.len() * marker;
+        near.start(length);
+        let mut end = 0;
+        for stretch in gel {
+            near.set(end + stretch..end + stretch + marker);
+            end += stretch + marker;
+        }
+        near.widen(clearance + HALF_LAG_PX);
+        (length, near)
+    }
+
+    /// Sums over the pieces of a row: differences, and their squares at every lag.
+    fn spread_of(levels: &[u8], near: &RowBits, clearance: usize) -> (usize, [f64; 3]) {
+        let mut all = (0, [0.0; 3]);
+        each_piece(levels, near, clearance, |piece| {
+            all.0 += piece.count;
+            all.1.iter_mut().zip(piece.squared()).for_each(|(all, one)| *all += one);
+        });
+        all
+    }
+
+    proptest! {
+        /// White noise has the same variance at all distances, whatever its mean difference took. Of independent pixels
+        /// of variance 1 the mean of a sum of squares is the sum of what it is of each pixel alone: no chance is left.
+        #[test]
+        fn a_slope_takes_no_more_noise_from_far_pixels_than_from_near_ones(
+            gel in prop::collection::vec(14..90_usize, 1..12), marker in 1..12_usize, clearance in 1..5_usize,
+        ) {
+            let (length, near) = masked(&gel, marker, clearance);
+            let (mut sums, mut levels) = ([0.0; 3], alloc::vec![0; length]);
+            for x in 0..length {
+                levels[x] = 1;
+                let alone = spread_of(&levels, &near, clearance).1;
+                sums.iter_mut().zip(alone).for_each(|(sum, alone)| *sum += alone);
+                levels[x] = 0;
+            }
+            let count = spread_of(&levels, &near, clearance).0 as f64;
+            for (sum, lag) in sums.iter().zip(LAGS) {
+                prop_assert!(abs(sum - 2.0 * count) <= 1e-11 * count, "lag {}: {} of {}", lag, sum, 2.0 * count);
+            }
+        }
+
+        /// Light that rises evenly along the row leaves what differences leave without it.
+        #[test]
+        fn a_slope_of_light_is_no_noise(
+            gel in prop::collection::vec(14..40_usize, 1..5), marker in 1..12_usize, level in 0..20_u8,
+            noise in prop::collection::vec(0..20_u8, 208),
+        ) {
+            let (length, near) = masked(&gel, marker, 1);
+            let dark = &noise[..length];
+            let lit: Vec<u8> = (0_u8..).zip(dark).map(|(x, noise)| noise + level + x).collect();
+            let (dark, lit) = (spread_of(dark, &near, 1).1, spread_of(&lit, &near, 1).1);
+            for (a, b) in dark.iter().zip(lit) {
+                // Round-off of squares below 2^17.
+                prop_assert!(abs(a - b) < 1e-9, "{} {}", a, b);
+            }
+        }
+    }
+
+    proptest! {
+        /// Against one pair after the other, for lengths about those that are added at once, at either end of a row too.
+        #[test]
+        fn differences_add_up(
+            row in prop::collection::vec(any::<u8>(), 5..4 * LANES), before in 0..9_usize, after in 0..40_usize
+        ) {
+            let start = before.min(row.len() - 5);
+            let gel = start..row.len().saturating_sub(after).max(start + 5);
+            let mut found = Differences::default();
+            found.add(&row, gel.clone());
+            let stretch = &row[gel];
+            let count = stretch.len() - LAGS[2];
+            prop_assert_eq!(found.count, count);
+            prop_assert_eq!(found.levels, stretch[..count].iter().map(|&x| u64::from(x)).sum::<u64>());
+            for (k, lag) in LAGS.into_iter().enumerate() {
+                let apart = (0..count).map(|x| i64::from(stretch[x + lag]) - i64::from(stretch[x]));
+                prop_assert_eq!(found.sums[k], apart.clone().sum::<i64>());
+                prop_assert_eq!(found.squares[k], apart.map(|d| (d * d) as u64).sum::<u64>());
+            }
+        }
+    }
+}

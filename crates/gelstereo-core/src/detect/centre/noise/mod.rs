@@ -1,0 +1,306 @@
+//! Noise of the image, measured on the gel between the markers.
+
+mod differences;
+
+use crate::detect::centre::covered::GLARE_LEVEL;
+use crate::detect::centre::region::Region;
+use crate::detect::mask::bit_rows::RowBits;
+use crate::image::GrayView;
+use crate::math::{DVec2, abs, exp, median, sqrt};
+use alloc::vec::Vec;
+use core::f64::consts::PI;
+use core::ops::{Range, RangeInclusive};
+use differences::{Differences, HALF_LAG_PX, LEAST_DIFFERENCES, SLOPE_DIFFERENCES, each_piece};
+
+/// Variance of rounding to whole grey levels: no image has less noise.
+const ROUNDING_LEVELS2: f64 = 1.0 / 12.0;
+/// Pixels between the gel that counts and a marker's pixels: out of any blurred edge.
+pub(in crate::detect) const CLEARANCE_PX: usize = 4;
+/// The least of it where markers stand close: 3 px from the outline behind a blur of 0.8 px, 0.01 % of a marker's contrast
+/// is left.
+const LEAST_CLEARANCE_PX: usize = 3;
+/// Pairs of pixels between the markers from which the noise is known to 5 %, twice as well as it must be, and from which faint
+/// grain is too; with fewer all gel of the image counts.
+const ENOUGH_PAIRS: u64 = 1000;
+const PLENTY_PAIRS: u64 = 16_000;
+/// Size of grain of about a pixel behind a lens that blurs by about a pixel, and the spread of its logarithm.
+const USUAL_SIZE_PX: f64 = 1.3;
+const SPREAD_OF_SIZES: f64 = 0.4;
+/// Logarithm of the largest size over the usual one: 4.3 px and 0.4 px. Coarser grain is light, finer grain is white.
+const LARGEST_LOG_SIZE: f64 = 1.2;
+/// Grain is believed to differ by at most this factor from that of the gel on which it was measured.
+const MOST_SHARE: f64 = 16.0;
+/// Rows in which even faint grain shows.
+pub(in crate::detect) const ENOUGH_ROWS: usize = 240;
+/// Pieces that are farther from the median than this many times the median distance from it show something else than gel.
+const MOST_OFF: f64 = 7.0;
+
+/// White noise, and grain whose neighbouring pixels are alike: variances in squared grey levels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Noise {
+    /// Variance of the noise that differs from pixel to pixel.
+    pub white_levels2: f64,
+    /// Variance of the grain where the gel has the level `gel_level`. It is of the surface: in twice the light it has
+    /// twice the contrast.
+    pub grain_levels2: f64,
+    /// The grain's correlation at distance d is exp(-d² / (4 l²)) with this l.
+    pub grain_size_px: f64,
+    /// Level of the gel that the variances are for, grey levels; 0 when unknown.
+    pub gel_level: f64,
+}
+
+impl Default for Noise {
+    fn default() -> Self {
+        Self { white_levels2: 1.0, grain_levels2: 0.0, grain_size_px: USUAL_SIZE_PX, gel_level: 0.0 }
+    }
+}
+
+impl Noise {
+    /// Power spectral density at a squared angular frequency (rad/px)².
+    #[must_use]
+    pub fn spectrum(&self, k2: f64) -> f64 {
+        let l2 = self.grain_size_px * self.grain_size_px;
+        self.white_levels2 + self.grain_levels2 * 4.0 * PI * l2 * exp(-k2 * l2)
+    }
+
+    /// Variance of one pixel.
+    #[must_use]
+    pub fn variance_levels2(&self) -> f64 {
+        self.white_levels2 + self.grain_levels2
+    }
+
+    /// Variance of the grain over `grain_levels2`, where the gel has another level.
+    pub(in crate::detect) fn grain_share(&self, gel_level: f64) -> f64 {
+        let share = if self.gel_level > 0.0 { gel_level / self.gel_level } else { 1.0 };
+        (share * share).clamp(1.0 / MOST_SHARE, MOST_SHARE)
+    }
+
+    /// The same noise where the gel has another level.
+    pub(super) fn at(&self, gel_level: f64) -> Self {
+        let grain_levels2 = self.grain_levels2 * self.grain_share(gel_level);
+        Self { grain_levels2, gel_level, ..*self }
+    }
+
+    /// The likeliest noise.
+    ///
+    /// With x = exp(-1 / (4 l²)), half the variances of the differences of pixels 1, 2 and 4 px apart (a variogram
+    /// without its drift) are w + g (1 - x), w + g (1 - x^4), w + g (1 - x^16). Faint grain says too little about its
+    /// size l: that has the usual one as its prior. Of grain that explains no more than chance a part counts, as much as is real in
+    /// the mean: with a gain G in the sum of squares G / (1 + G) of it (James and Stein 1961).
+    fn from_variogram(variogram: &Variogram) -> Self {
+        let Variogram { one, more: [two, four], sigma } = *variogram;
+        let cost = |grain: f64, at: &[f64; 2]| {
+            let (e, f) = ((two - grain * at[0]) / sigma, (four - grain * at[1]) / sigma);
+            e * e + f * f
+        };
+        let fitted = |log_size: f64| {
+            let x = correlation(USUAL_SIZE_PX * exp(log_size));
+            let (x2, prior) = (x * x, log_size / SPREAD_OF_SIZES);
+            let x4 = x2 * x2;
+            let at = [x - x4, x - x4 * x4 * x4 * x4];
+            let grain = ((at[0] * two + at[1] * four) / (at[0] * at[0] + at[1] * at[1])).max(0.0);
+            (cost(grain, &at) + prior * prior, grain)
+        };
+        let (mut best, mut centre, mut reach) = ((f64::INFINITY, 0.0), 0.0, LARGEST_LOG_SIZE);
+        for _ in 0..3 {
+            let middle: f64 = centre;
+            for k in -8..=8 {
+                let log_size =
+                    (middle + f64::from(k) * reach / 8.0).clamp(-LARGEST_LOG_SIZE, LARGEST_LOG_SIZE);
+                let found = fitted(log_size);
+                if found.0 < best.0 {
+                    (best, centre) = (found, log_size);
+                }
+            }
+            reach /= 8.0;
+        }
+        let gain = (cost(0.0, &[0.0; 2]) - best.0).max(0.0);
+        let (grain_levels2, grain_size_px) = (best.1 * gain / (1.0 + gain), USUAL_SIZE_PX * exp(centre));
+        let white_levels2 = (one - grain_levels2 * (1.0 - correlation(grain_size_px))).max(ROUNDING_LEVELS2);
+        Self { white_levels2, grain_levels2, grain_size_px, gel_level: 0.0 }
+    }
+}
+
+/// Correlation of the grain of neighbouring pixels.
+fn correlation(size_px: f64) -> f64 {
+    exp(-0.25 / (size_px * size_px))
+}
+
+/// Half the variance of the differences between neighbours, how much more it is 2 and 4 px apart, and the standard
+/// deviation of either of the latter.
+#[derive(Clone, Copy, Debug)]
+struct Variogram {
+    one: f64,
+    more: [f64; 2],
+    sigma: f64,
+}
+
+/// How many rows to go on, to see so many of an image or a few more.
+pub(in crate::detect) const fn every_row_of(height: usize, rows: usize) -> usize {
+    if height < 2 * rows { 1 } else { height / rows }
+}
+
+/// Measures [`Noise`], with its scratch.
+#[derive(Clone, Debug, Default)]
+pub(in crate::detect) struct NoiseMeter {
+    /// Set where a row's pixel is near a marker.
+    near: RowBits,
+    pieces: Vec<Piece>,
+    scratch: Vec<f64>,
+}
+
+/// What one piece of gel says.
+#[derive(Clone, Copy, Debug)]
+struct Piece {
+    /// Half the variance of differences at the first lag, and how much more it is at the others.
+    entries: [f32; 3],
+    pairs: u32,
+}
+
+impl Piece {
+    fn of(differences: &Differences) -> Self {
+        let [one, two, four] = differences.squared().map(|sum| sum / (2 * differences.count) as f64);
+        Self {
+            entries: [one, two - one, four - one].map(|entry| entry as f32),
+            pairs: differences.count as u32,
+        }
+    }
+}
+
+/// What all rows that were taken have.
+#[derive(Clone, Copy, Debug, Default)]
+struct Total {
+    pairs: u64,
+    /// Sum of the levels of each pair's first pixel.
+    levels: u64,
+}
+
+impl NoiseMeter {
+    /// From the pixels of every so many rows of `image` that lie so many pixels off the set pixels of `mask`, among the markers
+    /// at `centres_px`: means over pieces, without those that a scratch or an edge reaches. `None` when there is no such gel.
+    pub fn run(
+        &mut self,
+        image: GrayView<'_>,
+        (mask, centres_px): (&[u8], &[DVec2]),
+        every: usize,
+        clearance_px: usize,
+    ) -> Option<Noise> {
+        let width = image.width();
+        self.run_rows(image, centres_px, (every, clearance_px), |rows, near| {
+            // A marker is at least two rows high.
+            for row in rows.step_by(2) {
+                near.set_where(&mask[row * width..]);
+            }
+        })
+    }
+
+    /// As [`Self::run`]; `cover` sets the pixels of one row that have some of the mask in the same column of these rows.
+    ///
+    /// What lies around the lattice (tray, mount, walls, light that falls off) is no gel: it counts only where too little gel
+    /// is clear among the markers.
+    pub fn run_rows(
+        &mut self,
+        image: GrayView<'_>,
+        centres_px: &[DVec2],
+        (every, clearance_px): (usize, usize),
+        mut cover: impl FnMut(RangeInclusive<usize>, &mut RowBits),
+    ) -> Option<Noise> {
+        self.pieces.clear();
+        // More rows among the markers are only looked at where these have too few pairs.
+        let rows_px = (image.height() / every + 1) * (image.width() / SLOPE_DIFFERENCES + 1);
+        self.pieces.reserve(rows_px.max(every * PLENTY_PAIRS as usize / LEAST_DIFFERENCES));
+        self.scratch.clear();
+        self.scratch.reserve(self.pieces.capacity().max(centres_px.len()));
+        let glares = image.reaches(GLARE_LEVEL);
+        let mut cover = |rows: RangeInclusive<usize>, near: &mut RowBits| {
+            cover(rows.clone(), near);
+            // A light's reflection is no gel, and hides markers: it is clear of their mask.
+            if glares {
+                rows.step_by(2).for_each(|row| near.set_bright(image.row(row), GLARE_LEVEL));
+            }
+        };
+        if let Some(region) = Region::around(centres_px, &mut self.scratch) {
+            let least_px = clearance_px.min(LEAST_CLEARANCE_PX);
+            let columns = |y| region.columns(y, image.width());
+            let some = self.take_rows(image, columns, (every, clearance_px), &mut cover);
+            if some.pairs >= PLENTY_PAIRS {
+                return self.noise(&some);
+            }
+            // Among close markers few rows are clear: all are looked at, and closer to the markers where these are still few.
+            let expected = every as u64 * some.pairs;
+            for (clearance_px, is_worth_it, enough) in
+                [(clearance_px, expected >= PLENTY_PAIRS, PLENTY_PAIRS), (least_px, true, ENOUGH_PAIRS)]
+            {
+                if is_worth_it {
+                    let all = self.take_rows(image, columns, (1, clearance_px), &mut cover);
+                    if all.pairs >= enough {
+                        return self.noise(&all);
+                    }
+                }
+            }
+        }
+        let all = self.take_rows(image, |_| 0..image.width(), (every, clearance_px), &mut cover);
+        self.noise(&all)
+    }
+
+    /// Takes what these columns of rows say.
+    fn take_rows(
+        &mut self,
+        image: GrayView<'_>,
+        columns: impl Fn(usize) -> Range<usize>,
+        (every, clearance_px): (usize, usize),
+        cover: &mut impl FnMut(RangeInclusive<usize>, &mut RowBits),
+    ) -> Total {
+        let (width, height) = (image.width(), image.height());
+        let mut total = Total::default();
+        self.pieces.clear();
+        for y in (clearance_px..height.saturating_sub(clearance_px)).step_by(every) {
+            let counted = columns(y);
+            if counted.is_empty() {
+                continue;
+            }
+            self.near.start(width);
+            cover(y - clearance_px..=y + clearance_px, &mut self.near);
+            // Most gaps between markers are too short to say anything: they close.
+            self.near.widen(clearance_px + HALF_LAG_PX);
+            self.near.set(0..counted.start);
+            self.near.set(counted.end..width);
+            let Self { near, pieces, .. } = self;
+            each_piece(image.row(y), near, clearance_px, |piece| {
+                total.pairs += piece.count as u64;
+                total.levels += piece.levels;
+                pieces.push(Piece::of(piece));
+            });
+        }
+        total
+    }
+
+    /// Of the rows that were taken.
+    fn noise(&mut self, total: &Total) -> Option<Noise> {
+        let (one, more) = (self.mean(0)?, [self.mean(1)?, self.mean(2)?]);
+        let pairs = total.pairs as f64;
+        // In white noise, as the difference of two covariances of so many pairs.
+        let sigma = (one + more[1].max(0.0)).max(ROUNDING_LEVELS2) * sqrt(2.0 / pairs);
+        let noise = Noise::from_variogram(&Variogram { one, more, sigma });
+        Some(Noise { gel_level: total.levels as f64 / pairs, ..noise })
+    }
+
+    /// Mean of an entry over the rows, each as often as it has pairs; a median would be too small, for variances are skewed.
+    fn mean(&mut self, entry: usize) -> Option<f64> {
+        let Self { pieces, scratch, .. } = self;
+        let mut middle = |value: &dyn Fn(&Piece) -> f64| {
+            scratch.clear();
+            scratch.extend(pieces.iter().map(value));
+            median(scratch)
+        };
+        let usual = middle(&|piece| f64::from(piece.entries[entry]))?;
+        let off = |piece: &Piece| abs(f64::from(piece.entries[entry]) - usual);
+        let most = MOST_OFF * middle(&off)?;
+        let (mut sum, mut pairs) = (0.0, 0.0);
+        for piece in pieces.iter().filter(|piece| off(piece) <= most) {
+            sum += f64::from(piece.pairs) * f64::from(piece.entries[entry]);
+            pairs += f64::from(piece.pairs);
+        }
+        Some(sum / pairs)
+    }
+}

@@ -1,0 +1,43 @@
+//! The rung that the settings name.
+
+use super::CentreRung;
+use super::binary::BinaryCentroid;
+use super::fit::DiscFit;
+use super::matched::Matched;
+use super::soft_threshold::SoftThreshold;
+use super::weighted::WeightedCentroid;
+use crate::params::{Centre, DetectParams};
+use alloc::boxed::Box;
+
+/// One of the rungs.
+#[derive(Clone, Debug)]
+pub(in crate::detect) enum Rung {
+    Binary(BinaryCentroid),
+    Grey(WeightedCentroid),
+    Band(SoftThreshold),
+    Matched(Box<Matched>),
+    Fit(Box<DiscFit>),
+}
+
+impl Rung {
+    /// The one that the settings name.
+    pub fn new(params: &DetectParams) -> Self {
+        match params.centre {
+            Centre::Binary => Self::Binary(BinaryCentroid::new(params)),
+            Centre::Grey => Self::Grey(WeightedCentroid::new(params)),
+            Centre::Band => Self::Band(SoftThreshold::new(params)),
+            Centre::Matched => Self::Matched(Box::new(Matched::new(params))),
+            Centre::Fit => Self::Fit(Box::new(DiscFit::new(params))),
+        }
+    }
+
+    pub fn get(&mut self) -> &mut dyn CentreRung {
+        match self {
+            Self::Binary(rung) => rung,
+            Self::Grey(rung) => rung,
+            Self::Band(rung) => rung,
+            Self::Matched(rung) => rung.as_mut(),
+            Self::Fit(rung) => rung.as_mut(),
+        }
+    }
+}

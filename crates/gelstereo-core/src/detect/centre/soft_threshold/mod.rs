@@ -1,0 +1,283 @@
+//! How well the centres of [`Centre::Band`](crate::params::Centre::Band) are known.
+//!
+//! Such a centre answers to the pixels of the marker's edge, and of the window's corners, by known weights: its variance is that
+//! of their sum in the image's noise and grain. White noise counts by the marker's own contrast: by its square, and by more where
+//! noise is so strong that gel gets weights. Grain is of the paint, and fades with the light as the contrast does, so that its part
+//! is the same for all markers.
+
+mod profile;
+
+use super::covered;
+use super::noise::{CLEARANCE_PX, Noise, NoiseMeter, every_row_of};
+use super::weighted::WeightedCentroid;
+use super::{CentreRung, Components as Found};
+use crate::detect::markers::Markers;
+use crate::detect::mask::bit_rows::RowBits;
+use crate::detect::mask::components::{Blob, Components, Run};
+use crate::detect::window::classifier::{Eye, Spot};
+use crate::detect::window::size::MarkerSize;
+use crate::detect::window::sized::Eyes;
+use crate::image::GrayView;
+use crate::math::DVec2;
+use crate::params::{DetectParams, Polarity};
+use alloc::vec::Vec;
+use profile::{Profile, Variances};
+
+/// Rows from which noise is measured: in half as many the grain that matters most beside noise of 18 levels is seldom seen.
+const NOISE_ROWS: usize = 80;
+/// Markers from whose windows the profile is taken, spread evenly: some 80 pixels in each ring of the edge.
+const SAMPLES: usize = 12;
+
+/// Variance of 1 / band² over its square by noise of the band's own size: the band is half the contrast of the darkest pixel, the
+/// least of some twenty, whose deviation is half that of one (Tippett 1925), and of the corners' mean of 36 or so.
+const SCATTER: f64 = 4.0 * 0.25 * (0.25 + 1.0 / 36.0);
+
+/// What was last learned of an image.
+#[derive(Clone, Debug)]
+struct BandNoise {
+    learned: Option<Learned>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Learned {
+    variances: Variances,
+    /// What is the same for all markers: grain, and the model's own error.
+    others_px2: f64,
+    usual: Usual,
+}
+
+/// How markers of an image differ in their bands.
+#[derive(Clone, Copy, Debug)]
+struct Usual {
+    /// Mean of 1 / band² over all of them.
+    per_band2: f64,
+    /// Share of a marker's own difference from it that its variance follows.
+    own: f64,
+}
+
+impl Usual {
+    /// Noise makes bands differ too, and of these differences a variance follows half: at the same contrast the centre answers less to
+    /// each pixel of a wider band, which holds more of them. The rest are differences of contrast (empirical Bayes: their share of
+    /// the variance over markers is what noise does not explain).
+    fn of(bands: &[u8], noise_share: f64) -> Option<Self> {
+        let (mut count, mut sum, mut squares) = (0.0, 0.0, 0.0);
+        for band in bands.iter().filter(|&&band| band > 0).map(|&band| f64::from(band)) {
+            let per_band2 = 1.0 / (band * band);
+            count += 1.0;
+            sum += per_band2;
+            squares += per_band2 * per_band2;
+        }
+        let by_noise = SCATTER * noise_share * noise_share * sum * sum;
+        let differ = count * squares - sum * sum;
+        (count > 0.0)
+            .then(|| Self { per_band2: sum / count, own: 1.0 - 0.5 * by_noise / differ.max(by_noise) })
+    }
+}
+
+impl BandNoise {
+    const fn new() -> Self {
+        Self { learned: None }
+    }
+
+    fn forget(&mut self) {
+        self.learned = None;
+    }
+
+    /// Learns from some of these markers, and from the bands of all, in an image of this noise.
+    fn learn(&mut self, image: GrayView<'_>, eyes: &Eyes, noise: &Noise, centres_px: &[DVec2], bands: &[u8]) {
+        match eyes {
+            Eyes::Small(eye) => self.learn_by(image, eye, noise, centres_px, bands),
+            Eyes::Large(eye) => self.learn_by(image, eye, noise, centres_px, bands),
+        }
+    }
+
+    fn learn_by<const L: usize>(
+        &mut self,
+        image: GrayView<'_>,
+        eye: &Eye<L>,
+        noise: &Noise,
+        centres_px: &[DVec2],
+        bands: &[u8],
+    ) {
+        let mut profile = Profile::new(eye.size().radius_px);
+        let samples = SAMPLES.min(centres_px.len());
+        for at_px in (0..samples).map(|k| centres_px[(2 * k + 1) * centres_px.len() / (2 * samples)]) {
+            if let Some(frame) =
+                eye.shares(image, at_px, |distance_px2, share| profile.add(distance_px2, share))
+            {
+                profile.close(frame);
+            }
+        }
+        self.learned = profile.variances(noise).and_then(|variances| {
+            let others_px2 = variances.grain + profile.grid_error_px2(variances.noise_share);
+            Some(Learned { variances, others_px2, usual: Usual::of(bands, variances.noise_share)? })
+        });
+    }
+
+    /// Variance of a coordinate of a marker with this contrast between the band's ends; what is typed while nothing was learned.
+    ///
+    /// A centre without a band is that of a marker which something else touches, noise even: it is known no better than the
+    /// usual one alone, nor than what is typed.
+    fn variance_px2(&self, band: u8, typed_px2: f64) -> f64 {
+        let Some(Learned { variances, others_px2, usual }) = self.learned else { return typed_px2 };
+        let Variances { white, per_band2, power, .. } = variances;
+        if band == 0 {
+            return typed_px2.max(white + others_px2);
+        }
+        let own = 1.0 / (f64::from(band) * f64::from(band));
+        let ratio = (usual.per_band2 + usual.own * (own - usual.per_band2)) / per_band2;
+        // To second order from one upwards; and downwards its inverse, which stays positive.
+        let raised = |more: f64| 1.0 + power * more * (1.0 + 0.5 * (power - 1.0) * more);
+        let grown = if ratio >= 1.0 { raised(ratio - 1.0) } else { 1.0 / raised(1.0 / ratio - 1.0) };
+        white * grown + others_px2
+    }
+}
+
+/// Centroids with the weights of a soft threshold, how well they are known, and scratch.
+#[derive(Clone, Debug)]
+pub(in crate::detect) struct SoftThreshold {
+    polarity: Polarity,
+    variance_px2: f64,
+    weighted: WeightedCentroid,
+    meter: NoiseMeter,
+    noise: BandNoise,
+    /// Of each marker that a window showed, [`Spot::band`]; else 0.
+    bands: Vec<u8>,
+}
+
+impl SoftThreshold {
+    /// With these settings.
+    pub fn new(params: &DetectParams) -> Self {
+        Self {
+            polarity: params.polarity,
+            variance_px2: params.centre_sigma_px * params.centre_sigma_px,
+            weighted: WeightedCentroid::new(params),
+            meter: NoiseMeter::default(),
+            noise: BandNoise::new(),
+            bands: Vec::new(),
+        }
+    }
+
+    /// Begins an image of at most so many markers.
+    pub fn start(&mut self, image: GrayView<'_>, max_markers: usize) {
+        self.weighted.reserve(image.height());
+        self.bands.clear();
+        self.bands.reserve(max_markers);
+    }
+
+    /// Lists a marker that a window showed. Its variance is not known before [`Self::state_variances`].
+    pub fn push(&mut self, spot: &Spot, out: &mut Markers) {
+        self.bands.push(spot.band);
+        out.push(spot.centre_px, self.variance_px2, spot.area_px2);
+    }
+
+    /// Learns how well the listed markers of one size are known, and states it. The image's components are those of one
+    /// that is smaller by `scale`.
+    pub fn state_variances(
+        &mut self,
+        image: GrayView<'_>,
+        size: &MarkerSize,
+        (components, scale): (&Components, usize),
+        out: &mut Markers,
+    ) {
+        let Self { polarity, variance_px2, meter, noise, bands, .. } = self;
+        let (eyes, every) = (Eyes::new(*size, *polarity), every_row_of(image.height(), NOISE_ROWS));
+        let cover = |rows, near: &mut RowBits| components.cover(rows, scale, near);
+        let measured =
+            meter.run_rows(image, &out.centres_px, (every, CLEARANCE_PX), cover).unwrap_or_default();
+        noise.learn(image, &eyes, &measured, &out.centres_px, bands);
+        let markers = out.covariance_px2.iter_mut().zip(bands).zip(out.centres_px.iter().zip(&out.area_px2));
+        for ((covariance, &mut band), (&centre_px, &area_px2)) in markers {
+            let areas_px2 = (area_px2, size.usual_area_px2());
+            let covered = covered::without_band_px2(band, image, centre_px, areas_px2);
+            let variance = noise.variance_px2(band, *variance_px2) + covered;
+            *covariance = [[variance, 0.0], [0.0, variance]];
+        }
+    }
+}
+
+impl CentreRung for SoftThreshold {
+    /// By windows where these show whole markers, else by the intensity of the component.
+    fn centre_components(&mut self, found: &mut Found<'_>, out: &mut Markers) {
+        let size = MarkerSize::of(found.filter.usual_px2);
+        let eyes = size.map(|size| Eyes::new(size, self.polarity));
+        self.start(found.image, found.max_markers);
+        for blob in found.markers() {
+            let spot = eyes.as_ref().and_then(|eyes| eyes.centre(found.image, blob.mean_px()));
+            let spot = spot.unwrap_or_else(|| Spot {
+                centre_px: self.weighted.run(found.image, blob, found.runs(blob)),
+                area_px2: 0,
+                band: 0,
+            });
+            self.push(&Spot { area_px2: blob.area_px2, ..spot }, out);
+        }
+        if let Some(size) = size {
+            self.state_variances(found.image, &size, (&found.segmentation.components, 1), out);
+        }
+    }
+
+    fn centre_piece(&mut self, image: GrayView<'_>, blob: &Blob, runs: &[Run]) -> DVec2 {
+        self.weighted.run(image, blob, runs.iter())
+    }
+
+    fn window_variance_px2(&self, band: u8) -> f64 {
+        self.noise.variance_px2(band, self.variance_px2)
+    }
+
+    fn forget(&mut self) {
+        self.noise.forget();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{BandNoise, Learned, Usual, Variances};
+    use crate::math::random::Stream;
+    use crate::math::{abs, sqrt};
+    use alloc::vec::Vec;
+
+    const NOISE_SHARE: f64 = 0.25;
+    const CONTRAST: f64 = 140.0;
+
+    /// Bands of markers whose contrasts differ evenly by this share, by the darkest of twenty pixels beside the mean of 36.
+    fn bands(differ: f64) -> Vec<u8> {
+        let mut stream = Stream::new(7, "bands");
+        let noise = NOISE_SHARE * 0.5 * CONTRAST;
+        let band = |k: u32| {
+            let contrast = CONTRAST * (1.0 + differ * (f64::from(k % 101) / 50.0 - 1.0));
+            let darkest = (0..20).map(|_| stream.normal()).fold(f64::MIN, f64::max);
+            (0.5 * (contrast + noise * (darkest - 1.87 + stream.normal() / 6.0))) as u8
+        };
+        (0..20_000).map(band).collect()
+    }
+
+    /// Noise alone explains all; beside contrasts that differ by d evenly, of variance d² / 3, its share.
+    #[test]
+    fn bands_that_differ_by_noise_count_for_half() {
+        let own = |bands: &[u8]| Usual::of(bands, NOISE_SHARE).unwrap().own;
+        assert!((0.5..0.56).contains(&own(&bands(0.0))), "{}", own(&bands(0.0)));
+        let (differ, noise) = (0.12_f64, 0.25 * NOISE_SHARE * NOISE_SHARE * (0.25 + 1.0 / 36.0));
+        let expected = 1.0 - 0.5 * noise / (noise + differ * differ / 3.0);
+        assert!(abs(own(&bands(differ)) - expected) < 0.05, "{} {expected}", own(&bands(differ)));
+        assert!(own(&bands(0.5)) > 0.9 && Usual::of(&[0, 0], NOISE_SHARE).is_none());
+    }
+
+    /// To the second order of the power, and no better than others where there is no band.
+    #[test]
+    fn faint_markers_are_known_less_and_those_without_a_band_no_better_than_usual() {
+        let per_band2 = 1.0 / 4900.0;
+        let variances = Variances { white: 0.01, grain: 0.001, per_band2, power: 1.5, noise_share: 0.3 };
+        let usual = Usual { per_band2, own: 1.0 };
+        let noise = BandNoise { learned: Some(Learned { variances, others_px2: 0.001, usual }) };
+        let at = |band| noise.variance_px2(band, 0.0016);
+        for band in [56_u8, 63, 70, 77, 84] {
+            let ratio = 4900.0 / (f64::from(band) * f64::from(band));
+            let expected = 0.001 + 0.01 * ratio * sqrt(ratio);
+            assert!(abs(at(band) / expected - 1.0) < 0.01, "{band}: {} {expected}", at(band));
+        }
+        assert!((1..255).all(|band| at(band) > at(band + 1) && at(band + 1) > 0.001));
+        assert!(abs(at(0) - 0.011) < 1e-6);
+        assert_eq!(noise.variance_px2(0, 0.02), 0.02);
+        assert_eq!(BandNoise::new().variance_px2(70, 0.0016), 0.0016);
+    }
+}

@@ -1,0 +1,322 @@
+//! How a marker's weights fall off with the distance from its centre, and what noise does to the centre of such weights.
+
+use crate::detect::centre::noise::Noise;
+use crate::detect::window::classifier::Frame;
+use crate::math::{DVec2, erf, exp, floor, sqrt};
+use core::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
+
+/// Rings of equal area: a quarter of a pixel wide at the outline of a disc of any radius.
+const RINGS: usize = 64;
+const RING_PX: f64 = 0.25;
+/// Variance of rounding weights to whole grey levels, as the image's levels are.
+const ROUNDING_LEVELS2: f64 = 1.0 / 12.0;
+/// Grain that is less alike than e to the minus this is not counted.
+const UNLIKE: f64 = 8.0;
+/// Nor are rings whose pixels answer by less: a ten-thousandth of what those of the edge do.
+const LEAST_ANSWER: f64 = 1e-4;
+
+/// Places along a quarter of a pixel, which has all that others do by symmetry.
+const PLACES: usize = 3;
+/// Least deviation of a share for which its mean is taken.
+const LEAST_DEVIATION: f64 = 1e-3;
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Ring {
+    pixels: f64,
+    /// Sum of the pixels' shares of the band.
+    shares: f64,
+}
+
+/// Mean shares of the band around the centres of some markers: over a ring of some markers the noise of single pixels is averaged
+/// out, and over places within a pixel what those few pixels of an edge that lie within the band differ by.
+#[derive(Clone, Debug)]
+pub(super) struct Profile {
+    rings: [Ring; RINGS],
+    per_px2: f64,
+    windows: f64,
+    /// Sums over the windows.
+    per_band2: f64,
+    gel_levels: f64,
+    frame: Option<Frame>,
+}
+
+/// Variances of a coordinate, px²: from white noise and from grain, of a marker of the usual band.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Variances {
+    pub white: f64,
+    pub grain: f64,
+    /// Mean of 1 / band².
+    pub per_band2: f64,
+    /// Power of 1 / band² by which the part of white noise grows: one where noise keeps pixels within the band, and more where
+    /// gel gets into it; never less, as noise beyond the band would have it.
+    pub power: f64,
+    /// Standard deviation of a pixel over the band.
+    pub noise_share: f64,
+}
+
+impl Profile {
+    /// Of discs of about this radius.
+    pub fn new(radius_px: f64) -> Self {
+        Self {
+            rings: [Ring::default(); RINGS],
+            per_px2: 1.0 / (2.0 * radius_px.max(1.0) * RING_PX),
+            windows: 0.0,
+            per_band2: 0.0,
+            gel_levels: 0.0,
+            frame: None,
+        }
+    }
+
+    /// Adds a pixel: its squared distance from its marker's centre, and its contrast as a share of the band.
+    #[inline]
+    pub fn add(&mut self, distance_px2: f64, share: f64) {
+        let ring = &mut self.rings[((distance_px2 * self.per_px2) as usize).min(RINGS - 1)];
+        ring.pixels += 1.0;
+        ring.shares += share;
+    }
+
+    /// The window whose pixels were added.
+    pub fn close(&mut self, frame: Frame) {
+        self.windows += 1.0;
+        self.per_band2 += 1.0 / (frame.band * frame.band);
+        self.gel_levels += frame.gel_level;
+        self.frame = Some(frame);
+    }
+
+    /// Mean share of a ring; that of the gel where there are no pixels.
+    fn share(&self, ring: usize) -> f64 {
+        let Ring { pixels, shares } = self.rings[ring];
+        if pixels > 0.0 { shares / pixels } else { self.frame.map_or(0.0, |frame| frame.gel_share) }
+    }
+
+    /// Variances in this noise; `None` where there is no marker.
+    ///
+    /// The centre is Σ w p / Σ w over pixels p of weights w, which are the shares kept to 0..=1. To first order it answers to the
+    /// noise n of a pixel by P p / Σ w, with P the probability that noise leaves the pixel within the band; and to the slope of
+    /// the gel, which is the difference of its corners, by A = Σ P x² / Σ w. White noise: Σ var(w) x² / (Σ w)² with the variance
+    /// of the kept weight itself, which is less than P times the noise's; A² times the variance of the slope; and less for what
+    /// the corners, which are among the pixels, have in both. Grain is the same, but neighbours are alike; P serves, for it is small
+    /// beside the band.
+    pub fn variances(&self, noise: &Noise) -> Option<Variances> {
+        let frame = self.frame?;
+        let per_band2 = self.per_band2 / self.windows;
+        let grain_levels2 = noise.grain_levels2 * noise.grain_share(self.gel_levels / self.windows);
+        let white = (noise.white_levels2 + ROUNDING_LEVELS2) * per_band2;
+        let grain = grain_levels2 * per_band2;
+        let noise_share = sqrt(white + grain);
+        let (mut weight, mut slope, mut edge) = (0.0, 0.0, 0.0);
+        // Their derivatives by the logarithm of all noise's variance.
+        let (mut weight_grows, mut slope_grows, mut edge_grows) = (0.0, 0.0, 0.0);
+        // Of each ring, what its pixels answer by, and its radius.
+        let mut answers = [(0.0, 0.0); RINGS];
+        for (n, (ring, answer)) in self.rings.iter().zip(&mut answers).enumerate() {
+            if !(ring.pixels > 0.0) {
+                continue;
+            }
+            let distance_px2 = (n as f64 + 0.5) / self.per_px2;
+            // The shares of a ring's pixels are spread evenly between those of its neighbours: two halves, each with the variance of
+            // what is left.
+            let steep = 0.5 * (self.share((n + 1).min(RINGS - 1)) - self.share(n.saturating_sub(1)));
+            let spread = steep * steep / 48.0;
+            let mut answers_by = 0.0;
+            for half in [-0.25, 0.25] {
+                let share = self.share(n) + half * steep;
+                let kept = Kept::of(share, sqrt(white + grain + spread));
+                let Kept { mean, variance, within, growth } = kept;
+                weight += 0.5 * ring.pixels * mean;
+                weight_grows += 0.5 * ring.pixels * growth.mean * (white + grain);
+                slope += 0.25 * ring.pixels * distance_px2 * within;
+                slope_grows += 0.25 * ring.pixels * distance_px2 * growth.within * (white + grain);
+                let own = variance - (grain + spread) * within * within;
+                let alike_grows = 2.0 * (grain + spread) * within * growth.within * (white + grain);
+                let own_grows = growth.variance * (white + grain) - grain * within * within - alike_grows;
+                edge += 0.25 * ring.pixels * distance_px2 * own;
+                edge_grows += 0.25 * ring.pixels * distance_px2 * own_grows;
+                answers_by += 0.5 * within;
+            }
+            let radius_px = sqrt(distance_px2);
+            *answer = (ring.pixels * radius_px * answers_by, radius_px);
+        }
+        if !(weight > 0.0) {
+            return None;
+        }
+        let per_weight = weight_grows / weight;
+        let (per_slope, per_edge) = (slope_grows / slope - per_weight, edge_grows / edge - 2.0 * per_weight);
+        let (slope, weight) = (slope / weight, weight / self.windows);
+        let edge = edge / (self.windows * weight * weight);
+        answers.iter_mut().for_each(|(answer, _)| *answer /= self.windows * weight);
+        let Frame { corner_px, apart_px, gel_share, .. } = frame;
+        let tilt = slope / (corner_px * apart_px);
+        let Kept { within, growth, .. } = Kept::of(gel_share, noise_share);
+        let (plane, both) = (tilt * tilt * white, 2.0 * slope * white / weight);
+        let white_px2 = edge + plane - both * within;
+        let both_grows = (1.0 + per_slope - per_weight) * within + growth.within * (white + grain);
+        let white_grows = per_edge * edge + (1.0 + 2.0 * per_slope) * plane - both * both_grows;
+        let size_px = noise.grain_size_px;
+        let corner = side_alike(corner_px as usize, size_px) / corner_px;
+        let both = 4.0 * tilt / corner_px * near_corner(&answers, &frame, size_px);
+        let grain_px2 = (around(&answers, size_px) + tilt * tilt * corner * corner - both) * grain;
+        (white_px2 > 0.0 && grain_px2 >= 0.0).then_some(Variances {
+            white: white_px2,
+            grain: grain_px2,
+            per_band2,
+            power: (white_grows / white_px2).max(1.0),
+            noise_share,
+        })
+    }
+}
+
+impl Profile {
+    /// Mean squared error of a coordinate without any noise: weights that begin and end within a pixel follow the grid.
+    ///
+    /// That is the mean of (Σ w p / Σ w)² over places of the centre within a pixel, for weights by the distance alone, as
+    /// noise of this deviation rounds them off.
+    pub fn grid_error_px2(&self, noise_share: f64) -> f64 {
+        let deviation = noise_share.max(LEAST_DEVIATION);
+        let weights: [f64; RINGS] = core::array::from_fn(|ring| Kept::of(self.share(ring), deviation).mean);
+        // Rings are of equal area; between their middles weights are taken as straight.
+        let weight_at = |distance_px2: f64| {
+            let at = (distance_px2 * self.per_px2 - 0.5).max(0.0);
+            let (ring, part) = (at as usize, at - floor(at));
+            match (weights.get(ring), weights.get(ring + 1)) {
+                (Some(here), Some(next)) => here + part * (next - here),
+                _ => 0.0,
+            }
+        };
+        let reach = sqrt(RINGS as f64 / self.per_px2) as i32 + 1;
+        let error_px2 = |x: f64, y: f64| {
+            let (mut sum, mut moment) = (0.0, DVec2::ZERO);
+            for row in -reach..=reach {
+                for column in -reach..=reach {
+                    let at = DVec2::new(f64::from(column) - x, f64::from(row) - y);
+                    let weight = weight_at(at.length_squared());
+                    sum += weight;
+                    moment += at * weight;
+                }
+            }
+            0.5 * (moment / sum.max(f64::MIN_POSITIVE)).length_squared()
+        };
+        let places = (0..PLACES * PLACES).map(|n| (n % PLACES, n / PLACES));
+        let place = |n: usize| (n as f64 + 0.5) / (2 * PLACES) as f64;
+        let mean_px2 =
+            places.map(|(x, y)| error_px2(place(x), place(y))).sum::<f64>() / (PLACES * PLACES) as f64;
+        // Means over rings of width w, and lines between them, smooth the weights by a variance of w² / 12 + w² / 6, and what
+        // repeats with the pixels falls in amplitude by exp(-2 π² w² / 4).
+        let outline = weights.iter().position(|&weight| weight < 0.5).unwrap_or(RINGS) as f64;
+        let width_px2 = 0.25 / (outline.max(1.0) * self.per_px2);
+        mean_px2 * exp(PI * PI * width_px2)
+    }
+}
+
+/// A normal variable that is kept to 0..=1.
+struct Kept {
+    mean: f64,
+    variance: f64,
+    /// How often it need not be.
+    within: f64,
+    growth: Growth,
+}
+
+/// Derivatives by the variance of the variable before it is kept.
+struct Growth {
+    mean: f64,
+    variance: f64,
+    within: f64,
+}
+
+impl Kept {
+    fn of(mean: f64, deviation: f64) -> Self {
+        let below = |z: f64| 0.5 + 0.5 * erf(z * FRAC_1_SQRT_2);
+        let density = |z: f64| exp(-0.5 * z * z) / sqrt(TAU);
+        let (low, high) = (-mean / deviation, (1.0 - mean) / deviation);
+        let (within, above) = (below(high) - below(low), below(-high));
+        let (at_low, at_high) = (deviation * density(low), deviation * density(high));
+        let first = mean * within + at_low - at_high + above;
+        let second =
+            (mean * mean + deviation * deviation) * within + mean * at_low - (mean + 1.0) * at_high + above;
+        // Of the mean of any g it is that of g'' / 2, which has steps of slope at both ends.
+        let per = 0.5 / (deviation * deviation);
+        let mean_grows = (at_low - at_high) * per;
+        let growth = Growth {
+            mean: mean_grows,
+            variance: within - 2.0 * at_high * per - 2.0 * first * mean_grows,
+            within: (low * at_low - high * at_high) * per / deviation,
+        };
+        Self { mean: first, variance: (second - first * first).max(0.0), within, growth }
+    }
+}
+
+/// What a point at a distance s has in common with a ring of radius r in grain of variance 1, whose correlation
+/// exp(-d² / (4 l²)) is averaged over the ring with the cosine of the angle: exp(-(r² + s²) / (4 l²)) I1(r s / (2 l²)). `None`
+/// where that is nothing.
+fn alike(r: f64, s: f64, grain_size_px: f64) -> Option<f64> {
+    let per_l2 = 0.25 / (grain_size_px * grain_size_px);
+    let unlike = (r - s) * (r - s) * per_l2;
+    (unlike < UNLIKE).then(|| exp(-unlike) * bessel_i1_scaled(2.0 * per_l2 * r * s))
+}
+
+/// Rings of these answers that have any, with their radii.
+fn felt(answers: &[(f64, f64)]) -> impl Iterator<Item = (usize, (f64, f64))> {
+    answers.iter().copied().enumerate().filter(|(_, (answer, _))| *answer > LEAST_ANSWER)
+}
+
+/// Variance of a coordinate of Σ P p / Σ w in grain of variance 1: half the sum over all pairs of rings.
+fn around(answers: &[(f64, f64); RINGS], grain_size_px: f64) -> f64 {
+    let mut sum = 0.0;
+    for (k, (a, r)) in felt(answers) {
+        for (j, (b, s)) in felt(&answers[..=k]) {
+            let both = if j == k { 0.5 } else { 1.0 };
+            sum += both * a * b * alike(r, s, grain_size_px).unwrap_or(0.0);
+        }
+    }
+    sum
+}
+
+/// What the pixels of one corner have in common with the rings, each by the cosine of its angle.
+fn near_corner(answers: &[(f64, f64); RINGS], frame: &Frame, grain_size_px: f64) -> f64 {
+    let (corner, outermost) = (frame.corner_px as usize, 0.5 * (frame.apart_px + frame.corner_px - 1.0));
+    let mut sum = 0.0;
+    for (row, column) in
+        (0..corner * corner).map(|n| (n / corner, n % corner)).filter(|(row, column)| column <= row)
+    {
+        let (x, y) = (outermost - column as f64, outermost - row as f64);
+        let far_px = sqrt(x * x + y * y);
+        let cosines = (if row == column { x } else { x + y }) / far_px;
+        for (_, (a, r)) in felt(answers) {
+            sum += a * cosines * alike(r, far_px, grain_size_px).unwrap_or(0.0);
+        }
+    }
+    sum
+}
+
+/// Sum over all pairs of so many pixels in a row of what they have in common in grain of variance 1.
+fn side_alike(pixels: usize, grain_size_px: f64) -> f64 {
+    let per_l2 = 0.25 / (grain_size_px * grain_size_px);
+    let at = |apart: usize| exp(-per_l2 * (apart * apart) as f64);
+    let pairs = |apart: usize| 2.0 * (pixels - apart) as f64;
+    (1..pixels).map(|apart| pairs(apart) * at(apart)).sum::<f64>() + pixels as f64
+}
+
+/// exp(-x) I1(x) for x >= 0, to 3e-7 (Abramowitz and Stegun 1964, 9.8.3 and 9.8.4).
+fn bessel_i1_scaled(x: f64) -> f64 {
+    const NEAR: [f64; 7] =
+        [0.5, 0.878_905_94, 0.514_988_69, 0.150_849_34, 0.026_587_33, 0.003_015_32, 0.000_324_11];
+    const FAR: [f64; 9] = [
+        0.398_942_28,
+        -0.039_880_24,
+        -0.003_620_18,
+        0.001_638_01,
+        -0.010_315_55,
+        0.022_829_67,
+        -0.028_953_12,
+        0.017_876_54,
+        -0.004_200_59,
+    ];
+    let sum = |terms: &[f64], t: f64| terms.iter().rev().fold(0.0, |sum, term| sum * t + term);
+    let t = x / 3.75;
+    if t < 1.0 { x * exp(-x) * sum(&NEAR, t * t) } else { sum(&FAR, 1.0 / t) / sqrt(x) }
+}
+
+#[cfg(test)]
+#[path = "profile_tests.rs"]
+mod tests;

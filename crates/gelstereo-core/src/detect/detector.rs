@@ -1,0 +1,253 @@
+//! The detection stage: which search, which rung, and the part of the image that is searched.
+
+use super::centre::Rung;
+use super::centre::covered::Glares;
+use super::error::DetectError;
+use super::found::Found;
+use super::markers::{Markers, most_markers};
+use super::mask::segmentation::Segmentation;
+use super::mask::threshold::LEAST_LEVELS;
+use super::search::half::{self, HalfSize};
+use super::search::masked::MaskedSearch;
+use super::search::whole;
+use super::search::windows::WindowSearch;
+use super::window::size::MarkerSize;
+use crate::image::GrayView;
+use crate::math::{DVec2, ceil, sqrt};
+use crate::params::{Centre, DetectParams, FindAt, Threshold};
+use alloc::vec::Vec;
+
+/// The detection stage and its scratch.
+#[derive(Clone, Debug)]
+pub struct Detector {
+    params: DetectParams,
+    segmentation: Segmentation,
+    half: Option<HalfSize>,
+    rung: Rung,
+    masked: MaskedSearch,
+    windows: WindowSearch,
+    glares: Glares,
+    /// Region of interest: first column and row, width and height; of the whole image where there is none.
+    roi_px: Option<[usize; 4]>,
+    /// Of the part that is searched.
+    size_px: (usize, usize),
+    whole_px: (usize, usize),
+    areas_px2: Vec<u32>,
+    /// Expected positions within the part that is searched.
+    expected_px: Vec<DVec2>,
+}
+
+impl Detector {
+    /// With these settings (already validated by `Params::validate`).
+    #[must_use]
+    pub fn new(params: &DetectParams) -> Self {
+        Self {
+            params: params.clone(),
+            segmentation: Segmentation::new(params),
+            half: HalfSize::new(params),
+            rung: Rung::new(params),
+            masked: MaskedSearch::new(params),
+            windows: WindowSearch::new(params),
+            glares: Glares::default(),
+            roi_px: None,
+            size_px: (0, 0),
+            whole_px: (0, 0),
+            areas_px2: Vec::new(),
+            expected_px: Vec::new(),
+        }
+    }
+
+    /// Searches this part of images alone: first column and row, width and height, pixels. All positions stay those of
+    /// the whole image. What the part's border cuts is listed in [`Markers::cut`].
+    #[must_use]
+    pub fn within(self, roi_px: Option<[usize; 4]>) -> Self {
+        Self { roi_px, ..self }
+    }
+
+    /// Forgets what was learned of earlier images (the weights of [`Centre::Matched`], the noise of [`Centre::Band`]), so
+    /// that the next one has the same bits as a first one.
+    pub fn reset(&mut self) {
+        self.rung.get().forget();
+    }
+
+    /// Finds the markers; `out` is cleared first. No allocation after the first image of a size.
+    ///
+    /// A component that reaches the outermost pixels of the image is listed in [`Markers::cut`]: what the border cut off is
+    /// unknown, and the centre of the rest is not the marker's. An image with contrast but without markers gives an empty
+    /// list.
+    ///
+    /// # Errors
+    /// [`DetectError`]; `out` is then empty.
+    pub fn run(&mut self, image: GrayView<'_>, out: &mut Markers) -> Result<(), DetectError> {
+        out.clear();
+        let (image, origin_px) = self.part(image)?;
+        self.check(image)?;
+        self.make_room(image);
+        let most = most_markers(&self.params, self.size_px);
+        // Along the border every second pixel at most begins a marker.
+        out.reserve(most, most.min(image.width() + image.height()));
+        self.areas_px2.clear();
+        self.areas_px2.reserve(most);
+        let Self { params, segmentation, half, rung, areas_px2, .. } = self;
+        let is_complete = match (half, &mut *rung) {
+            (Some(half), Rung::Band(rung)) => half.run(image, rung, areas_px2, (most, out)),
+            _ => false,
+        };
+        if !is_complete {
+            whole::run(params, image, (segmentation, areas_px2), rung.get(), out)?;
+        }
+        self.doubt_under_glare(image, out);
+        out.shift(origin_px);
+        Ok(())
+    }
+
+    /// Looks for one marker within `reach_px` of each expected position, in both axes; a marker is found when all of it
+    /// lies in that window, `reach_px` being at most 31 px. `out` is cleared first.
+    ///
+    /// It is one of those that [`Self::run`] finds, with the same bits: background and threshold are taken from the
+    /// whole image. (Only the model fit may differ by a fraction of its covariance: it learns the blur from what was
+    /// found.) A marker farther away than the reach is never taken for the expected one. No allocation after the first
+    /// image with as many positions.
+    ///
+    /// # Errors
+    /// [`DetectError`]; `out` is then empty.
+    pub fn run_near(
+        &mut self,
+        image: GrayView<'_>,
+        expected_px: &[DVec2],
+        reach_px: f64,
+        out: &mut Found,
+    ) -> Result<(), DetectError> {
+        out.clear();
+        let (image, origin_px) = self.part(image)?;
+        self.check(image)?;
+        self.areas_px2.clear();
+        self.areas_px2.reserve(expected_px.len());
+        self.expected_px.clear();
+        self.expected_px.reserve(expected_px.len());
+        self.expected_px.extend(expected_px.iter().map(|&at| at - origin_px));
+        self.segmentation.mask_all(image);
+        let mask = self.segmentation.mask();
+        self.masked.run((image, mask), self.rung.get(), (&self.expected_px, reach_px), out);
+        self.doubt_under_glare(image, &mut out.markers);
+        out.markers.shift(origin_px);
+        Ok(())
+    }
+
+    /// The size of markers that [`Self::run_windows`] can search with these settings: of a usual area, a pitch apart.
+    #[must_use]
+    pub fn size_for_windows(&self, usual_area_px2: f64, pitch_px: f64) -> Option<MarkerSize> {
+        let suits = self.params.threshold == Threshold::Auto
+            && matches!(self.params.centre, Centre::Band | Centre::Matched);
+        MarkerSize::of(usual_area_px2).filter(|size| suits && size.fits(pitch_px))
+    }
+
+    /// Makes room for [`Self::run_windows`] on images of a size.
+    pub fn reserve_windows(
+        &mut self,
+        positions: usize,
+        size: &MarkerSize,
+        size_px: (usize, usize),
+        out: &mut Found,
+    ) {
+        self.windows.reserve(positions, size, size_px);
+        self.glares.reserve(size_px);
+        self.areas_px2.clear();
+        self.areas_px2.reserve(positions);
+        out.markers.reserve(positions, 0);
+        out.sights.reserve(positions);
+    }
+
+    /// Looks for one marker within `reach_px` of each expected position, in both axes, reading windows of the
+    /// image only. `out` is cleared first.
+    ///
+    /// A window's light and threshold are its own. No marker is given twice. A matched step starts from the centre by a
+    /// soft threshold, with weights that the last [`Self::run`] chose. No allocation after [`Self::reserve_windows`].
+    pub fn run_windows(
+        &mut self,
+        image: GrayView<'_>,
+        expected_px: &[DVec2],
+        (size, reach_px): (&MarkerSize, f64),
+        out: &mut Found,
+    ) {
+        out.clear();
+        self.reserve_windows(expected_px.len(), size, (image.width(), image.height()), out);
+        self.windows.run(image, self.rung.get(), (expected_px, reach_px), size, out);
+        self.doubt_under_glare(image, &mut out.markers);
+    }
+
+    /// At which size the markers of the last image were found.
+    #[must_use]
+    pub fn found_at(&self) -> FindAt {
+        match self.searched() {
+            (_, half::SCALE) => FindAt::HalfSize,
+            _ => FindAt::FullSize,
+        }
+    }
+
+    /// Writes the mask of the last image, 255 where a pixel belongs to a component, row by row.
+    pub fn mask(&self, out: &mut Vec<u8>) {
+        let (segmentation, scale) = self.searched();
+        segmentation.draw_scaled(self.size_px, scale, out);
+        let Some([x, y, columns, _]) = self.roi_px.filter(|_| self.size_px != (0, 0)) else { return };
+        let part = core::mem::take(out);
+        out.resize(self.whole_px.0 * self.whole_px.1, 0);
+        let rows = out.chunks_exact_mut(self.whole_px.0).skip(y);
+        rows.zip(part.chunks_exact(columns))
+            .for_each(|(row, part)| row[x..x + columns].copy_from_slice(part));
+    }
+
+    /// What the last image fell into, and how many of its columns and rows each pixel of that has.
+    fn searched(&self) -> (&Segmentation, usize) {
+        let half = self.half.as_ref().and_then(HalfSize::complete);
+        half.map_or((&self.segmentation, 1), |segmentation| (segmentation, half::SCALE))
+    }
+
+    /// The part that is searched, and where it begins.
+    fn part<'a>(&mut self, image: GrayView<'a>) -> Result<(GrayView<'a>, DVec2), DetectError> {
+        self.whole_px = (image.width(), image.height());
+        let Some(roi_px) = self.roi_px else { return Ok((image, DVec2::ZERO)) };
+        let [x, y, columns, rows] = roi_px;
+        let part = match DetectError::beyond(roi_px, self.whole_px) {
+            None => image.crop(x, y, columns, rows).ok(),
+            Some(_) => None,
+        };
+        let (width, height) = self.whole_px;
+        let part = part.ok_or(DetectError::Region { roi_px, width, height })?;
+        Ok((part, DVec2::new(x as f64, y as f64)))
+    }
+
+    fn check(&self, image: GrayView<'_>) -> Result<(), DetectError> {
+        let (width, height) = (image.width(), image.height());
+        let least = ceil(sqrt(f64::from(self.params.min_area_px2))) as usize + 2;
+        if width.min(height) < least {
+            return Err(DetectError::TooSmall { width, height, least });
+        }
+        let threshold_levels = match self.params.threshold {
+            Threshold::Fixed => self.params.threshold_levels,
+            Threshold::Auto => LEAST_LEVELS,
+        };
+        if !image.spans(threshold_levels) {
+            let (low, high) = image.range();
+            return Err(DetectError::Flat { low, high, threshold_levels });
+        }
+        Ok(())
+    }
+
+    /// The first image of a size is looked at in both sizes, so that no later one needs more room.
+    fn make_room(&mut self, image: GrayView<'_>) {
+        let size_px = (image.width(), image.height());
+        if let (Some(half), true) = (&mut self.half, self.size_px != size_px) {
+            half.reserve(image, &mut self.areas_px2);
+            // Whether it has too many components its search will tell.
+            let _ = self.segmentation.run(image);
+        }
+        self.size_px = size_px;
+    }
+
+    fn doubt_under_glare(&mut self, image: GrayView<'_>, out: &mut Markers) {
+        if !self.rung.get().sees_glare() {
+            self.glares.doubt(image, &mut self.areas_px2, out);
+        }
+    }
+}

@@ -1,0 +1,168 @@
+//! Which pixels are darker (or brighter) than their surround by the threshold, row by row.
+
+use super::blocks::{BLOCK_PX, Blocks};
+use super::blur::{FRACTION_BITS, GaussianBlur};
+use super::noise_level::NoiseLevel;
+use super::smooth::Smoother;
+use super::threshold::Thresholds;
+use crate::image::GrayView;
+use crate::params::{Background, DetectParams, Polarity, Threshold};
+use alloc::vec::Vec;
+
+/// The rungs of [`Background`] and [`Threshold`], and their scratch.
+#[derive(Clone, Debug)]
+pub struct Difference {
+    polarity: Polarity,
+    threshold: Threshold,
+    threshold_levels: u8,
+    rung: Rung,
+    smoother: Smoother,
+    noise: NoiseLevel,
+    radius: usize,
+    blocks: Blocks,
+    thresholds: Thresholds,
+    /// The image smoothed to whole levels, dark markers on a bright gel.
+    smoothed: Vec<u8>,
+    /// Level below which a smoothed pixel of each block belongs to a marker.
+    block_limits: Vec<u8>,
+    /// What a pixel of the present row must be darker than, or differ by.
+    limits: Limits,
+}
+
+#[derive(Clone, Debug)]
+enum Rung {
+    /// Both filtered images at full precision, as the paper.
+    Rows { smooth: GaussianBlur, surround: GaussianBlur, smooth_row: Vec<u16>, surround_row: Vec<u16> },
+    /// The smoothed image against one level a block.
+    Blocks,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Limits {
+    below: Vec<u8>,
+    least: Vec<u16>,
+}
+
+impl Difference {
+    /// With these settings.
+    #[must_use]
+    pub fn new(params: &DetectParams) -> Self {
+        let kernel_px = params.background_kernel_px;
+        Self {
+            polarity: params.polarity,
+            threshold: params.threshold,
+            threshold_levels: params.threshold_levels,
+            rung: match params.background {
+                Background::Gaussian => Rung::Rows {
+                    smooth: GaussianBlur::new(params.smooth_kernel_px),
+                    surround: GaussianBlur::new(kernel_px),
+                    smooth_row: Vec::new(),
+                    surround_row: Vec::new(),
+                },
+                Background::Blocks => Rung::Blocks,
+            },
+            smoother: Smoother::new(params.smooth_kernel_px, params.polarity),
+            noise: NoiseLevel::default(),
+            radius: Blocks::radius_of(kernel_px),
+            blocks: Blocks::default(),
+            thresholds: Thresholds::default(),
+            smoothed: Vec::new(),
+            block_limits: Vec::new(),
+            limits: Limits::default(),
+        }
+    }
+
+    /// Reads an image: what its thresholds are, and for blocks also its surrounds.
+    pub fn survey(&mut self, image: GrayView<'_>) {
+        let (width, height) = (image.width(), image.height());
+        if self.threshold == Threshold::Auto || matches!(self.rung, Rung::Blocks) {
+            self.smoothed.resize(width * height, 0);
+            self.blocks.start(width, height);
+            for (first, rows) in (0..).step_by(BLOCK_PX).zip(self.smoothed.chunks_mut(BLOCK_PX * width)) {
+                for (y, row) in (first..).zip(rows.chunks_exact_mut(width)) {
+                    self.smoother.row(image, y, row);
+                }
+                self.blocks.push(rows);
+            }
+            self.blocks.finish(self.radius);
+        }
+        match self.threshold {
+            Threshold::Fixed => self.thresholds.set_all(self.threshold_levels, width, height),
+            Threshold::Auto => {
+                let noise_levels = self.noise.sigma_levels(image) * self.smoother.noise_gain();
+                self.thresholds.derive(&mut self.blocks, self.radius, noise_levels);
+            }
+        }
+        if matches!(self.rung, Rung::Blocks) {
+            self.block_limits.clear();
+            let levels = self.thresholds.levels().iter().zip(self.blocks.surround());
+            self.block_limits.extend(levels.map(|(&least, &surround)| {
+                // A whole level is darker by at least this when it is below the next whole one.
+                surround.checked_sub(least).map_or(0, |limit| (limit >> FRACTION_BITS) as u8 + 1)
+            }));
+        }
+    }
+
+    /// The thresholds of the surveyed image.
+    pub const fn thresholds(&self) -> &Thresholds {
+        &self.thresholds
+    }
+
+    /// Room for an image, which is free until the next survey.
+    pub const fn spare(&mut self) -> &mut Vec<u8> {
+        &mut self.smoothed
+    }
+
+    /// Writes 255 where a pixel of row `y` of the surveyed image differs by the threshold, else 0. Row 0 starts an
+    /// image; the others must follow in order.
+    pub fn row(&mut self, image: GrayView<'_>, y: usize, mask: &mut [u8]) {
+        let width = image.width();
+        let levels = self.thresholds.row(y);
+        let Limits { below, least } = &mut self.limits;
+        match &mut self.rung {
+            Rung::Blocks => {
+                if y.is_multiple_of(BLOCK_PX) {
+                    let limits = &self.block_limits[y / BLOCK_PX * levels.len()..][..levels.len()];
+                    spread(limits, width, below);
+                }
+                darker(&self.smoothed[y * width..][..width], below, mask);
+            }
+            Rung::Rows { smooth, surround, smooth_row, surround_row } => {
+                if y.is_multiple_of(BLOCK_PX) {
+                    spread(levels, width, least);
+                }
+                smooth_row.resize(width, 0);
+                surround_row.resize(width, 0);
+                smooth.row(image, y, smooth_row);
+                surround.row(image, y, surround_row);
+                let (bright, dark) = match self.polarity {
+                    Polarity::Dark => (surround_row, smooth_row),
+                    Polarity::Bright => (smooth_row, surround_row),
+                };
+                differing(bright, dark, least, mask);
+            }
+        }
+    }
+}
+
+/// One value a block becomes one a pixel.
+fn spread<T: Copy + Default>(blocks: &[T], width: usize, out: &mut Vec<T>) {
+    out.resize(width, T::default());
+    let (whole, last) = out.as_chunks_mut::<BLOCK_PX>();
+    whole.iter_mut().zip(blocks).for_each(|(out, &value)| *out = [value; BLOCK_PX]);
+    if let Some(&value) = blocks.last() {
+        last.fill(value);
+    }
+}
+
+fn darker(levels: &[u8], below: &[u8], mask: &mut [u8]) {
+    for ((mask, &level), &below) in mask.iter_mut().zip(levels).zip(below) {
+        *mask = if level < below { u8::MAX } else { 0 };
+    }
+}
+
+fn differing(bright: &[u16], dark: &[u16], least: &[u16], mask: &mut [u8]) {
+    for (((mask, &bright), &dark), &least) in mask.iter_mut().zip(bright).zip(dark).zip(least) {
+        *mask = if bright.saturating_sub(dark) >= least { u8::MAX } else { 0 };
+    }
+}

@@ -1,0 +1,132 @@
+//! Which components are markers: by their size beside the others', and by their shape.
+
+use super::components::Blob;
+use crate::detect::markers::CutMarker;
+use crate::params::{DetectParams, Threshold};
+use alloc::vec::Vec;
+
+/// Shares of the usual marker's area beyond which a component is a speck of paint or noise, or the edge of something.
+const SHARES_OF_AREA: (f64, f64) = (0.4, 2.0);
+
+/// Markers differ in area: one that shows all of the usual one may still lack this share of its own.
+const AREA_SPREAD: f64 = 0.2;
+
+/// What markers of one image are like.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(in crate::detect) struct BlobFilter {
+    size_px: (usize, usize),
+    min_area_px2: u32,
+    max_area_px2: u32,
+    min_fill: f64,
+    /// The usual marker's area; 0 where no marker lies whole in the image.
+    pub usual_px2: f64,
+    /// Least and largest area of a marker beside others of the usual area.
+    pub range_px2: (u32, u32),
+}
+
+impl BlobFilter {
+    /// For the components of an image of a size, with how many of them are markers by their own area and shape.
+    /// `areas_px2` is scratch.
+    pub fn of(
+        blobs: &[Blob],
+        params: &DetectParams,
+        size_px: (usize, usize),
+        areas_px2: &mut Vec<u32>,
+    ) -> (Self, usize) {
+        let &DetectParams { min_area_px2, max_area_px2, min_fill, .. } = params;
+        let mut sieve =
+            Self { size_px, min_area_px2, max_area_px2, min_fill, usual_px2: 0.0, range_px2: (0, u32::MAX) };
+        let mut found = 0;
+        areas_px2.clear();
+        for blob in blobs.iter().filter(|blob| sieve.is_marker(blob)) {
+            found += 1;
+            if !sieve.is_cut(blob) {
+                areas_px2.push(blob.area_px2);
+            }
+        }
+        sieve.usual_px2 = usual_area_px2(areas_px2);
+        sieve.range_px2 = area_range_px2(params.threshold, sieve.usual_px2);
+        (sieve, found)
+    }
+
+    /// Whether a component is a marker that lies whole in the image.
+    pub fn passes_whole(&self, blob: &Blob) -> bool {
+        self.is_marker(blob) && !self.is_cut(blob) && self.in_range(blob)
+    }
+
+    /// The marker that a component is the visible part of, if it is; `variance` is that of a coordinate of a whole one, px².
+    pub fn cut_marker(&self, blob: &Blob, variance: f64) -> Option<CutMarker> {
+        let is_one = self.is_marker(blob)
+            && self.is_cut(blob)
+            && self.in_range(blob)
+            && is_as_long_as_a_marker(blob, self.usual_px2);
+        is_one.then(|| cut_marker(blob, blob.sides_reached(self.size_px), self.usual_px2, variance))
+    }
+
+    /// Whether a component is of a plausible size and round enough.
+    fn is_marker(&self, blob: &Blob) -> bool {
+        (self.min_area_px2..=self.max_area_px2).contains(&blob.area_px2) && in_shape(blob, self.min_fill)
+    }
+
+    /// Whether a component reaches the outermost pixels of the image.
+    pub fn is_cut(&self, blob: &Blob) -> bool {
+        blob.sides_reached(self.size_px) != (false, false)
+    }
+
+    fn in_range(&self, blob: &Blob) -> bool {
+        (self.range_px2.0..=self.range_px2.1).contains(&blob.area_px2)
+    }
+}
+
+/// Least and largest area of a marker beside others of a usual area.
+pub(in crate::detect) fn area_range_px2(threshold: Threshold, usual_px2: f64) -> (u32, u32) {
+    match threshold {
+        Threshold::Auto if usual_px2 > 0.0 => {
+            ((SHARES_OF_AREA.0 * usual_px2) as u32, (SHARES_OF_AREA.1 * usual_px2) as u32)
+        }
+        Threshold::Fixed | Threshold::Auto => (0, u32::MAX),
+    }
+}
+
+/// The area below which half of all pixels of markers of these areas lie; 0 for none. Specks may outnumber the markers, but
+/// they have few pixels.
+pub(in crate::detect) fn usual_area_px2(areas_px2: &mut [u32]) -> f64 {
+    areas_px2.sort_unstable();
+    let all: u64 = areas_px2.iter().map(|&area| u64::from(area)).sum();
+    let mut below = 0;
+    let usual = areas_px2.iter().find(|&&area| {
+        below += u64::from(area);
+        2 * below >= all
+    });
+    usual.map_or(0.0, |&area| f64::from(area))
+}
+
+/// Whether a component is round enough.
+pub(in crate::detect) fn in_shape(blob: &Blob, min_fill: f64) -> bool {
+    let (width, height) = blob.size();
+    let ellipse_area = core::f64::consts::FRAC_PI_4 * f64::from(width) * f64::from(height);
+    f64::from(blob.area_px2) >= min_fill * ellipse_area
+}
+
+/// Whether what reaches the border may be a part of a marker, not a strip along the border. Without whole markers to compare
+/// with, nothing may.
+fn is_as_long_as_a_marker(blob: &Blob, usual_px2: f64) -> bool {
+    let (width, height) = blob.size();
+    let side = f64::from(width.max(height));
+    // Twice the diameter, since markers need not be round.
+    side * side <= 4.0 * 4.0 * core::f64::consts::FRAC_1_PI * usual_px2
+}
+
+/// What is known of a marker whose component reaches the image's borders across (x, y).
+fn cut_marker(blob: &Blob, reached: (bool, bool), usual_px2: f64, variance: f64) -> CutMarker {
+    let area = f64::from(blob.area_px2);
+    let full = (1.0 + AREA_SPREAD) * usual_px2.max(area);
+    // As long as the border cuts straight, the visible centroid is less than the radius times the hidden share away.
+    let hidden_px = crate::math::sqrt(full * core::f64::consts::FRAC_1_PI) * (1.0 - area / full);
+    let of = |reached: bool| variance + if reached { hidden_px * hidden_px } else { 0.0 };
+    CutMarker {
+        centre_px: blob.mean_px(),
+        covariance_px2: [[of(reached.0), 0.0], [0.0, of(reached.1)]],
+        area_px2: blob.area_px2,
+    }
+}

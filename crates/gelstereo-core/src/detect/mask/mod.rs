@@ -1,0 +1,14 @@
+//! From an image to components: background, threshold, closing, connected components, and which of them are markers.
+
+mod background;
+pub(super) mod bit_rows;
+pub(super) mod blob_filter;
+pub mod blocks;
+pub mod blur;
+pub mod components;
+pub mod morphology;
+pub mod noise_level;
+pub(super) mod segmentation;
+pub mod smooth;
+pub mod threshold;
+mod walls;

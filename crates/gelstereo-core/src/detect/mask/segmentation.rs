@@ -1,0 +1,120 @@
+//! An image in pieces: what differs from its surround, and hangs together.
+
+use super::background::Difference;
+use super::components::{Components, Most};
+use super::morphology::Closing;
+use crate::detect::error::DetectError;
+use crate::image::GrayView;
+use crate::params::DetectParams;
+use alloc::vec::Vec;
+
+/// Smaller pieces take no pixels from a marker beside them.
+pub(in crate::detect) const LEAST_NEIGHBOUR_PX2: u32 = 3;
+
+/// Background, threshold, closing and components, and their scratch.
+#[derive(Clone, Debug)]
+pub(in crate::detect) struct Segmentation {
+    difference: Difference,
+    closing: Closing,
+    /// Whether closing changes anything.
+    closes: bool,
+    pub components: Components,
+    /// Of the last image.
+    size_px: (usize, usize),
+    /// The whole mask, 0 and 255, or its last row only.
+    mask: Vec<u8>,
+}
+
+impl Segmentation {
+    /// With these settings.
+    pub fn new(params: &DetectParams) -> Self {
+        Self {
+            difference: Difference::new(params),
+            closing: Closing::new(params.morphology_kernel_px),
+            closes: params.morphology_kernel_px > 1,
+            components: Components::keeping(params.min_area_px2.min(LEAST_NEIGHBOUR_PX2)),
+            size_px: (0, 0),
+            mask: Vec::new(),
+        }
+    }
+
+    /// Finds the components. Only closing needs the mask as an image.
+    ///
+    /// # Errors
+    /// [`DetectError::TooMany`].
+    pub fn run(&mut self, image: GrayView<'_>) -> Result<(), DetectError> {
+        let (width, height) = (image.width(), image.height());
+        self.size_px = (width, height);
+        if self.closes {
+            self.mask_all(image);
+        } else {
+            self.difference.survey(image);
+            self.mask.resize(width, 0);
+        }
+        let most = Most::of(width, height);
+        self.components.start(width, height);
+        for y in 0..height {
+            if self.closes {
+                self.components.push(&self.mask[y * width..(y + 1) * width]);
+            } else {
+                self.difference.row(image, y, &mut self.mask);
+                self.components.push(&self.mask);
+            }
+            // Joins below may still make fewer pieces; an image of markers never comes near.
+            let counts =
+                [(self.components.all_runs().len(), most.runs), (self.components.pieces(), most.components)];
+            if let Some((found, most)) = counts.into_iter().find(|(found, most)| found > most) {
+                return Err(DetectError::TooMany { found, most });
+            }
+        }
+        self.components.finish();
+        let found = self.components.kept();
+        if found > most.kept { Err(DetectError::TooMany { found, most: most.kept }) } else { Ok(()) }
+    }
+
+    /// [`Thresholds::feels_noise`](super::threshold::Thresholds::feels_noise) of the last image.
+    pub const fn feel_noise(&self) -> bool {
+        self.difference.thresholds().feels_noise()
+    }
+
+    /// Makes the mask of the whole image, without components.
+    pub fn mask_all(&mut self, image: GrayView<'_>) {
+        self.difference.survey(image);
+        let width = image.width();
+        self.mask.resize(width * image.height(), 0);
+        for (y, row) in self.mask.chunks_exact_mut(width).enumerate() {
+            self.difference.row(image, y, row);
+        }
+        self.closing.run(&mut self.mask, width);
+    }
+
+    /// The mask that [`Self::mask_all`] made.
+    pub fn mask(&self) -> &[u8] {
+        &self.mask
+    }
+
+    /// The components, and the mask of them all in room that is free until the next image.
+    pub fn draw(&mut self) -> (&Components, &[u8]) {
+        let Self { difference, components, size_px, .. } = self;
+        let mask = difference.spare();
+        fill_mask(components, *size_px, 1, mask);
+        (components, mask)
+    }
+
+    /// Writes the mask of the components, each of whose pixels is a square of `scale` x `scale` pixels of an image of a
+    /// size: 255 where a pixel belongs to one, row by row.
+    pub fn draw_scaled(&self, size_px: (usize, usize), scale: usize, out: &mut Vec<u8>) {
+        fill_mask(&self.components, size_px, scale, out);
+    }
+}
+
+fn fill_mask(components: &Components, (width, height): (usize, usize), scale: usize, out: &mut Vec<u8>) {
+    out.clear();
+    out.resize(width * height, 0);
+    for run in components.all_runs() {
+        for y in run.y as usize * scale..(run.y as usize + 1) * scale {
+            let first = y * width;
+            out[first + run.start as usize * scale..first + run.end as usize * scale].fill(u8::MAX);
+        }
+    }
+}

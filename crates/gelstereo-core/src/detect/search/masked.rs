@@ -1,0 +1,172 @@
+//! Markers near expected positions, by windows of the whole image's mask.
+
+use crate::detect::centre::weighted::WeightedCentroid;
+use crate::detect::centre::{CentreRung, MaskedMarker, MaskedMarkers};
+use crate::detect::found::{Found, Sight};
+use crate::detect::mask::blob_filter::{area_range_px2, in_shape, usual_area_px2};
+use crate::detect::window::pieces::Pieces;
+use crate::detect::window::roi::Window;
+use crate::image::GrayView;
+use crate::math::DVec2;
+use crate::params::DetectParams;
+use alloc::vec::Vec;
+
+/// Whole pieces of one window that are kept; a window with more is not clear anyway.
+const MOST_CANDIDATES: usize = 4;
+
+/// Whole pieces of all windows that are kept, for each window: one is the rule.
+const MOST_ON_AVERAGE: usize = 2;
+
+/// The search, and its scratch.
+#[derive(Clone, Debug)]
+pub(in crate::detect) struct MaskedSearch {
+    params: DetectParams,
+    weighted: WeightedCentroid,
+    pieces: Pieces,
+    /// Whole pieces in the windows of the positions.
+    candidates: Vec<MaskedMarker>,
+    areas_px2: Vec<u32>,
+    most_candidates: usize,
+}
+
+impl MaskedSearch {
+    /// With these settings.
+    pub fn new(params: &DetectParams) -> Self {
+        Self {
+            params: params.clone(),
+            weighted: WeightedCentroid::new(params),
+            pieces: Pieces::default(),
+            candidates: Vec::new(),
+            areas_px2: Vec::new(),
+            most_candidates: 0,
+        }
+    }
+
+    fn start(&mut self, positions: usize) {
+        self.pieces.reserve();
+        self.most_candidates = MOST_ON_AVERAGE * positions;
+        self.candidates.clear();
+        self.candidates.reserve(self.most_candidates);
+        self.areas_px2.clear();
+        self.areas_px2.reserve(self.most_candidates);
+    }
+
+    /// Finds the markers within `reach_px` of the positions in an image of this mask; `out` is empty.
+    pub fn run(
+        &mut self,
+        (image, mask): (GrayView<'_>, &[u8]),
+        rung: &mut dyn CentreRung,
+        (expected_px, reach_px): (&[DVec2], f64),
+        out: &mut Found,
+    ) {
+        self.start(expected_px.len());
+        out.markers.reserve(expected_px.len(), 0);
+        out.sights.resize(expected_px.len(), Sight::Nothing);
+        let size_px = (image.width(), image.height());
+        for (position, &at) in expected_px.iter().enumerate() {
+            out.sights[position] = match Window::around(at, reach_px, size_px) {
+                Some(window) => self.look((image, mask), rung, position, &window),
+                None => Sight::Unclear,
+            };
+        }
+        self.decide(expected_px, out);
+        let Self { weighted, pieces, candidates, .. } = self;
+        weighted.reserve(image.height());
+        let markers = candidates.as_slice();
+        let found = MaskedMarkers { image, mask, markers, max_markers: expected_px.len() };
+        let mut weighted_centroid = |marker: usize| {
+            let MaskedMarker { position, key, .. } = markers[marker];
+            let window = Window::around(expected_px[position as usize], reach_px, size_px)?;
+            load(pieces, mask, image.width(), &window);
+            while let Some((blob, _)) = pieces.next(&window) {
+                let runs = pieces.runs();
+                if (runs[0].y, runs[0].start) == key {
+                    return Some(weighted.run(image, &blob, runs.iter()));
+                }
+            }
+            None
+        };
+        rung.refine_masked(&found, &mut weighted_centroid, &mut out.markers);
+    }
+
+    /// Adds the window's whole pieces to the candidates; `Unclear` if there are others that matter.
+    fn look(
+        &mut self,
+        (image, mask): (GrayView<'_>, &[u8]),
+        rung: &mut dyn CentreRung,
+        position: usize,
+        window: &Window,
+    ) -> Sight {
+        load(&mut self.pieces, mask, image.width(), window);
+        let Self { params, pieces, candidates, most_candidates, .. } = self;
+        let most = (candidates.len() + MOST_CANDIDATES).min(*most_candidates);
+        let mut sight = Sight::Nothing;
+        while let Some((blob, partial)) = pieces.next(window) {
+            if blob.area_px2 < params.min_area_px2 {
+                continue;
+            }
+            if partial || blob.area_px2 > params.max_area_px2 || !in_shape(&blob, params.min_fill) {
+                sight = Sight::Unclear;
+                continue;
+            }
+            if candidates.len() == most {
+                return Sight::Several;
+            }
+            let runs = pieces.runs();
+            candidates.push(MaskedMarker {
+                position: position as u32,
+                key: (runs[0].y, runs[0].start),
+                centre_px: rung.centre_piece(image, &blob, runs),
+                area_px2: blob.area_px2,
+                spread_px2: blob.spread_px2(runs.iter()),
+            });
+        }
+        sight
+    }
+
+    /// Gives each position its only candidate, and each candidate to the nearest position only.
+    fn decide(&mut self, expected_px: &[DVec2], out: &mut Found) {
+        let Self { candidates, areas_px2, .. } = self;
+        areas_px2.clear();
+        areas_px2.extend(candidates.iter().map(|c| c.area_px2));
+        let (least_px2, most_px2) = area_range_px2(self.params.threshold, usual_area_px2(areas_px2));
+        for candidate in candidates.iter().filter(|c| c.area_px2 > most_px2) {
+            out.sights[candidate.position as usize] = Sight::Unclear;
+        }
+        candidates.retain(|c| (least_px2..=most_px2).contains(&c.area_px2));
+        // Several in one window: none. They stand in the order of the positions.
+        let mut previous = None;
+        for c in candidates.iter() {
+            if previous.replace(c.position) == Some(c.position) {
+                out.sights[c.position as usize] = Sight::Several;
+            }
+        }
+        candidates.retain(|c| out.sights[c.position as usize] != Sight::Several);
+        let distance = |c: &MaskedMarker| c.centre_px.distance_squared(expected_px[c.position as usize]);
+        candidates.sort_unstable_by(|a, b| {
+            a.key.cmp(&b.key).then(distance(a).total_cmp(&distance(b))).then(a.position.cmp(&b.position))
+        });
+        let mut last = None;
+        candidates.retain(|c| {
+            let again = last.replace(c.key) == Some(c.key);
+            if again {
+                out.sights[c.position as usize] = Sight::Unclear;
+            }
+            !again
+        });
+        candidates.sort_unstable_by_key(|c| c.position);
+        let variance = self.params.centre_sigma_px * self.params.centre_sigma_px;
+        for c in candidates.iter() {
+            out.sights[c.position as usize] = Sight::Marker(out.markers.centres_px.len() as u32);
+            out.markers.push(c.centre_px, variance, c.area_px2);
+        }
+    }
+}
+
+/// Takes the pieces of a window of a mask of this width.
+fn load(pieces: &mut Pieces, mask: &[u8], width: usize, window: &Window) {
+    pieces.start();
+    for y in window.first.1..window.end.1 {
+        pieces.push(&mask[y * width..][window.first.0..window.end.0]);
+    }
+}

@@ -1,0 +1,6 @@
+//! Ways to search an image: whole, at half its size, and near expected positions.
+
+pub(super) mod half;
+pub(super) mod masked;
+pub(super) mod whole;
+pub(super) mod windows;

@@ -1,0 +1,247 @@
+//! Markers near predicted positions, each by a window of its own: the rest of the image is not read.
+
+use crate::detect::centre::CentreRung;
+use crate::detect::centre::covered;
+use crate::detect::centre::weighted::WeightedCentroid;
+use crate::detect::found::{Found, Sight};
+use crate::detect::mask::blob_filter::in_shape;
+use crate::detect::window::classifier::{Eye, Glance, Spot};
+use crate::detect::window::pieces::Pieces;
+use crate::detect::window::pixels::flip;
+use crate::detect::window::roi::{self, Window};
+use crate::detect::window::size::MarkerSize;
+use crate::image::GrayView;
+use crate::math::DVec2;
+use crate::params::DetectParams;
+use alloc::vec::Vec;
+
+/// Windows from which an image's usual contrast is taken, spread evenly over the positions.
+const SAMPLES: usize = 64;
+
+/// Of all pixels of a window, this share is not brighter than the gel: where gel is seen at all, half of the
+/// rest.
+const GEL_SHARE: f64 = 0.75;
+
+/// Share of the contrast at which pieces are outlined; and of the usual contrast, the least contrast they
+/// have.
+const SHARE: f64 = 0.5;
+const LEAST_OF_USUAL: f64 = 0.45;
+
+/// A marker that a window shows.
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    position: u32,
+    centre_px: DVec2,
+    area_px2: u32,
+    band: u8,
+    alive: bool,
+}
+
+/// The search, and its scratch.
+#[derive(Clone, Debug)]
+pub(in crate::detect) struct WindowSearch {
+    params: DetectParams,
+    weighted: WeightedCentroid,
+    seen: Vec<Seen>,
+    pieces: Pieces,
+    mask: Vec<u8>,
+    /// The last marker seen with its centre in each cell, plus 1; there are fewer than 65 535.
+    cells: Vec<u16>,
+}
+
+impl WindowSearch {
+    /// With these settings.
+    pub fn new(params: &DetectParams) -> Self {
+        Self {
+            params: params.clone(),
+            weighted: WeightedCentroid::new(params),
+            seen: Vec::new(),
+            pieces: Pieces::default(),
+            mask: Vec::new(),
+            cells: Vec::new(),
+        }
+    }
+
+    /// Makes room for so many positions in an image of this size.
+    pub fn reserve(&mut self, positions: usize, size: &MarkerSize, (width, height): (usize, usize)) {
+        self.seen.clear();
+        self.seen.reserve(positions);
+        self.pieces.reserve();
+        self.mask.clear();
+        self.mask.reserve(roi::MOST_SIDE_PX);
+        self.weighted.reserve(height);
+        let cells_along = |px: usize| (px as f64 / size.cell_px()) as usize + 3;
+        self.cells.clear();
+        self.cells.reserve(cells_along(width) * cells_along(height));
+    }
+
+    /// Finds the markers within `reach_px` of the positions; `out` is empty, with room for all.
+    ///
+    /// Most windows show one marker or nothing at a glance. What they do not is searched again as pieces of the square
+    /// within reach, by the light in that square.
+    pub fn run(
+        &mut self,
+        image: GrayView<'_>,
+        rung: &mut dyn CentreRung,
+        (expected_px, reach_px): (&[DVec2], f64),
+        size: &MarkerSize,
+        out: &mut Found,
+    ) {
+        let polarity = self.params.polarity;
+        if size.is_small() {
+            self.look_at_all(&Eye::<16>::new(*size, polarity), image, expected_px, reach_px, out);
+        } else {
+            self.look_at_all(&Eye::<32>::new(*size, polarity), image, expected_px, reach_px, out);
+        }
+        self.share_out(image, rung, expected_px, size, out);
+        out.apart_px = size.cell_px();
+        if rung.refine_windows(image, size, &mut out.markers) {
+            out.apart_px = 0.0;
+        }
+    }
+
+    fn look_at_all<const L: usize>(
+        &mut self,
+        eye: &Eye<L>,
+        image: GrayView<'_>,
+        expected_px: &[DVec2],
+        reach_px: f64,
+        out: &mut Found,
+    ) {
+        let every = expected_px.len().div_ceil(SAMPLES).max(1);
+        let usual = eye.usual_contrast(image, expected_px.iter().step_by(every));
+        let most_off_px = reach_px - eye.size().radius_px;
+        eye.look_at_all(image, expected_px, usual, |position, glance| {
+            let (at_px, position) = (expected_px[position], position as u32);
+            let near = |c: DVec2| (c - at_px).abs().max_element() <= most_off_px;
+            out.sights.push(match glance {
+                Glance::Marker(spot) if near(spot.centre_px) => {
+                    let Spot { centre_px, area_px2, band } = spot;
+                    self.seen.push(Seen { position, centre_px, area_px2, band, alive: true });
+                    Sight::Unclear
+                }
+                Glance::Nothing => Sight::Nothing,
+                Glance::Marker(_) | Glance::Unclear => {
+                    self.look_closer(eye, image, (position, at_px), reach_px, usual)
+                }
+            });
+        });
+    }
+
+    /// Searches the square within reach for pieces.
+    fn look_closer<const L: usize>(
+        &mut self,
+        eye: &Eye<L>,
+        image: GrayView<'_>,
+        (position, at_px): (u32, DVec2),
+        reach_px: f64,
+        usual: f64,
+    ) -> Sight {
+        let Some(window) = Window::around(at_px, reach_px, (image.width(), image.height())) else {
+            return Sight::Unclear;
+        };
+        let Self { params, weighted, seen, pieces, mask, .. } = self;
+        let flip = flip(params.polarity);
+        let rows = || (window.first.1..window.end.1).map(|y| &image.row(y)[window.first.0..window.end.0]);
+        let Some(below) = outline_level(rows().flatten().map(|&level| level ^ flip), usual) else {
+            return Sight::Nothing;
+        };
+        pieces.start();
+        for row in rows() {
+            mask.clear();
+            mask.extend(row.iter().map(|&level| if (level ^ flip) < below { u8::MAX } else { 0 }));
+            pieces.push(mask);
+        }
+        let (mut sight, mut found) = (Sight::Nothing, None);
+        let (least_px2, most_px2) = eye.size().area_px2;
+        while let Some((blob, partial)) = pieces.next(&window) {
+            if blob.area_px2 < params.min_area_px2 {
+                continue;
+            }
+            if partial || blob.area_px2 > most_px2 || !in_shape(&blob, params.min_fill) {
+                sight = Sight::Unclear;
+            } else if blob.area_px2 >= least_px2 {
+                if found.is_some() {
+                    return Sight::Several;
+                }
+                let shown = eye.centre(image, blob.mean_px()).map(|spot| (spot.centre_px, spot.band));
+                let (centre_px, band) =
+                    shown.unwrap_or_else(|| (weighted.run(image, &blob, pieces.runs().iter()), 0));
+                found = Some(Seen { position, centre_px, area_px2: blob.area_px2, band, alive: true });
+            }
+        }
+        seen.extend(found);
+        sight
+    }
+
+    /// Gives each marker to the nearest of the positions that see it.
+    fn share_out(
+        &mut self,
+        image: GrayView<'_>,
+        rung: &dyn CentreRung,
+        expected_px: &[DVec2],
+        size: &MarkerSize,
+        out: &mut Found,
+    ) {
+        let size_px = (image.width(), image.height());
+        let Self { seen, cells, .. } = self;
+        let cells_along = |px: usize| (px as f64 / size.cell_px()) as usize + 3;
+        let cols = cells_along(size_px.0);
+        cells.clear();
+        cells.resize(cols * cells_along(size_px.1), 0);
+        let per_px = 1.0 / size.cell_px();
+        let near_px2 = size.cell_px() * size.cell_px();
+        for n in 0..seen.len() {
+            let centre_px = seen[n].centre_px;
+            let far = |seen: &Seen| seen.centre_px.distance_squared(expected_px[seen.position as usize]);
+            // Cells begin one before the image, so that there is one on every side.
+            let first = (centre_px.y * per_px) as usize * cols + (centre_px.x * per_px) as usize;
+            let middle = first + cols + 1;
+            'around: for row in [first, first + cols, first + 2 * cols] {
+                if cells[row..row + 3].iter().all(|&other| other == 0) {
+                    continue;
+                }
+                for cell in row..row + 3 {
+                    let Some(other) = (cells[cell] as usize).checked_sub(1) else { continue };
+                    if cell != middle && seen[other].centre_px.distance_squared(centre_px) >= near_px2 {
+                        continue;
+                    }
+                    if far(&seen[other]) <= far(&seen[n]) {
+                        seen[n].alive = false;
+                        break 'around;
+                    }
+                    seen[other].alive = false;
+                    cells[cell] = 0;
+                }
+            }
+            if seen[n].alive {
+                // More positions than that no image has: such a marker may then be given twice.
+                cells[middle] = u16::try_from(n + 1).unwrap_or(0);
+            }
+        }
+        for marker in seen.iter().filter(|marker| marker.alive) {
+            let areas_px2 = (marker.area_px2, size.usual_area_px2());
+            let covered = covered::without_band_px2(marker.band, image, marker.centre_px, areas_px2);
+            let variance_px2 = rung.window_variance_px2(marker.band) + covered;
+            out.sights[marker.position as usize] = Sight::Marker(out.markers.centres_px.len() as u32);
+            out.markers.push(marker.centre_px, variance_px2, marker.area_px2);
+        }
+    }
+}
+
+/// Level below which pixels of a square are darker than half way from its gel to its darkest; `None` where
+/// nothing is as dark as a marker of an image with this usual contrast.
+fn outline_level(levels: impl Iterator<Item = u8> + Clone, usual: f64) -> Option<u8> {
+    let mut histogram = [0_u32; 256];
+    levels.for_each(|level| histogram[usize::from(level)] += 1);
+    let all: u32 = histogram.iter().sum();
+    let below_gel = GEL_SHARE * f64::from(all);
+    let mut below = 0;
+    let gel = histogram.iter().position(|&count| {
+        below += count;
+        f64::from(below) >= below_gel
+    })?;
+    let darkest = histogram.iter().position(|&count| count > 0)?;
+    let (depth, least) = ((gel - darkest) as f64, LEAST_OF_USUAL * usual);
+    (depth >= least && least > 0.0).then_some((gel as f64 - SHARE * depth) as u8)
+}

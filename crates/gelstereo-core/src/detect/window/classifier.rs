@@ -1,0 +1,299 @@
+//! What a small window around an expected position shows, at a glance: one marker, nothing, or something else.
+//!
+//! Light, threshold and moments come from the window alone, by loops of fixed length over rows of whole
+//! numbers, which compile to vector code.
+
+use super::lanes::{Weights, moments};
+use super::pixels::{BAND, BITS, Corners, Gel, Lanes, Place, Room, Window, flip};
+use super::size::MarkerSize;
+use crate::image::GrayView;
+use crate::math::DVec2;
+use crate::params::Polarity;
+
+/// A centre farther from the window's middle is looked at again, from a window around it.
+const OFF_PX: f64 = 1.0;
+
+/// Windows tried for one position.
+const TRIES: usize = 3;
+
+/// Contrasts of less than this share of the usual one are no marker; and no marker has less than the second.
+const SHARES_OF_USUAL: (f64, f64) = (0.3, 0.45);
+
+/// Corners whose levels differ by more than this share of the contrast: a shadow, a smear, another marker.
+const MOST_UNEVEN: f64 = 0.35;
+
+/// A component's mean position is so near to its marker's centre: simulated, 0.4 px at noise 2, 0.6 px at noise 18; two markers that
+/// nearly touch have theirs 2.5 px or more from their middle.
+const MOST_OFF_PX: f64 = 1.0;
+
+/// A disc's second moment about its centre is area / 2 pi in each axis together; ellipses of 1 : 2 have 1.25
+/// times as much, two pieces more.
+const MOST_SPREAD: f64 = 1.35;
+
+/// What blur adds to it, px².
+const BLUR_PX2: f64 = 1.0;
+
+/// A marker in a window.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Spot {
+    /// Centre weighted by contrast, pixels.
+    pub centre_px: DVec2,
+    /// Pixels darker than half way.
+    pub area_px2: u32,
+    /// Contrast over which a pixel's weight grows, grey levels.
+    pub band: u8,
+}
+
+/// A window about a marker as its gel is measured: at its corners.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::detect) struct Frame {
+    /// Contrast over which a pixel's weight grows, grey levels.
+    pub band: f64,
+    /// Level of the gel.
+    pub gel_level: f64,
+    /// Share of the band that gel without noise has: it is negative.
+    pub gel_share: f64,
+    /// Side of the squares in the corners, and how far they are apart, pixels.
+    pub corner_px: f64,
+    pub apart_px: f64,
+}
+
+/// What a window shows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Glance {
+    /// One marker, whole, with gel all around.
+    Marker(Spot),
+    /// Gel.
+    Nothing,
+    /// Something else.
+    Unclear,
+}
+
+/// What the weights of a window add up to.
+struct Outline {
+    centre_px: DVec2,
+    area_px2: f64,
+    /// Sum of the variances along both axes, px².
+    spread_px2: f64,
+    /// Something reaches the window's outermost pixels.
+    touches: bool,
+    band: u8,
+}
+
+impl Outline {
+    fn spot(&self) -> Spot {
+        // Rounded: no area is so near to a half that the sum would be.
+        let area_px2 = (self.area_px2 + 0.5) as u32;
+        Spot { centre_px: self.centre_px, area_px2, band: self.band }
+    }
+}
+
+impl<const L: usize> Weights<L> {
+    fn outline(&self, place: &Place<L>, band: u8) -> Outline {
+        let sum: i32 = self.columns.iter().map(|&weight| i32::from(weight)).sum();
+        let per = 1.0 / f64::from(sum.max(1));
+        let (x, variance_x) = moments(&self.columns, per);
+        let (y, variance_y) = moments(&self.rows, per);
+        let (lane, last) = (place.lane(), place.side - 1);
+        let rim = [self.columns[lane], self.columns[lane + last], self.rows[0], self.rows[last]];
+        Outline {
+            centre_px: DVec2::new(place.begin as f64 + x, place.first.1 as f64 + y),
+            area_px2: f64::from(sum) / f64::from(band),
+            spread_px2: variance_x + variance_y,
+            touches: rim.into_iter().any(|sum| sum > i16::from(band)),
+            band,
+        }
+    }
+}
+
+/// Where a window came to rest.
+enum Settled {
+    /// Around what it shows.
+    At(Gel, Outline),
+    /// On gel.
+    Nothing,
+    /// Nowhere.
+    Lost,
+}
+
+/// Looks at single windows.
+#[derive(Clone, Copy, Debug)]
+pub struct Eye<const L: usize> {
+    size: MarkerSize,
+    /// 255 where markers are bright.
+    flip: u8,
+    /// Of windows that do not reach the image's right border.
+    lanes: Lanes<L>,
+    corners: Corners,
+}
+
+impl<const L: usize> Eye<L> {
+    /// For markers of one size.
+    #[must_use]
+    pub fn new(size: MarkerSize, polarity: Polarity) -> Self {
+        Self { size, flip: flip(polarity), lanes: Lanes::of(0, &size), corners: Corners::of(&size) }
+    }
+
+    #[inline(always)]
+    fn window<'a>(
+        &'a self,
+        image: &GrayView<'_>,
+        at_px: DVec2,
+        room: &'a mut Room<L>,
+    ) -> Option<Window<'a, L>> {
+        let place = Place::around(at_px, self.size.side_px, (image.width(), image.height()))?;
+        let Room { rows, lanes } = room;
+        *lanes = (place.lane() > 0).then(|| Lanes::of(place.lane(), &self.size));
+        let rows = &mut rows[..place.side];
+        image.copy_lanes((place.begin, place.first.1), rows);
+        if self.flip != 0 {
+            rows.as_flattened_mut().iter_mut().for_each(|level| *level ^= self.flip);
+        }
+        Some(Window { place, lanes: lanes.as_ref().unwrap_or(&self.lanes), rows })
+    }
+
+    fn gel(&self, window: &Window<'_, L>) -> Gel {
+        window.gel(&self.corners)
+    }
+
+    /// The size of marker.
+    #[must_use]
+    pub const fn size(&self) -> &MarkerSize {
+        &self.size
+    }
+
+    /// The usual contrast around positions, grey levels: their mean, each weighted by its square, so that
+    /// empty places carry none.
+    pub fn usual_contrast<'p>(
+        &self,
+        image: GrayView<'_>,
+        positions_px: impl Iterator<Item = &'p DVec2>,
+    ) -> f64 {
+        let (mut squares, mut cubes) = (0_u64, 0_u64);
+        let mut room = Room::new();
+        for &at_px in positions_px {
+            let Some(window) = self.window(&image, at_px, &mut room) else { continue };
+            let depth = self.gel(&window).depth as u64;
+            squares += depth * depth;
+            cubes += depth * depth * depth;
+        }
+        cubes as f64 / (squares.max(1) << BITS) as f64
+    }
+
+    /// What is seen around each of some positions in an image of this usual contrast.
+    pub fn look_at_all(
+        &self,
+        image: GrayView<'_>,
+        positions_px: &[DVec2],
+        usual_contrast: f64,
+        mut see: impl FnMut(usize, Glance),
+    ) {
+        let share_of_usual = |share: f64| (share * f64::from(1 << BITS) * usual_contrast) as i32;
+        let [nothing, faint] = [SHARES_OF_USUAL.0, SHARES_OF_USUAL.1].map(share_of_usual);
+        let (uneven, mut room) = (share_of_usual(MOST_UNEVEN), Room::new());
+        for (position, &at_px) in positions_px.iter().enumerate() {
+            let glance = match self.settle(&image, at_px, nothing, &mut room) {
+                Settled::Nothing => Glance::Nothing,
+                Settled::At(gel, outline) if gel.depth >= faint && gel.uneven <= uneven => {
+                    self.decide(&outline)
+                }
+                Settled::Lost | Settled::At(..) => Glance::Unclear,
+            };
+            see(position, glance);
+        }
+    }
+
+    /// The marker about its component's mean position, if it lies whole in a window around it.
+    /// None farther than a pixel away: a window upon two markers that nearly touch settles in their middle.
+    #[must_use]
+    pub fn centre(&self, image: GrayView<'_>, at_px: DVec2) -> Option<Spot> {
+        self.outline_about(&image, at_px).map(|outline| outline.spot())
+    }
+
+    /// As [`Self::centre`], of the size and shape of one marker.
+    #[must_use]
+    pub fn single(&self, image: GrayView<'_>, at_px: DVec2) -> Option<Spot> {
+        match self.decide(&self.outline_about(&image, at_px)?) {
+            Glance::Marker(spot) => Some(spot),
+            Glance::Nothing | Glance::Unclear => None,
+        }
+    }
+
+    fn outline_about(&self, image: &GrayView<'_>, at_px: DVec2) -> Option<Outline> {
+        match self.settle(image, at_px, 1, &mut Room::new()) {
+            Settled::At(gel, outline)
+                if !outline.touches
+                    && f64::from(gel.uneven) < MOST_UNEVEN * f64::from(gel.depth)
+                    && outline.centre_px.distance_squared(at_px) < MOST_OFF_PX * MOST_OFF_PX =>
+            {
+                Some(outline)
+            }
+            _ => None,
+        }
+    }
+
+    /// The pixels of the window around a marker's centre: of each, its squared distance from that, and how much darker it is than
+    /// where weights begin, as a share of the band over which they grow. `None` outside the image, and without contrast.
+    pub(in crate::detect) fn shares(
+        &self,
+        image: GrayView<'_>,
+        centre_px: DVec2,
+        mut each: impl FnMut(f64, f64),
+    ) -> Option<Frame> {
+        let mut room = Room::new();
+        let window = self.window(&image, centre_px, &mut room)?;
+        let (place, gel) = (window.place, self.gel(&window));
+        let (side, corner) = (place.side, self.size.corner_px());
+        let (unit, depth) = (f64::from(1 << BITS), f64::from(gel.depth));
+        let (low, band) = (BAND.0 * depth / unit, (BAND.1 - BAND.0) * depth / unit);
+        if !(band >= 1.0) {
+            return None;
+        }
+        let gel_level = f64::from(gel.level) / unit;
+        let (along, down) = (f64::from(gel.along) / 256.0, f64::from(gel.down) / 256.0);
+        let (middle, per_band) = (0.5 * (side as f64 - 1.0), 1.0 / band);
+        let off = DVec2::new(place.first.0 as f64, place.first.1 as f64) - centre_px;
+        for (y, row) in window.rows.iter().enumerate() {
+            let (y, y_off) = (y as f64, y as f64 + off.y);
+            let begins = gel_level - low + down * (y - middle) - along * middle;
+            for (x, &level) in row[place.lane()..][..side].iter().enumerate() {
+                let (x, x_off) = (x as f64, x as f64 + off.x);
+                each(x_off * x_off + y_off * y_off, (begins + along * x - f64::from(level)) * per_band);
+            }
+        }
+        let (corner_px, apart_px) = (corner as f64, (side - corner) as f64);
+        Some(Frame { band, gel_level, gel_share: -low * per_band, corner_px, apart_px })
+    }
+
+    /// Moves the window until what it shows lies in its middle.
+    fn settle(&self, image: &GrayView<'_>, at_px: DVec2, least_depth: i32, room: &mut Room<L>) -> Settled {
+        let mut middle_px = at_px;
+        for _ in 0..TRIES {
+            let Some(mut window) = self.window(image, middle_px, room) else { return Settled::Lost };
+            let (place, gel) = (window.place, self.gel(&window));
+            if gel.depth < least_depth {
+                return Settled::Nothing;
+            }
+            let (low, band) = gel.band();
+            let outline = window.weigh(&gel, (low, band)).outline(&place, band);
+            if (outline.centre_px - place.middle_px()).abs().max_element() <= OFF_PX {
+                return Settled::At(gel, outline);
+            }
+            middle_px = outline.centre_px;
+        }
+        Settled::Lost
+    }
+
+    fn decide(&self, outline: &Outline) -> Glance {
+        let disc_px2 = outline.area_px2 * (0.5 * core::f64::consts::FRAC_1_PI);
+        let Spot { area_px2, .. } = outline.spot();
+        let (least_px2, most_px2) = self.size.area_px2;
+        if outline.touches || area_px2 > most_px2 || outline.spread_px2 > MOST_SPREAD * disc_px2 + BLUR_PX2 {
+            Glance::Unclear
+        } else if area_px2 < least_px2 {
+            Glance::Nothing
+        } else {
+            Glance::Marker(outline.spot())
+        }
+    }
+}

@@ -1,0 +1,97 @@
+//! Sums over the rows of a window, its columns side by side: loops of fixed length, which compile to vector code.
+
+use super::size::MOST_SIDE_PX;
+
+/// Sums of a window's weights by lane and by row: at most 32 of at most 255.
+pub(super) struct Weights<const L: usize> {
+    pub columns: [i16; L],
+    pub rows: [i16; L],
+}
+
+/// The darkest level of the lanes that are on.
+#[inline(never)]
+pub(super) fn darkest<const L: usize>(rows: &[[u8; L]], on: &[u8; L]) -> u8 {
+    let mut darkest = [u8::MAX; L];
+    for row in rows {
+        darkest = core::array::from_fn(|x| darkest[x].min(row[x]));
+    }
+    darkest.iter().zip(on).fold(u8::MAX, |low, (&level, &on)| low.min(level | !on))
+}
+
+/// Turns levels into weights: how far they, and what is added to their row, stay below a limit, up to `band`. What is added
+/// becomes less from row to row; both in 1 / 512 level.
+#[inline(never)]
+pub(super) fn weigh<const L: usize>(
+    rows: &mut [[u8; L]],
+    limit: &[u8; L],
+    (mut added, less): (i32, i32),
+    band: u8,
+) {
+    for row in rows {
+        // Hidden, or the compiler would take pixels of several rows together, which lie apart.
+        let more = core::hint::black_box((added >> 9) as u8);
+        *row = core::array::from_fn(|x| limit[x].saturating_sub(row[x].saturating_add(more)).min(band));
+        added -= less;
+    }
+}
+
+impl<const L: usize> Weights<L> {
+    /// Of a window of at most `L` rows. Apart from the weights themselves: together, neither compiles to whole vectors.
+    #[inline(never)]
+    pub fn of(rows: &[[u8; L]]) -> Self {
+        let [mut columns, mut sums] = [[0_i16; L]; 2];
+        for (row, total) in rows.iter().zip(&mut sums) {
+            columns = core::array::from_fn(|x| columns[x] + i16::from(row[x]));
+            *total = row.iter().map(|&w| u32::from(w)).sum::<u32>() as i16;
+        }
+        Self { columns, rows: sums }
+    }
+}
+
+#[inline(never)]
+pub(super) fn sum_columns<const L: usize>(rows: &[[u8; L]]) -> [i16; L] {
+    let mut columns = [0; L];
+    for row in rows {
+        columns = core::array::from_fn(|x| columns[x] + i16::from(row[x]));
+    }
+    columns
+}
+
+/// Sum of products. There is one instruction for eight of them, which is found here but not where one list is known.
+#[inline(never)]
+pub(super) fn products<const L: usize>(a: &[i16; L], b: &[i16; L]) -> i32 {
+    a.iter().zip(b).map(|(&a, &b)| i32::from(a) * i32::from(b)).sum()
+}
+
+/// Mean place and variance of weights along a line, one over whose sum is given.
+pub(super) fn moments<const L: usize>(line: &[i16; L], per: f64) -> (f64, f64) {
+    let first = products(line, &const { powers(1) });
+    let second = products(line, &const { powers(2) });
+    let mean = f64::from(first) * per;
+    (mean, f64::from(second) * per - mean * mean)
+}
+
+/// Powers of places.
+const fn powers<const L: usize>(exponent: u32) -> [i16; L] {
+    let mut powers = [0; L];
+    let mut at = 0;
+    while at < L {
+        powers[at] = (at as i16).pow(exponent);
+        at += 1;
+    }
+    powers
+}
+
+/// Nothing, and all ones from a lane on.
+pub(super) fn step_up<const L: usize>(lane: usize) -> [u8; L] {
+    const STEP: [u8; 2 * MOST_SIDE_PX] = {
+        let mut step = [0; 2 * MOST_SIDE_PX];
+        let mut at = MOST_SIDE_PX;
+        while at < step.len() {
+            step[at] = u8::MAX;
+            at += 1;
+        }
+        step
+    };
+    *STEP[MOST_SIDE_PX - lane..].first_chunk::<L>().unwrap_or(&[0; L])
+}

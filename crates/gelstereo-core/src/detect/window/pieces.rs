@@ -1,0 +1,122 @@
+//! The pieces that the mask of a small window falls into, a row in 64 bits.
+
+use super::roi::{MOST_SIDE_PX, Window};
+use crate::detect::mask::bit_rows::bits;
+use crate::detect::mask::components::{Blob, Run};
+use alloc::vec::Vec;
+
+/// The mask of one window, and the pieces that it falls into.
+#[derive(Clone, Debug, Default)]
+pub struct Pieces {
+    /// One bit a pixel, the first column's lowest.
+    rows: Vec<u64>,
+    piece: Vec<u64>,
+    runs: Vec<Run>,
+}
+
+impl Pieces {
+    /// Makes room for any window.
+    pub fn reserve(&mut self) {
+        for rows in [&mut self.rows, &mut self.piece] {
+            rows.clear();
+            rows.reserve(MOST_SIDE_PX);
+        }
+        self.runs.clear();
+        self.runs.reserve(MOST_SIDE_PX * MOST_SIDE_PX / 2);
+    }
+
+    /// Starts a window.
+    pub fn start(&mut self) {
+        self.rows.clear();
+    }
+
+    /// Adds the next row, bytes of 0 or 255, at most [`MOST_SIDE_PX`] of them.
+    pub fn push(&mut self, row: &[u8]) {
+        let (words, rest) = row.as_chunks::<8>();
+        let mut last = [0; 8];
+        last[..rest.len()].copy_from_slice(rest);
+        let words = words.iter().chain((!rest.is_empty()).then_some(&last));
+        let row = (0..).step_by(8).zip(words).fold(0, |all, (at, &word)| all | u64::from(bits(word)) << at);
+        self.rows.push(row);
+    }
+
+    /// Takes the next 8-connected piece out of the mask: its sums, and whether it may reach beyond the window. Its runs
+    /// are then [`Self::runs`].
+    pub fn next(&mut self, window: &Window) -> Option<(Blob, bool)> {
+        let seed = self.rows.iter().position(|&bits| bits != 0)?;
+        self.flood(seed);
+        let last_column = window.end.0 - window.first.0 - 1;
+        let sides = 1_u64 | 1 << last_column;
+        let last_row = self.rows.len() - 1;
+        let partial = self.piece.iter().any(|bits| bits & sides != 0)
+            || self.piece[0] != 0
+            || self.piece[last_row] != 0;
+        self.runs.clear();
+        let mut blob = Blob::EMPTY;
+        for (y, (row, piece)) in (window.first.1 as u16..).zip(self.rows.iter_mut().zip(&self.piece)) {
+            *row &= !piece;
+            let mut rest = *piece;
+            while rest != 0 {
+                let start = rest.trailing_zeros();
+                let len = (!(rest >> start)).trailing_zeros();
+                let left = window.first.0 as u16 + start as u16;
+                let run = Run::alone(y, left, left + len as u16);
+                blob.add(&run);
+                self.runs.push(run);
+                rest = rest.checked_shr(start + len).map_or(0, |high| high << (start + len));
+            }
+        }
+        Some((blob, partial))
+    }
+
+    /// The runs of the last piece, in raster order.
+    #[must_use]
+    pub fn runs(&self) -> &[Run] {
+        &self.runs
+    }
+
+    /// Fills `piece` with all that hangs together with the first pixel of row `seed`: down and up until nothing is added.
+    fn flood(&mut self, seed: usize) {
+        let Self { rows, piece, .. } = self;
+        piece.clear();
+        piece.resize(rows.len(), 0);
+        piece[seed] = rows[seed] & rows[seed].wrapping_neg();
+        loop {
+            let mut end = seed;
+            while end < rows.len() {
+                grow(rows, piece, end, end.checked_sub(1));
+                if piece[end] == 0 {
+                    break;
+                }
+                end += 1;
+            }
+            // Rows are closed towards those above now. If none gains from the one below, all is found.
+            let mut grown = false;
+            for y in (seed..end).rev() {
+                grown |= grow(rows, piece, y, Some(y + 1));
+            }
+            if !grown {
+                break;
+            }
+        }
+    }
+}
+
+/// Adds to a row of the piece what touches it along the row or in the row `from`; whether there was any.
+fn grow(rows: &[u64], piece: &mut [u64], y: usize, from: Option<usize>) -> bool {
+    let before = piece[y];
+    let mut here = before | from.and_then(|row| piece.get(row)).map_or(0, |&bits| widened(bits) & rows[y]);
+    loop {
+        let wider = widened(here) & rows[y];
+        if wider == here {
+            break;
+        }
+        here = wider;
+    }
+    piece[y] = here;
+    here != before
+}
+
+const fn widened(bits: u64) -> u64 {
+    bits | bits << 1 | bits >> 1
+}

@@ -1,0 +1,75 @@
+//! What markers of one size ask of the windows around them.
+
+/// Most rows and columns of a window.
+pub const MOST_SIDE_PX: usize = 32;
+
+/// Gel around a marker, beyond its outline, that takes part in its centre: its blurred edge.
+const EDGE_PX: f64 = 2.5;
+
+/// Room for a marker beside its expected position, beyond its edge, pixels to both sides together.
+const SLACK_PX: f64 = 3.0;
+
+/// Smaller markers, which stand closer together, have less of both: weights end where a fifth of the contrast is left
+/// ([`BAND`]), within a pixel of the outline.
+const SMALL_RADIUS_PX: f64 = 1.8;
+const SMALL_EDGE_AND_SLACK_PX: (f64, f64) = (1.25, 2.0);
+
+/// Shares of the usual area that a marker may have.
+const SHARES_OF_AREA: (f64, f64) = (0.4, 2.0);
+
+/// Markers of one size, and the windows around them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MarkerSize {
+    /// Rows and columns of a window.
+    pub side_px: usize,
+    /// Usual marker's radius.
+    pub radius_px: f64,
+    /// Least and largest area of a marker.
+    pub area_px2: (u32, u32),
+}
+
+impl MarkerSize {
+    /// For markers of a usual area; `None` where they are too large for a window.
+    #[must_use]
+    pub fn of(usual_area_px2: f64) -> Option<Self> {
+        let radius_px = crate::math::sqrt(usual_area_px2.max(0.0) * core::f64::consts::FRAC_1_PI);
+        let (edge_px, slack_px) = edge_and_slack_px(radius_px);
+        let side_px = crate::math::floor(2.0 * (radius_px + edge_px) + slack_px);
+        if !(usual_area_px2 > 0.0 && side_px <= MOST_SIDE_PX as f64) {
+            return None;
+        }
+        let area = |share: f64| (share * usual_area_px2) as u32;
+        let area_px2 = (area(SHARES_OF_AREA.0).max(1), area(SHARES_OF_AREA.1));
+        Some(Self { side_px: side_px as usize, radius_px, area_px2 })
+    }
+
+    /// Whether a window about one marker ends before its neighbours' edges when they stand a pitch away.
+    #[must_use]
+    pub fn fits(&self, pitch_px: f64) -> bool {
+        let (edge_px, _) = edge_and_slack_px(self.radius_px);
+        self.side_px as f64 <= 2.0 * (pitch_px - self.radius_px) - edge_px
+    }
+
+    /// Whether windows are at most 16 pixels wide.
+    pub(in crate::detect) const fn is_small(&self) -> bool {
+        self.side_px <= 16
+    }
+
+    pub(in crate::detect) fn usual_area_px2(&self) -> f64 {
+        core::f64::consts::PI * self.radius_px * self.radius_px
+    }
+
+    /// A square with this side holds no two markers' centres: they would overlap by half.
+    pub(in crate::detect) const fn cell_px(&self) -> f64 {
+        self.radius_px.max(1.0)
+    }
+
+    /// Side of the squares in a window's corners where the gel's level is taken.
+    pub(super) const fn corner_px(&self) -> usize {
+        if self.side_px < 15 { 2 } else { self.side_px / 5 }
+    }
+}
+
+fn edge_and_slack_px(radius_px: f64) -> (f64, f64) {
+    if radius_px < SMALL_RADIUS_PX { SMALL_EDGE_AND_SLACK_PX } else { (EDGE_PX, SLACK_PX) }
+}
