@@ -1,8 +1,10 @@
 //! Symmetric copies of a pose are one answer: the one nearest to the guess.
 
+use super::alternatives::{Alternative, Alternatives};
+use super::free::FreeDirections;
 use super::observe::{Observability, PatchFrame};
+use super::registration::Registration;
 use super::symmetry::{Symmetry, nearest_copy};
-use super::{Alternatives, FreeDirections, Registration};
 use crate::math::Pose;
 
 /// Poses whose difference is this many standard deviations over the determined directions are two.
@@ -27,7 +29,7 @@ pub(super) fn honour(found: &mut Registration, symmetries: &[Symmetry], guess: &
         let is_copy =
             |other: &Pose| !are_apart(&seen, &nearest_copy(symmetries, &t_sensor_object, other), other);
         if !is_copy(&best) && !kept.iter().any(|k| is_copy(&k.t_sensor_object)) {
-            kept.push(super::Alternative { t_sensor_object, ..*one });
+            kept.push(Alternative { t_sensor_object, ..*one });
         }
     }
     found.alternatives = kept;

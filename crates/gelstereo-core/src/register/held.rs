@@ -4,8 +4,7 @@
 //! chance would choose among them. A free direction is a motion of the part's surface within itself, a slide, a spin or a
 //! screw, so that the whole of it can be taken back, not a small step alone.
 
-use super::Observability;
-use super::observe::PatchFrame;
+use super::observe::{Observability, PatchFrame};
 use crate::math::Pose;
 
 /// Projections; each leaves a small share of what the one before left.

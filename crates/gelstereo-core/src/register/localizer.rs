@@ -156,7 +156,7 @@ impl Localizer {
                 let mut followed = self.judge(found, (contact, template), Standing::Followed);
                 if followed.standing == Standing::Followed {
                     // Along what is free it is where it was first guessed to be, however far it has been followed.
-                    followed.registration.guess_sigma = self.search.params.guess_sigma();
+                    followed.registration.guess_sigma = self.search.params().guess_sigma();
                     hold_free(&mut followed.registration, &last);
                     return Ok(self.believe(followed));
                 }

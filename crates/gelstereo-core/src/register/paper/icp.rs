@@ -1,8 +1,9 @@
 //! Iterated closest points, point to point (Besl and McKay 1992).
 
-use super::rigid::rigid_fit;
-use super::{Outcome, Problem, RegisterError, Scratch, check_reach, compose};
+use super::problem::{Outcome, Problem, Scratch, check_reach, compose};
 use crate::math::Pose;
+use crate::register::error::RegisterError;
+use crate::register::rigid::rigid_fit;
 use crate::stop::{Stopped, ask_often};
 
 /// Steps from a start until they are short enough or the iterations run out.

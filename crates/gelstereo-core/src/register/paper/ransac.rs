@@ -2,11 +2,12 @@
 
 use super::facet::{Facet, facet};
 use super::filterreg::width_floor_mm;
-use super::observe::{PatchFrame, Sighting, System};
-use super::rigid::rigid_fit;
-use super::{Problem, RegisterError, Scratch, check_reach, compose};
+use super::problem::{Problem, Scratch, check_reach, compose};
 use crate::math::random::{Stream, keyed};
 use crate::math::{DVec3, Pose, centroid};
+use crate::register::error::RegisterError;
+use crate::register::observe::{PatchFrame, Sighting, System};
+use crate::register::rigid::rigid_fit;
 use crate::stop::{Stopped, ask, ask_often};
 
 /// The best of `ransac_hypotheses` poses near the guess; the guess itself competes.

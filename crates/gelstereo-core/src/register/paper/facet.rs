@@ -1,7 +1,7 @@
 //! Which part of the template's surface a point lies on, and how sure that is.
 
-use super::template::Template;
 use crate::math::{DVec3, exp};
+use crate::register::template::Template;
 
 /// A surface direction with its uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq)]

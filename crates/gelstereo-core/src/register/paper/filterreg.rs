@@ -7,13 +7,14 @@
 //! the contact (`one_sided`) is neither: it is one-sided, dense beside the contact, and it widens the Gaussian that
 //! would have to tell it apart. There the answer stays drawn outwards. Point to plane knows of it.
 
-use super::error::LEAST_PATCH;
 use super::icp;
-use super::observe::{PatchFrame, Sighting, System};
 use super::one_sided::{self, OneSided};
+use super::problem::{Outcome, Problem, Scratch, check_reach, compose};
 use super::soft::soft_match;
-use super::{Outcome, Problem, RegisterError, Scratch, check_reach, compose};
 use crate::math::{Pose, exp, ln, sqrt};
+use crate::register::error::LEAST_PATCH;
+use crate::register::error::RegisterError;
+use crate::register::observe::{PatchFrame, Sighting, System};
 use crate::stop::{Stopped, ask_often};
 
 /// What the M step makes small.

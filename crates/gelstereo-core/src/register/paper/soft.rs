@@ -1,9 +1,9 @@
 //! The soft nearest neighbour of FilterReg (Gao and Tedrake 2019, Eq. 8): exact Gaussian sums over the template.
 
-use super::blocks::{Block, LANES, Lanes};
-use super::observe::Sighting;
-use super::template::Template;
 use crate::math::{DVec3, exp_nonpositive, ln, sqrt};
+use crate::register::blocks::{Block, LANES, Lanes};
+use crate::register::observe::Sighting;
+use crate::register::template::Template;
 use core::array;
 
 /// What a point sees of the template through a Gaussian of width σ, with p_k ∝ exp(-|y_k - x|² / 2σ²).

@@ -1,17 +1,15 @@
 //! The evidence at the end: inliers, residual, information and free directions at the returned pose.
 
-use super::error::LEAST_PATCH;
 use super::facet::{Facet, facet};
 use super::filterreg::width_floor_mm;
-use super::observe::{PatchFrame, Sighting, System};
 use super::one_sided::OneSided;
+use super::problem::{Outcome, Problem, Scratch, check_reach};
 use super::soft::soft_match;
-use super::{
-    Alternatives, FreeDirections, Outcome, Problem, RegisterError, Registration, Scratch, Verdict,
-    check_reach,
-};
 use crate::math::{centroid, sqrt};
 use crate::params::RegisterMethod;
+use crate::register::error::LEAST_PATCH;
+use crate::register::observe::{PatchFrame, Sighting, System};
+use crate::register::{Alternatives, FreeDirections, RegisterError, Registration, Verdict};
 use crate::stop::{Stopped, ask_often};
 
 /// The result of a stage that ended at `outcome`. All rungs are judged alike, on the soft matches of the points

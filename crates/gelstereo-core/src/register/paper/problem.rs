@@ -1,0 +1,88 @@
+//! What every rung on the template's samples looks at, and its steps.
+
+use super::soft::SoftMatch;
+use crate::math::{DVec3, Pose, sqrt};
+use crate::params::RegisterParams;
+use crate::register::error::{LEAST_PATCH, RegisterError};
+use crate::register::template::Template;
+use crate::stop::{Stop, ask_often};
+use alloc::vec::Vec;
+
+/// Where a stage ended.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Outcome {
+    pub t_sensor_object: Pose,
+    pub converged: bool,
+    pub iterations: u32,
+}
+
+/// One patch and one template, with the settings; what every stage looks at.
+#[derive(Clone, Copy)]
+pub(in crate::register) struct Problem<'a> {
+    pub params: &'a RegisterParams,
+    pub points_mm: &'a [DVec3],
+    pub template: &'a Template,
+    pub stop: Stop<'a>,
+}
+
+/// Vectors that the stages share and reuse.
+#[derive(Clone, Debug, Default)]
+pub(in crate::register) struct Scratch {
+    /// The patch in the object's frame, at the current pose.
+    pub placed: Vec<DVec3>,
+    /// Sources and targets of a rigid fit, and their weights.
+    pub sources: Vec<DVec3>,
+    pub targets: Vec<DVec3>,
+    pub weights: Vec<f64>,
+    pub soft: Vec<SoftMatch>,
+}
+
+impl Scratch {
+    /// Places the patch in the object's frame. The translation is taken off first, so that an offset of both costs
+    /// nothing.
+    pub fn place(&mut self, points_mm: &[DVec3], t_sensor_object: &Pose) {
+        let back = t_sensor_object.rotation.conjugate();
+        self.placed.clear();
+        self.placed.extend(points_mm.iter().map(|&p| back * (p - t_sensor_object.translation_mm)));
+    }
+
+    pub fn clear_pairs(&mut self) {
+        self.sources.clear();
+        self.targets.clear();
+        self.weights.clear();
+        self.soft.clear();
+    }
+
+    /// How far a motion in the object's frame moves the point of the patch that it moves most; NaN if it is no motion,
+    /// which the larger of two numbers would hide and call a short step.
+    pub fn largest_move_mm(&self, motion: &Pose) -> f64 {
+        let squared = |p: &DVec3| motion.transform_point(*p).distance_squared(*p);
+        sqrt(self.placed.iter().map(squared).fold(0.0, |most, d| if d <= most { most } else { d }))
+    }
+}
+
+/// The pose after the patch has been moved by `motion` in the object's frame: T D⁻¹.
+pub(super) fn compose(t_sensor_object: &Pose, motion: &Pose) -> Pose {
+    let product = *t_sensor_object * motion.inverse();
+    product.normalized().unwrap_or(*t_sensor_object)
+}
+
+/// Refuses a placed patch of which fewer points than needed lie within `reach_mm` of the template.
+pub(super) fn check_reach(
+    problem: &Problem<'_>,
+    placed: &[DVec3],
+    reach_mm: f64,
+) -> Result<(), RegisterError> {
+    let (mut within, mut nearest) = (0, f64::INFINITY);
+    for (step, &point) in placed.iter().enumerate() {
+        ask_often(problem.stop, step)?;
+        if let Some((_, distance_squared)) = problem.template.tree().nearest(point) {
+            within += usize::from(distance_squared <= reach_mm * reach_mm);
+            nearest = nearest.min(distance_squared);
+        }
+    }
+    if within >= LEAST_PATCH {
+        return Ok(());
+    }
+    Err(RegisterError::OutOfReach { within, least: LEAST_PATCH, nearest_mm: sqrt(nearest), reach_mm })
+}

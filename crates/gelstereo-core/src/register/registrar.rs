@@ -1,0 +1,130 @@
+//! The registration stage.
+
+use super::error::{LEAST_PATCH, RegisterError};
+use super::registration::Registration;
+use super::surface::{self, Contact, Misfit};
+use super::template::Template;
+use super::{copies, limits, paper};
+use crate::math::{DVec3, Pose};
+use crate::params::{RegisterMethod, RegisterParams};
+use crate::stop::{NEVER, Stop};
+
+/// The registration stage and its scratch.
+#[derive(Clone, Debug)]
+pub struct Registrar {
+    params: RegisterParams,
+    scratch: paper::Scratch,
+    surface: surface::SurfaceScratch,
+}
+
+impl Registrar {
+    /// With these settings.
+    #[must_use]
+    pub fn new(params: &RegisterParams) -> Self {
+        Self {
+            params: params.clone(),
+            scratch: paper::Scratch::default(),
+            surface: surface::SurfaceScratch::default(),
+        }
+    }
+
+    /// The settings.
+    #[must_use]
+    pub const fn params(&self) -> &RegisterParams {
+        &self.params
+    }
+
+    /// Goes on with other settings, in the memory that it has: the answers are those of a new one.
+    pub fn set_params(&mut self, params: &RegisterParams) {
+        self.params.clone_from(params);
+    }
+
+    /// Registers a patch of salient points (sensor frame) to the template, from a guess.
+    ///
+    /// Allocates nothing once a patch as large has been seen. The same input gives the same bits.
+    ///
+    /// # Errors
+    /// [`RegisterError`].
+    pub fn run(
+        &mut self,
+        points_mm: &[DVec3],
+        template: &Template,
+        guess: &Pose,
+    ) -> Result<Registration, RegisterError> {
+        self.register(&Contact::new(points_mm), template, guess)
+    }
+
+    /// As [`Self::run`], with all that was sensed of the contact.
+    ///
+    /// # Errors
+    /// [`RegisterError`].
+    pub fn register(
+        &mut self,
+        contact: &Contact<'_>,
+        template: &Template,
+        guess: &Pose,
+    ) -> Result<Registration, RegisterError> {
+        self.register_unless(contact, template, guess, NEVER)
+    }
+
+    /// As [`Self::register`], unless it is stopped.
+    ///
+    /// # Errors
+    /// [`RegisterError`]; [`RegisterError::Stopped`] leaves nothing behind.
+    pub fn register_unless(
+        &mut self,
+        contact: &Contact<'_>,
+        template: &Template,
+        guess: &Pose,
+        stop: Stop<'_>,
+    ) -> Result<Registration, RegisterError> {
+        self.params.validate()?;
+        let points_mm = contact.points_mm;
+        let guess = check(points_mm, guess)?;
+        use RegisterMethod::{
+            FilterregPlane, FilterregPoint, RansacIcp, SurfaceClose, SurfaceSearch, SurfaceTrack,
+        };
+        let Self { params, scratch, surface } = self;
+        // Normals are read at samples, and so at most half a spacing off.
+        let by_samples_mm = params.point_sigma_mm.max(0.5 * template.spacing_mm());
+        let (mut found, resolution_mm) = match params.method {
+            FilterregPoint | FilterregPlane | RansacIcp => {
+                let problem = &paper::Problem { params, points_mm, template, stop };
+                (paper::run(problem, scratch, &guess)?, by_samples_mm)
+            }
+            SurfaceTrack | SurfaceClose | SurfaceSearch => {
+                let found = surface::run(params, (contact, template), &guess, surface, stop)?;
+                (found, params.point_sigma_mm)
+            }
+        };
+        copies::honour(&mut found, template.symmetries(), &guess, resolution_mm);
+        Ok(found)
+    }
+
+    /// How far markers are from what the gel does at a pose of a contact that has been registered, after as few steps
+    /// as make it usual, or else after all. `None` where it is not known: not all markers are given, the part has holes,
+    /// or the gel comes back to rest within a pitch.
+    pub(super) fn misfit(
+        &mut self,
+        of: (&Contact<'_>, &Template),
+        t_sensor_object: &Pose,
+        usual: Option<&surface::Usual>,
+    ) -> Option<Misfit> {
+        surface::misfit(&self.params, of, t_sensor_object, usual, &mut self.surface)
+    }
+}
+
+/// Refuses what has no answer; returns the guess at unit length.
+fn check(points_mm: &[DVec3], guess: &Pose) -> Result<Pose, RegisterError> {
+    let far = |v: &DVec3| !v.is_finite() || v.abs().max_element() > limits::REACH_MM;
+    if let Some(index) = points_mm.iter().position(far) {
+        return Err(RegisterError::PointNotFinite { index });
+    }
+    if points_mm.len() < LEAST_PATCH {
+        return Err(RegisterError::TooFewPoints { found: points_mm.len(), least: LEAST_PATCH });
+    }
+    if far(&guess.translation_mm) {
+        return Err(RegisterError::BadGuess);
+    }
+    guess.normalized().map_err(|_| RegisterError::BadGuess)
+}
