@@ -3,7 +3,8 @@
 #![no_main]
 
 use gelstereo_core::math::{DVec3, Pose};
-use gelstereo_core::register::{Template, Tree, rigid_fit, soft_match};
+use gelstereo_core::register::{Template, rigid_fit, soft_match};
+use gelstereo_core::spatial::KdTree;
 use libfuzzer_sys::arbitrary::{Result, Unstructured};
 use libfuzzer_sys::fuzz_target;
 
@@ -34,7 +35,7 @@ fn points(u: &mut Unstructured<'_>, count: usize, far: f64) -> Result<Vec<DVec3>
 }
 
 fn check_tree(points: &[DVec3], queries: &[DVec3]) {
-    let tree = Tree::new(points);
+    let tree = KdTree::new(points);
     for &query in queries {
         let each = || points.iter().enumerate().map(|(k, p)| (query.distance_squared(*p), k));
         let best = each().min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
