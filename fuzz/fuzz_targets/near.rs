@@ -2,8 +2,8 @@
 //! search of the whole image finds, within reach of the position it is given to, and nobody else's.
 #![no_main]
 
-use gelstereo_core::detect::{Found, Sight};
 use gelstereo_core::detect::{Detector, Markers};
+use gelstereo_core::detect::{Found, Sight};
 use gelstereo_core::image::GrayView;
 use gelstereo_core::math::DVec2;
 use gelstereo_core::params::{Background, Centre, Params, Polarity, Threshold};
