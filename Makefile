@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 OUT ?= out
 HOST := $(CURDIR)/target/release/gelstereo-host
 
-.PHONY: demo test test-rust test-python test-long same-bits long-builds explore fuzz frontier clean prerequisites
+.PHONY: demo test test-rust test-python test-long same-bits long-builds explore fuzz experiment frontier clean prerequisites
 
 demo: prerequisites $(BIN)/python
 	$(BIN)/pip install --quiet '.[recording]'
@@ -35,14 +35,14 @@ test-rust: prerequisites
 	RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --quiet
 
 test-python: prerequisites $(BIN)/python
-	$(BIN)/pip install --quiet '.[test]'
+	$(BIN)/pip install --quiet '.[test]' './bench[batch,physics]'
 	# It would bring a second OpenCV with it; only its recordings are read.
 	$(BIN)/pip install --quiet --no-deps pytac3d==3.3.0.9
 	@.ci/second-opinion.sh
 	cargo build --release --quiet -p gelstereo-host --bins --example world_server
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy --strict python/gelstereo
+	$(BIN)/mypy --strict python/gelstereo bench/gelstereo_bench
 	$(BIN)/python -m mypy.stubtest gelstereo._native
 	GELSTEREO_HOST=$(HOST) $(BIN)/pytest -n auto -m "not long and not realtime"
 	GELSTEREO_HOST=$(HOST) $(BIN)/pytest -m "realtime and not long"
@@ -58,7 +58,7 @@ test-long: export GELSTEREO_HOST_LIVE := $(LIVE_HOST)
 test-long: export GELSTEREO_ROS_PEER := $(ROS_PEER)/debug/ros-peer
 test-long: prerequisites $(BIN)/python
 	@.ci/long-prerequisites.sh
-	$(BIN)/pip install --quiet '.[test,long]'
+	$(BIN)/pip install --quiet '.[test,long]' './bench[batch,physics]'
 	cargo build --release --quiet -p gelstereo-host --bins --example world_server
 	GELSTEREO_KILLS=50 cargo test --quiet --workspace --test all -- faults::
 	GELSTEREO_LONG_FRAMES=12000 cargo test --quiet --workspace --test long_run
@@ -89,8 +89,14 @@ fuzz: prerequisites
 	cargo fmt --manifest-path fuzz/Cargo.toml --check
 	fuzz/run.sh $(FUZZ_SECONDS)
 
+# `make experiment WORDS="boards --output out/boards"`; without words it lists them.
+WORDS ?= --help
+experiment: prerequisites $(BIN)/python
+	$(BIN)/pip install --quiet . ./bench
+	$(BIN)/gelstereo experiment $(WORDS)
+
 frontier: prerequisites $(BIN)/python
-	$(BIN)/pip install --quiet '.[bench]'
+	$(BIN)/pip install --quiet . ./bench
 	$(BIN)/gelstereo frontier
 
 $(BIN)/python:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import gelstereo
 import numpy as np
 import pytest
-from gelstereo.frontier import baseline, baseline_register
-from gelstereo.frontier.scenes import sphere_press
+from gelstereo_bench.frontier import baseline, baseline_register
+from gelstereo_bench.frontier.scenes import sphere_press
 from gelstereo.geometry import se3_exp
 from hypothesis import given, settings
 from hypothesis import strategies as st

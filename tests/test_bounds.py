@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from gelstereo import Scene, Simulator
-from gelstereo.frontier.bounds import (
+from gelstereo_bench.frontier.bounds import (
     Grain,
     blurred_disc,
     centre_bound_px,

@@ -202,12 +202,12 @@ def test_commands_name_the_file_the_frame_and_the_pattern(
 def test_a_missing_extra_is_named(
     package: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for name in [name for name in sys.modules if name.startswith("gelstereo.frontier")]:
+    for name in [name for name in sys.modules if name.startswith("gelstereo_bench.frontier")]:
         monkeypatch.delitem(sys.modules, name)
     for name in [package, *(name for name in sys.modules if name.startswith(f"{package}."))]:
         monkeypatch.setitem(sys.modules, name, None)
     said = error_of(capsys, "frontier", "--quick")
-    assert f"{package}, which is not installed: pip install 'gelstereo[bench]'" in said
+    assert f"{package}, which is not installed: pip install './bench'" in said
 
 
 def test_a_lone_image_is_named(folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

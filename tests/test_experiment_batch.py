@@ -12,9 +12,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from gelstereo.experiments import batch
-from gelstereo.experiments.batch import BatchError, Trial, keyed_seed, run_batch
-from gelstereo.experiments.store import Record, Store, StoreError
+from gelstereo_bench.experiments import batch
+from gelstereo_bench.experiments.batch import BatchError, Trial, keyed_seed, run_batch
+from gelstereo_bench.experiments.store import Record, Store, StoreError
 from hypothesis import given
 from hypothesis import strategies as st
 from trials import TRIALS, draw, not_json, refuses
@@ -150,8 +150,8 @@ import sys
 from pathlib import Path
 sys.path.insert(0, {tests!r})
 from trials import TRIALS, slowly
-from gelstereo.experiments.batch import run_batch
-from gelstereo.experiments.store import Store
+from gelstereo_bench.experiments.batch import run_batch
+from gelstereo_bench.experiments.store import Store
 
 def progress(done, total):
     print(done, flush=True)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from gelstereo.experiments.insertion.belief import Belief, drawn
-from gelstereo.experiments.insertion.chance import Prior
-from gelstereo.experiments.insertion.sampling import InPlane, _density, believed
-from gelstereo.experiments.insertion.sense import Found
+from gelstereo_bench.experiments.insertion.belief import Belief, drawn
+from gelstereo_bench.experiments.insertion.chance import Prior
+from gelstereo_bench.experiments.insertion.sampling import InPlane, _density, believed
+from gelstereo_bench.experiments.insertion.sense import Found
 from gelstereo.geometry import se3_exp, se3_log
 from hypothesis import given
 from hypothesis import strategies as st

@@ -8,15 +8,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from gelstereo import parts
-from gelstereo.experiments.insertion.bound import (
+from gelstereo_bench.experiments.insertion.bound import (
     Bound,
     SmoothSurface,
     heights_information,
     least_covariance,
 )
-from gelstereo.experiments.insertion.chance import Prior
-from gelstereo.experiments.insertion.grasp import fit_of
-from gelstereo.experiments.insertion.workplace import workplace
+from gelstereo_bench.experiments.insertion.chance import Prior
+from gelstereo_bench.experiments.insertion.grasp import fit_of
+from gelstereo_bench.experiments.insertion.workplace import workplace
 
 Array = npt.NDArray[np.float64]
 

@@ -9,9 +9,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from gelstereo.experiments import batch
-from gelstereo.experiments.batch import BatchError, run_batch
-from gelstereo.experiments.store import Record, Store
+from gelstereo_bench.experiments import batch
+from gelstereo_bench.experiments.batch import BatchError, run_batch
+from gelstereo_bench.experiments.store import Record, Store
 from trials import TRIALS, draw, refuses, slowly
 
 

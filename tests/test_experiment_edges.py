@@ -7,17 +7,17 @@ import math
 import numpy as np
 import pytest
 from gelstereo import Template, parts
-from gelstereo.experiments.insertion import analysis, trials
-from gelstereo.experiments.insertion.bound import heights_information
-from gelstereo.experiments.insertion.chance import SAMPLES, Prior, chance
-from gelstereo.experiments.insertion.face import Faces, is_ridged
-from gelstereo.experiments.insertion.grasp import GRASPED, Hold
-from gelstereo.experiments.insertion.robot import over_hole
-from gelstereo.experiments.insertion.rows import markers_alike
-from gelstereo.experiments.insertion.sampling import InPlane, believed
-from gelstereo.experiments.insertion.sense import METHODS, Found
-from gelstereo.experiments.insertion.teach import taught
-from gelstereo.experiments.insertion.workplace import RANGES, workplace
+from gelstereo_bench.experiments.insertion import analysis, trials
+from gelstereo_bench.experiments.insertion.bound import heights_information
+from gelstereo_bench.experiments.insertion.chance import SAMPLES, Prior, chance
+from gelstereo_bench.experiments.insertion.face import Faces, is_ridged
+from gelstereo_bench.experiments.insertion.grasp import GRASPED, Hold
+from gelstereo_bench.experiments.insertion.robot import over_hole
+from gelstereo_bench.experiments.insertion.rows import markers_alike
+from gelstereo_bench.experiments.insertion.sampling import InPlane, believed
+from gelstereo_bench.experiments.insertion.sense import METHODS, Found
+from gelstereo_bench.experiments.insertion.teach import taught
+from gelstereo_bench.experiments.insertion.workplace import RANGES, workplace
 from gelstereo.geometry import se3_exp
 from hypothesis import given
 from hypothesis import strategies as st

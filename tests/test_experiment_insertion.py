@@ -10,17 +10,17 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from gelstereo import Error
-from gelstereo.experiments.insertion import EXPERIMENT, analysis, physics_check, report, trials
-from gelstereo.experiments.insertion.analysis import Verdict
-from gelstereo.experiments.insertion.chance import SAMPLES, adjoint, chance, matters, weakest
-from gelstereo.experiments.insertion.grasp import GRASPED, GraspRanges, Hold, fit_of, guesses, lie
-from gelstereo.experiments.insertion.hole import Hole
-from gelstereo.experiments.insertion.physics import Hand, descend
-from gelstereo.experiments.insertion.physics_check import limit
-from gelstereo.experiments.insertion.robot import RobotErrors, over_hole
-from gelstereo.experiments.insertion.trial import run
+from gelstereo_bench.experiments.insertion import EXPERIMENT, analysis, physics_check, report, trials
+from gelstereo_bench.experiments.insertion.analysis import Verdict
+from gelstereo_bench.experiments.insertion.chance import SAMPLES, adjoint, chance, matters, weakest
+from gelstereo_bench.experiments.insertion.grasp import GRASPED, GraspRanges, Hold, fit_of, guesses, lie
+from gelstereo_bench.experiments.insertion.hole import Hole
+from gelstereo_bench.experiments.insertion.physics import Hand, descend
+from gelstereo_bench.experiments.insertion.physics_check import limit
+from gelstereo_bench.experiments.insertion.robot import RobotErrors, over_hole
+from gelstereo_bench.experiments.insertion.trial import run
 from gelstereo.geometry import se3_exp, se3_log
-from gelstereo.reports.html import Figure, Grid
+from gelstereo.view.html import Figure, Grid
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gelstereo.experiments.insertion import analysis, trials
-from gelstereo.experiments.insertion.analysis import Verdict
-from gelstereo.experiments.insertion.belief import Belief
-from gelstereo.experiments.insertion.chance import Prior, adjoint
-from gelstereo.experiments.insertion.grasp import GraspRanges, Hold, lie
-from gelstereo.experiments.insertion.looks import (
+from gelstereo_bench.experiments.insertion import analysis, trials
+from gelstereo_bench.experiments.insertion.analysis import Verdict
+from gelstereo_bench.experiments.insertion.belief import Belief
+from gelstereo_bench.experiments.insertion.chance import Prior, adjoint
+from gelstereo_bench.experiments.insertion.grasp import GraspRanges, Hold, lie
+from gelstereo_bench.experiments.insertion.looks import (
     LEAST_CHANCE,
     Cell,
     Look,
@@ -20,13 +20,13 @@ from gelstereo.experiments.insertion.looks import (
     look_until_known,
     regrasps,
 )
-from gelstereo.experiments.insertion.looks_report import PACE, looks_blocks
-from gelstereo.experiments.insertion.sampling import InPlane, believed
-from gelstereo.experiments.insertion.sense import METHODS, Found
-from gelstereo.experiments.insertion.trial import run
-from gelstereo.experiments.insertion.workplace import workplace
+from gelstereo_bench.experiments.insertion.looks_report import PACE, looks_blocks
+from gelstereo_bench.experiments.insertion.sampling import InPlane, believed
+from gelstereo_bench.experiments.insertion.sense import METHODS, Found
+from gelstereo_bench.experiments.insertion.trial import run
+from gelstereo_bench.experiments.insertion.workplace import workplace
 from gelstereo.geometry import se3_exp, se3_log
-from gelstereo.reports.html import Grid
+from gelstereo.view.html import Grid
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

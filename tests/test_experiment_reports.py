@@ -21,16 +21,16 @@ import numpy as np
 import pytest
 from gelstereo import Params, parts
 from gelstereo.cli import main
-from gelstereo.experiments import boards, objects
-from gelstereo.experiments.batch import Trial, run_batch
-from gelstereo.experiments.boards_report import boards_report
-from gelstereo.experiments.command import EXPERIMENTS, experiment_of
-from gelstereo.experiments.experiment import carry_out
-from gelstereo.experiments.objects_report import TABLE
-from gelstereo.frontier.boards import BASELINE
-from gelstereo.frontier.rungs import RUNGS
-from gelstereo.frontier.scenes import BOARDS_MM
-from gelstereo.reports.html import Details, Figure, Grid, Heading, Paragraph, document
+from gelstereo_bench.experiments import boards, objects
+from gelstereo_bench.experiments.batch import Trial, run_batch
+from gelstereo_bench.experiments.boards_report import boards_report
+from gelstereo_bench.experiments.command import EXPERIMENTS, experiment_of
+from gelstereo_bench.experiments.experiment import carry_out
+from gelstereo_bench.experiments.objects_report import TABLE
+from gelstereo_bench.frontier.boards import BASELINE
+from gelstereo_bench.frontier.rungs import RUNGS
+from gelstereo_bench.frontier.scenes import BOARDS_MM
+from gelstereo.view.html import Details, Figure, Grid, Heading, Paragraph, document
 
 VOID = {"meta", "img", "br", "hr", "link"}
 
@@ -400,11 +400,11 @@ def test_errors_of_the_command_help(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    monkeypatch.delitem(sys.modules, "gelstereo.experiments.boards")
-    monkeypatch.delitem(sys.modules, "gelstereo.experiments.boards_report")
-    monkeypatch.delitem(sys.modules, "gelstereo.experiments.figures")
+    monkeypatch.delitem(sys.modules, "gelstereo_bench.experiments.boards")
+    monkeypatch.delitem(sys.modules, "gelstereo_bench.experiments.boards_report")
+    monkeypatch.delitem(sys.modules, "gelstereo_bench.experiments.figures")
     assert main(["experiment", "boards", "--output", str(tmp_path)]) == 2
-    expected = "`gelstereo experiment boards` needs matplotlib, which is not installed: pip install 'gelstereo[bench]'"
+    expected = "`gelstereo experiment boards` needs matplotlib, which is not installed: pip install './bench'"
     assert expected in capsys.readouterr().err
     monkeypatch.undo()
     (tmp_path / "records.jsonl").write_text("{}\n")

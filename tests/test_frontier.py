@@ -15,26 +15,26 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from gelstereo.cli import main
-from gelstereo.frontier.baseline_fast import FastBaseline
-from gelstereo.frontier.covariance import Calibration
-from gelstereo.frontier.grasps import GRASPED
-from gelstereo.frontier.localization import measure_localization
-from gelstereo.frontier.nearest import PARTS as NEAREST_PARTS
-from gelstereo.frontier.nearest import SAMPLES, SCIPY, methods, points_around
-from gelstereo.frontier.page import SECTIONS, check_page, write_page
-from gelstereo.frontier.registering import Patch, observable_error_mm
-from gelstereo.frontier.rivals import Apart, rivals
-from gelstereo.frontier.rungs import RUNGS, rungs_of
-from gelstereo.frontier.runners import geometry_of, write_input
-from gelstereo.frontier.saliency import Score
-from gelstereo.frontier.scenes import BOARDS_MM, FORMATS, LATTICES, PARTS, VGA, Part, sphere_press
-from gelstereo.frontier.sequences import SEQUENCES
-from gelstereo.frontier.speed import BASELINE, Growth, Speed, speed_targets
-from gelstereo.frontier.table import Table, Target
-from gelstereo.frontier.timing import InstructionCounter, Stopwatch, Times, time_side_by_side
-from gelstereo.frontier.tracking import Named, score
+from gelstereo_bench.frontier.baseline_fast import FastBaseline
+from gelstereo_bench.frontier.covariance import Calibration
+from gelstereo_bench.frontier.grasps import GRASPED
+from gelstereo_bench.frontier.localization import measure_localization
+from gelstereo_bench.frontier.nearest import PARTS as NEAREST_PARTS
+from gelstereo_bench.frontier.nearest import SAMPLES, SCIPY, methods, points_around
+from gelstereo_bench.frontier.page import SECTIONS, check_page, write_page
+from gelstereo_bench.frontier.registering import Patch, observable_error_mm
+from gelstereo_bench.frontier.rivals import Apart, rivals
+from gelstereo_bench.frontier.rungs import RUNGS, rungs_of
+from gelstereo_bench.frontier.runners import geometry_of, write_input
+from gelstereo_bench.frontier.saliency import Score
+from gelstereo_bench.frontier.scenes import BOARDS_MM, FORMATS, LATTICES, PARTS, VGA, Part, sphere_press
+from gelstereo_bench.frontier.sequences import SEQUENCES
+from gelstereo_bench.frontier.speed import BASELINE, Growth, Speed, speed_targets
+from gelstereo_bench.frontier.table import Table, Target
+from gelstereo_bench.frontier.timing import InstructionCounter, Stopwatch, Times, time_side_by_side
+from gelstereo_bench.frontier.tracking import Named, score
 from gelstereo.geometry import se3_exp
-from gelstereo.reports.markdown import ReportError, replace_between, table
+from gelstereo_bench.reports.markdown import ReportError, replace_between, table
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 from gelstereo import Template
-from gelstereo.frontier.grasps import Grasp
+from gelstereo_bench.frontier.grasps import Grasp
 
 
 @pytest.mark.parametrize("tilt_deg", [0.5, 1.0, 1.5])

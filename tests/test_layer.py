@@ -10,8 +10,8 @@ import numpy.typing as npt
 import pytest
 import tamaas
 from gelstereo.recordings import episodes, load_pytac3d, pytac3d_example
-from gelstereo.reports import physics
-from gelstereo.reports.recordings import SALIENCY_MM
+from gelstereo_bench.reports import physics
+from gelstereo_bench.reports.recordings import SALIENCY_MM
 from layer_reference import Disc
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import nnls

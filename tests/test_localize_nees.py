@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from gelstereo import Params
-from gelstereo.frontier.grasps import GRASPED, NOISES, STARTS, Grasp, grasps
-from gelstereo.frontier.nees import Nees
+from gelstereo_bench.frontier.grasps import GRASPED, NOISES, STARTS, Grasp, grasps
+from gelstereo_bench.frontier.nees import Nees
 from scipy.stats import binom, chi2
 
 #: A right covariance fails a test once in so many runs of fresh seeds.

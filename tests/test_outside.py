@@ -10,7 +10,7 @@ import gelstereo
 import numpy as np
 import pytest
 from gelstereo._native import parse_toml
-from gelstereo.frontier.grasps import GRASPED
+from gelstereo_bench.frontier.grasps import GRASPED
 from outside import bonded, fields, grasped, images
 from outside.images import Condition, Sequence
 from outside.judge import judged, under_glints

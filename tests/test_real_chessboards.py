@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from gelstereo.calibrate import StereoCalibration
-from gelstereo.reports import chessboards
+from gelstereo_bench.reports import chessboards
 from real_data import DATA, needs
 
 pytestmark = needs("opencv_stereo_chess")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gelstereo import Scene, SceneError, Simulator
 from gelstereo.recordings import episodes, load_pytac3d, pytac3d_example
-from gelstereo.reports.displacements import SALIENCY_MM, Replay, replay
+from gelstereo_bench.reports.displacements import SALIENCY_MM, Replay, replay
 
 needs_wheel = pytest.mark.skipif(
     find_spec("PyTac3D") is None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gelstereo
 import numpy as np
 import pytest
-from gelstereo.reports.gels import GELS, RealGel, draw
+from gelstereo_bench.reports.gels import GELS, RealGel, draw
 from real_data import DATA, needs
 
 TACT = [gel for gel in GELS if gel.name.startswith("9dtact")]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from gelstereo.frontier.grasps import STARTS
-from gelstereo.frontier.rungs import rungs_of
-from gelstereo.reports.meshes import PARTS, MeshPart, measure
+from gelstereo_bench.frontier.grasps import STARTS
+from gelstereo_bench.frontier.rungs import rungs_of
+from gelstereo_bench.reports.meshes import PARTS, MeshPart, measure
 from real_data import DATA, needs
 
-pytest.importorskip("rtree", reason="rtree is absent (pip install 'gelstereo[bench]')")
+pytest.importorskip("rtree", reason="rtree is absent (pip install './bench')")
 # The plug is open where its cable goes in.
 pytestmark = pytest.mark.filterwarnings("ignore::gelstereo.templates.MeshWarning")
 PLANE, CLOSE, SEARCH, PAPER = (

@@ -18,8 +18,8 @@ from gelstereo.recordings import (
     load_pytac3d,
     pytac3d_example,
 )
-from gelstereo.reports.radii import Sharpened, sharpen, vendor_radii_mm
-from gelstereo.reports.recordings import (
+from gelstereo_bench.reports.radii import Sharpened, sharpen, vendor_radii_mm
+from gelstereo_bench.reports.recordings import (
     PARTS,
     SALIENCY_MM,
     Part,

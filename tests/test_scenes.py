@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from gelstereo import Scene, SceneError, simulate
 from gelstereo.cli.main import main
-from gelstereo.reports.scenes import Exhibit, digest, draw, moments
+from gelstereo_bench.reports.scenes import Exhibit, digest, draw, moments
 from gelstereo.simulation import plan_record
 
 REPOSITORY = Path(__file__).parents[1]
@@ -27,7 +27,7 @@ def test_a_scene_gives_the_bits_of_the_manual(path: Path) -> None:
     exhibit = Exhibit.open(path)
     row = next(line for line in PAGE.splitlines() if line.startswith(f"| [{path.stem}]"))
     frames = moments(exhibit.simulator)
-    assert f"`{digest(frames)}`" in row, "python -m gelstereo.reports.scenes writes the page"
+    assert f"`{digest(frames)}`" in row, "python -m gelstereo_bench.reports.scenes writes the page"
     assert digest(moments(simulate(path))) == digest(frames)
     assert exhibit.text in PAGE
     assert (REPOSITORY / "docs" / "pictures" / f"scene-{path.stem}.jpg").is_file()

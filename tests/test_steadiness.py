@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from gelstereo import Template
 from gelstereo.recordings import RecordingError
-from gelstereo.reports.steadiness import rest_noise_mm, scatter_by_noise, scatter_over_time, stillest
+from gelstereo_bench.reports.steadiness import rest_noise_mm, scatter_by_noise, scatter_over_time, stillest
 
 SIGMA_MM = 0.003
 

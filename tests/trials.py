@@ -7,8 +7,8 @@ from typing import Any
 
 import gelstereo
 import numpy as np
-from gelstereo.experiments.batch import Trial, keyed_seed
-from gelstereo.experiments.store import Record
+from gelstereo_bench.experiments.batch import Trial, keyed_seed
+from gelstereo_bench.experiments.store import Record
 
 TRIALS = [Trial({"case": case}, keyed_seed(1, "draw", case, turn)) for case in "abc" for turn in range(5)]
 

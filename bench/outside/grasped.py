@@ -2,7 +2,7 @@
 
 A file of `data/grasped` has the contacts of one part under one law: the part's poses, where the markers
 moved to, and which of them touch. What is stored is not made again. Frames are those of
-`gelstereo.frontier.grasps`: the sensor's, in which the part presses towards -z.
+`gelstereo_bench.frontier.grasps`: the sensor's, in which the part presses towards -z.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import numpy as np
 import numpy.typing as npt
 import tomllib
 import trimesh
-from gelstereo.frontier.grasps import GRASPED, SIDE, Press, place
-from gelstereo.frontier.scenes import SURFACE_MM, VGA
+from gelstereo_bench.frontier.grasps import GRASPED, SIDE, Press, place
+from gelstereo_bench.frontier.scenes import SURFACE_MM, VGA
 from scipy.interpolate import RectBivariateSpline
 
 from . import bonded, laws

@@ -34,9 +34,9 @@ from gelstereo import (
     localize,
     pressure_saliency,
 )
-from gelstereo.frontier.grasps import GRASPED, SIDE, Grasp, Start, surface_normals
-from gelstereo.frontier.nees import Nees
-from gelstereo.frontier.scenes import SURFACE_MM, VGA
+from gelstereo_bench.frontier.grasps import GRASPED, SIDE, Grasp, Start, surface_normals
+from gelstereo_bench.frontier.nees import Nees
+from gelstereo_bench.frontier.scenes import SURFACE_MM, VGA
 from gelstereo.geometry import se3_exp
 from scipy.stats import chi2
 
@@ -46,7 +46,7 @@ Array = npt.NDArray[np.float64]
 
 SIGMA_MM = 0.03 * np.array([0.5, 0.5, 1.0])
 STARTS = [Start(f"{deg:.0f} deg", deg, mm) for deg, mm in ((5.0, 1.0), (10.0, 2.0), (20.0, 3.5), (30.0, 5.0))]
-# As in `gelstereo.frontier.grasps`: steeper faces than this, cosine, do not count in the bound.
+# As in `gelstereo_bench.frontier.grasps`: steeper faces than this, cosine, do not count in the bound.
 STEEP_COSINE = 0.35
 LEAST_SALIENT = 12
 # Markers that touch lie this near to the part, rms, and none lies deeper in it: two and five standard deviations.

@@ -1,7 +1,7 @@
 """Time frames that move, with a tray in view, beside OpenCV: `python -m outside.speed`.
 
 Each sequence's pairs are taken there and back, so every frame is another one. The core's own program is timed; it needs
-cargo and the sources. OpenCV is `gelstereo.frontier.baseline_fast`, in the same run and in turn with the presets. Its
+cargo and the sources. OpenCV is `gelstereo_bench.frontier.baseline_fast`, in the same run and in turn with the presets. Its
 threshold is set by hand, and it is given the markers' true places at rest.
 
 - tracking, ms: a frame that follows another, median;
@@ -23,9 +23,9 @@ from types import SimpleNamespace
 
 import gelstereo
 import numpy as np
-from gelstereo.frontier.baseline_fast import FastBaseline
-from gelstereo.frontier.runners import geometry_of, write_input
-from gelstereo.frontier.timing import Stopwatch, Times
+from gelstereo_bench.frontier.baseline_fast import FastBaseline
+from gelstereo_bench.frontier.runners import geometry_of, write_input
+from gelstereo_bench.frontier.timing import Stopwatch, Times
 
 from .images import Condition, Sequence, names
 

@@ -1,4 +1,4 @@
-"""Libraries that only some parts of gelstereo need, and the extras of the package that bring them."""
+"""Libraries that only some parts of gelstereo need, and what brings them."""
 
 from __future__ import annotations
 
@@ -10,29 +10,30 @@ from gelstereo._native import Error
 
 __all__ = ["MissingExtra", "needs", "said"]
 
-#: The extra of the package that brings a library.
-EXTRAS = {
-    "cascadio": "step",
-    "scipy": "bench",
-    "matplotlib": "bench",
-    "rtree": "bench",
-    "mcap": "recording",
-    "lz4": "recording",
-    "rosbags": "recording",
-    "rerun": "rerun",
-    "pyarrow": "lerobot",
-    "mujoco": "physics",
-    "joblib": "batch",
-    "distributed": "batch",
-    "open3d": "rivals",
-    "small_gicp": "rivals",
-    "probreg": "rivals",
-    "meshlib": "rivals",
+#: What `pip install` brings a library with; `./bench` is a folder of the project's repository.
+REQUIREMENTS = {
+    "cascadio": "gelstereo[step]",
+    "mcap": "gelstereo[recording]",
+    "lz4": "gelstereo[recording]",
+    "rosbags": "gelstereo[recording]",
+    "rerun": "gelstereo[rerun]",
+    "pyarrow": "gelstereo[lerobot]",
+    "gelstereo_bench": "./bench",
+    "scipy": "./bench",
+    "matplotlib": "./bench",
+    "rtree": "./bench",
+    "mujoco": "./bench[physics]",
+    "joblib": "./bench[batch]",
+    "distributed": "./bench[batch]",
+    "open3d": "./bench[rivals]",
+    "small_gicp": "./bench[rivals]",
+    "probreg": "./bench[rivals]",
+    "meshlib": "./bench[rivals]",
 }
 
 
 class MissingExtra(Error, ModuleNotFoundError):
-    """A library that an extra of the package brings is not installed; the message names the extra."""
+    """A library that not every part needs is not installed; the message says what to install."""
 
 
 def _library(error: ImportError) -> str:
@@ -44,8 +45,8 @@ def _library(error: ImportError) -> str:
 def said(who: str, error: ImportError) -> str:
     """One sentence: who needs which library, and how to get it."""
     missing = _library(error) or "a package"
-    extra = EXTRAS.get(missing)
-    remedy = f": pip install 'gelstereo[{extra}]'" if extra else ""
+    requirement = REQUIREMENTS.get(missing)
+    remedy = f": pip install '{requirement}'" if requirement else ""
     return f"{who} needs {missing}, which is not installed{remedy}"
 
 
@@ -66,7 +67,7 @@ def needs(who: str) -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as error:
-        if isinstance(error, MissingExtra) or _library(error) not in EXTRAS:
+        if isinstance(error, MissingExtra) or _library(error) not in REQUIREMENTS:
             raise
         missing = MissingExtra(said(who, error))
         missing.name = _library(error)

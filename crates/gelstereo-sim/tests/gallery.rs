@@ -48,7 +48,7 @@ fn crc32(bytes: &[u8], before: u32) -> u32 {
     !bytes.iter().fold(!before, |c, &byte| table[usize::from(c as u8 ^ byte)] ^ (c >> 8))
 }
 
-/// Of both images at 0.3, 0.6 and 0.95 of the frames that arrive, as gelstereo.reports.scenes does.
+/// Of both images at 0.3, 0.6 and 0.95 of the frames that arrive, as gelstereo_bench.reports.scenes does.
 fn digest(scene: &Scene) -> String {
     let mut simulator = Simulator::new(scene, mesh(scene).as_ref()).unwrap();
     let (mut truth, mut left, mut right) = (Truth::default(), Vec::new(), Vec::new());
@@ -82,7 +82,7 @@ fn every_scene_gives_the_bits_of_the_manual() {
         row.rsplit('`').nth(1).unwrap_or_default().to_owned()
     };
     let expected: Vec<String> = scenes.iter().map(|(name, _)| format!("{name}: {}", pinned(name))).collect();
-    assert_eq!(found, expected, "python -m gelstereo.reports.scenes writes the page");
+    assert_eq!(found, expected, "python -m gelstereo_bench.reports.scenes writes the page");
 }
 
 #[test]

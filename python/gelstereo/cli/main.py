@@ -31,8 +31,9 @@ COMMANDS = {
         "a recording or a folder of stereo images to a picture, or a recording step by step",
     ),
     "export": ("gelstereo.export.command", "recordings to a dataset of another program"),
-    "experiment": ("gelstereo.experiments.command", "the paper's experiments, simulated, with a report each"),
-    "frontier": ("gelstereo.frontier.command", "measure every method and write docs/accuracy-vs-time.md"),
+    # The project's laboratory, which only a clone has.
+    "experiment": ("gelstereo_bench.experiments.command", "the paper's experiments, simulated, with a report each"),
+    "frontier": ("gelstereo_bench.frontier.command", "measure every method and write docs/accuracy-vs-time.md"),
 }
 
 EXAMPLES = """examples:

@@ -1,0 +1,216 @@
+"""What the records of many grasps say: success and its interval, ranges, calibration, what robot errors cost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gelstereo_bench.experiments.batch import Trial
+from gelstereo_bench.experiments.insertion.grasp import Fit
+from gelstereo_bench.experiments.insertion.looks import LEAST_CHANCE, Regrasp
+from gelstereo_bench.experiments.insertion.robot import RobotErrors, over_hole
+from gelstereo_bench.experiments.store import Record
+
+__all__ = [
+    "LEAST_CHANCE",
+    "Verdict",
+    "allowed",
+    "break_even",
+    "calibration",
+    "cause",
+    "expected",
+    "share_with",
+    "verdicts",
+    "wilson",
+]
+
+Array = npt.NDArray[np.float64]
+
+#: What the paper reports over all its trials (section VI-B).
+PAPER_SHARE = 0.8571
+
+_ROBOTS = 8
+_LEAST_GRASPS = 5
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One method on one look at a grasped part."""
+
+    part: str
+    method: str
+    hold: dict[str, float]
+    truth: Array
+    refused: str | None
+    found: Array
+    taught: tuple[Array, Array]
+    room_mm: float
+    #: Predicted; 0 of a method that predicts nothing.
+    chance: float
+    #: Directions that the contact's faces leave free and that keep the part out of its hole.
+    matters: tuple[str, ...]
+    #: What is known least of what matters.
+    weakest: str
+    #: Looks after this one, of the same method; and how the hand got to this one, if it is not the first.
+    further: tuple[Verdict, ...] = ()
+    regrasp: Regrasp | None = None
+
+    @property
+    def last(self) -> Verdict:
+        """The look that the robot acts on."""
+        return self.further[-1] if self.further else self
+
+    @property
+    def inserted(self) -> bool:
+        """Whether the part goes in with a robot that moves exactly."""
+        return self.room_mm >= 0.0
+
+    @property
+    def go(self) -> bool:
+        """Whether the robot dares."""
+        return self.chance >= LEAST_CHANCE
+
+    def placed(self, mount: Array | None = None, motion: Array | None = None) -> Array:
+        """Pose of the part in the hole's frame; errors as in `over_hole`, the mount's about the part."""
+        return over_hole(self.truth, self.found, self.taught, mount, motion, self.truth[:3, 3])
+
+
+def verdicts(trials: Sequence[Trial], records: Sequence[Record]) -> list[Verdict]:
+    """Read the records."""
+    return [
+        _verdict(trial.configuration["part"], name, record, result)
+        for trial, record in zip(trials, records, strict=True)
+        for name, result in record["methods"].items()
+    ]
+
+
+def _verdict(part: str, method: str, record: Record, result: dict[str, Any]) -> Verdict:
+    truth = np.array(record["t_sensor_object"])
+    refused = result.get("refused")
+    if refused is not None:
+        nothing = np.eye(4)
+        return Verdict(
+            part, method, record["hold"], truth, refused, nothing, (nothing, nothing), -np.inf, 0.0, (), ""
+        )
+    taught = np.array(result["taught"][0]), np.array(result["taught"][1])
+    found = np.array(result["t_sensor_object"])
+    room, chance, matters = result["room_mm"], result.get("chance", 0.0), tuple(result["matters"])
+    weakest = result["weakest"]
+    first = Verdict(part, method, record["hold"], truth, None, found, taught, room, chance, matters, weakest)
+    return replace(first, further=tuple(_further(first, look) for look in result.get("looks", ())))
+
+
+def _further(first: Verdict, look: dict[str, Any]) -> Verdict:
+    """Read a look after the first one."""
+    return replace(
+        first,
+        truth=np.array(look["truth"]),
+        found=np.array(look["t_sensor_object"]),
+        room_mm=look["room_mm"],
+        chance=look["chance"],
+        matters=(),
+        weakest=look["weakest"],
+        regrasp=Regrasp(**look["regrasp"]),
+    )
+
+
+def wilson(successes: int, trials: int) -> tuple[float, float]:
+    """95 % interval of a share, 0 to 1 (Wilson 1927)."""
+    if trials == 0:
+        return 0.0, 1.0
+    z, share = 1.959964, successes / trials
+    middle = share + z * z / (2.0 * trials)
+    half = z * np.sqrt(share * (1.0 - share) / trials + z * z / (4.0 * trials * trials))
+    scale = 1.0 + z * z / trials
+    # At the ends round-off goes beyond what a share can be.
+    return max(float((middle - half) / scale), 0.0), min(float((middle + half) / scale), 1.0)
+
+
+def allowed(chosen: Sequence[Verdict], angle: str, share: float = 1.0) -> float | None:
+    """Largest angle (a key of `Verdict.hold`) up to which at least this share of grasps goes in, rad, or None.
+
+    One or two grasps are no share: an angle that fewer than `_LEAST_GRASPS` do not exceed does not count.
+    """
+    order = sorted(chosen, key=lambda verdict: abs(verdict.hold[angle]))
+    best, inserted = None, 0
+    for count, verdict in enumerate(order, start=1):
+        inserted += verdict.inserted
+        if verdict.inserted and count >= _LEAST_GRASPS and inserted >= share * count:
+            best = abs(verdict.hold[angle])
+    return best
+
+
+def calibration(chosen: Sequence[Verdict], bins: int = 10) -> list[tuple[float, int, int]]:
+    """Predicted chance against what happened: mean chance, grasps and insertions of every bin that has grasps."""
+    return [
+        (float(np.mean([v.chance for v in within])), len(within), sum(v.inserted for v in within))
+        for within in _bins(chosen, bins)
+    ]
+
+
+def expected(chosen: Sequence[Verdict], bins: int = 10) -> list[tuple[int, int]]:
+    """How many of every bin go in, from and to, in 95 % of cases, if every one does with the chance predicted of it."""
+    return [_poisson_binomial([v.chance for v in within]) for within in _bins(chosen, bins)]
+
+
+def _bins(chosen: Sequence[Verdict], bins: int) -> list[list[Verdict]]:
+    judged = [v for v in chosen if v.refused is None]
+    every = [[v for v in judged if min(int(v.chance * bins), bins - 1) == index] for index in range(bins)]
+    return [within for within in every if within]
+
+
+def _poisson_binomial(chances: Sequence[float]) -> tuple[int, int]:
+    """Central 95 % of the number of successes."""
+    law = np.ones(1)
+    for chance in chances:
+        law = np.convolve(law, [1.0 - chance, chance])
+    below = np.cumsum(law)
+    return int(np.searchsorted(below, 0.025)), int(np.searchsorted(below, 0.975))
+
+
+def share_with(chosen: Sequence[Verdict], fits: dict[str, Fit], errors: RobotErrors) -> float:
+    """Share of grasps that go in when several robots with such errors align the part."""
+    inserted = [
+        fits[verdict.part].room_mm(verdict.placed(*errors.draw(robot, number))) >= 0.0
+        for robot in range(_ROBOTS)
+        for number, verdict in enumerate(chosen)
+    ]
+    return float(np.mean(inserted))
+
+
+def break_even(share_at: Callable[[float], float], most: float, goal: float = PAPER_SHARE) -> float | None:
+    """Scale of errors at which the share falls to `goal`, by bisection; None if it does not."""
+    if share_at(0.0) < goal or share_at(most) > goal:
+        return None
+    low, high = 0.0, most
+    for _ in range(8):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if share_at(middle) >= goal else (low, middle)
+    return 0.5 * (low + high)
+
+
+def cause(fit: Fit, placed: Array) -> str:
+    """Say why a part does not go in: what of its motion from the ideal is enough by itself, and how large it is."""
+    axis = placed[:3, 2]
+    tilt_deg = float(np.rad2deg(np.arctan2(np.hypot(axis[0], axis[1]), axis[2])))
+    turn_deg = float(np.rad2deg(np.arctan2(placed[1, 0] - placed[0, 1], placed[0, 0] + placed[1, 1])))
+    # Off the hole's axis where the part is in the middle of the hole.
+    middle_mm = 0.5 * (fit.hole.tip_mm + fit.hole.mouth_mm)
+    off = (placed[:3, 3] + placed[:3, :3] @ [0.0, 0.0, middle_mm])[:2]
+    moved, turned, leaning = np.eye(4), np.eye(4), np.array(placed)
+    moved[:2, 3] = off
+    c, s = np.cos(np.deg2rad(turn_deg)), np.sin(np.deg2rad(turn_deg))
+    turned[:2, :2] = [[c, -s], [s, c]]
+    leaning[:2, 3] -= off
+    leaning[:3, :3] = leaning[:3, :3] @ turned[:3, :3].T
+    words = {
+        f"beside the hole by {np.hypot(*off):.2f} mm": fit.room_mm(moved),
+        f"turned by {turn_deg:.1f} deg": fit.room_mm(turned),
+        f"leaning by {tilt_deg:.1f} deg": fit.room_mm(leaning),
+    }
+    enough = [word for word, room_mm in words.items() if room_mm < 0.0]
+    return ", ".join(enough) if enough else "a little of everything: " + ", ".join(words)

@@ -1,0 +1,104 @@
+"""One grasp, by every method: where the part lies, what is found, and whether it goes into the hole."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import numpy as np
+import numpy.typing as npt
+
+from gelstereo import Frame, RegisterError
+from gelstereo_bench.experiments.batch import Configuration
+from gelstereo_bench.experiments.insertion.bound import Bound
+from gelstereo_bench.experiments.insertion.chance import matters, weakest
+from gelstereo_bench.experiments.insertion.grasp import Hold
+from gelstereo_bench.experiments.insertion.looks import Look, chance_of, look_until_known
+from gelstereo_bench.experiments.insertion.robot import over_hole
+from gelstereo_bench.experiments.insertion.sense import METHODS, Method
+from gelstereo_bench.experiments.insertion.teach import Taught, taught
+from gelstereo_bench.experiments.insertion.workplace import RANGES, Workplace, workplace
+from gelstereo_bench.experiments.store import Record
+from gelstereo.geometry import se3_log
+
+__all__ = ["run"]
+
+Array = npt.NDArray[np.float64]
+
+#: Seed of the frames of trial 0; those of the grasps that are taught come before.
+_FIRST = 2
+
+
+def run(configuration: Configuration, seed: int) -> Record:
+    """Grasp a part somewhere, find it by every method, and see whether it would go in.
+
+    The record holds the grasp, the true pose, the ``bound`` of what the heights of the markers tell, and by method the
+    pose that is acted on, ``room_mm`` between part and walls (below 0 it does not go in), the ``chance`` predicted from
+    what is believed and of how many ``poses`` that is made (of a method that weighs poses; others predict nothing), the
+    directions that the contact's faces leave ``free`` and which of them ``matters``, and the ``weakest``
+    motion over the hole, all told; or ``refused``, why there is no pose. A method that weighs poses looks again where
+    its chance is too low: ``looks`` holds the same of all looks after the first, and how the hand got there.
+    """
+    place = workplace(configuration["part"])
+    hold = Hold.drawn(place.part, RANGES, np.random.default_rng(seed))
+    t_sensor_object = place.lie(hold)
+    grasp = place.grasp(t_sensor_object, hold.press_mm, _FIRST + seed)
+    frames = {preset: place.senses.sense(preset, grasp) for preset in {m.preset for m in METHODS}}
+    ours = METHODS[-1]
+    least = place.least(t_sensor_object, grasp[-1], frames[ours.preset])
+    least = least + taught(place.part.letter, ours).least
+    random = np.random.default_rng([seed, 73])
+    return {
+        "hold": asdict(hold),
+        "touching": int(np.count_nonzero(grasp[-1].in_contact)),
+        "t_sensor_object": t_sensor_object.tolist(),
+        "bound": asdict(Bound.of(place.hole, place.fit.end, least, random)),
+        "methods": {
+            method.name: _judged(place, method, frames[method.preset], t_sensor_object, seed)
+            for method in METHODS
+        },
+    }
+
+
+def _judged(place: Workplace, method: Method, frame: Frame, t_sensor_object: Array, seed: int) -> Record:
+    """What one method finds, and what comes of it with a robot that moves exactly."""
+    try:
+        found, belief = place.find(method, frame, seed)
+        goal = taught(place.part.letter, method)
+    except RegisterError as error:
+        return {"refused": str(error)}
+    common = {
+        "taught": [pose.tolist() for pose in goal.pair],
+        "converged": found.converged,
+        "free": [str(free) for free in found.free],
+        "matters": [str(free) for free in found.free if matters(place.hole, place.fit.end, free)],
+    }
+    if not method.tries_all:
+        return {**common, **_acted(place, Look(t_sensor_object, belief, 0.0), goal)}
+    chance = chance_of(place, belief, goal.beliefs, np.random.default_rng([seed, 71]))
+    looks = look_until_known(place, method, Look(t_sensor_object, belief, chance), goal.beliefs, seed)
+    first, *further = [_looked(place, look, goal) for look in looks]
+    return {**common, **first, "looks": further}
+
+
+def _looked(place: Workplace, look: Look, goal: Taught) -> Record:
+    """What one look of a method that weighs poses brings."""
+    record = {
+        **_acted(place, look, goal),
+        "chance": look.chance,
+        "poses": len(look.belief.weights),
+    }
+    if look.regrasp is None:
+        return record
+    return {**record, "truth": look.t_sensor_object.tolist(), "regrasp": asdict(look.regrasp)}
+
+
+def _acted(place: Workplace, look: Look, goal: Taught) -> Record:
+    """What comes of a robot that acts on a look."""
+    t_hole_object = over_hole(look.t_sensor_object, look.belief.t_sensor_object, goal.pair)
+    covariance = look.belief.covariance + sum(b.covariance for b in goal.beliefs) / len(goal.beliefs) ** 2
+    return {
+        "t_sensor_object": look.belief.t_sensor_object.tolist(),
+        "error": np.asarray(se3_log(t_hole_object)).tolist(),
+        "room_mm": place.fit.room_mm(t_hole_object),
+        "weakest": weakest(place.hole, place.fit.end, covariance),
+    }

@@ -1,0 +1,137 @@
+"""A part, its hole and the sensor: how fingers grasp the part, and what a method finds of it."""
+
+from __future__ import annotations
+
+import tempfile
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from gelstereo import Frame, RegisterError, Scene, SimulatedFrame, Simulator, Template
+from gelstereo_bench.experiments.insertion.belief import Belief
+from gelstereo_bench.experiments.insertion.bound import Bound, SmoothSurface, least_covariance
+from gelstereo_bench.experiments.insertion.chance import Prior
+from gelstereo_bench.experiments.insertion.face import Faces, is_ridged
+from gelstereo_bench.experiments.insertion.grasp import GraspRanges, Hold, fit_of, guesses, lie, reaching
+from gelstereo_bench.experiments.insertion.rows import markers_alike
+from gelstereo_bench.experiments.insertion.sampling import believed
+from gelstereo_bench.experiments.insertion.sense import METHODS, Found, Method, Registering, Senses
+from gelstereo_bench.frontier.scenes import VGA
+from gelstereo.states import MarkerState
+
+__all__ = ["PRIOR", "RANGES", "Workplace", "sensor_scene", "workplace"]
+
+Array = npt.NDArray[np.float64]
+
+#: Frames while the fingers close: at 30 a second, a press of 1 mm at 7 mm/s.
+_CLOSING = 4
+
+
+#: Where parts may lie, and what is known of it before it is sensed.
+RANGES, PRIOR = GraspRanges(), Prior()
+
+
+def sensor_scene() -> Scene:
+    """Show the sensor that all parts are pressed on."""
+    return VGA.scene()
+
+
+class Workplace:
+    """A part, its hole and the sensor; the same for the same part."""
+
+    def __init__(self, letter: str) -> None:
+        self.fit = fit_of(letter)
+        self.part, self.hole = self.fit.part, self.fit.hole
+        self.template = Template.from_mesh(self.fit.mesh, units="mm", spacing_mm=0.3).with_grid()
+        scene = sensor_scene()
+        gel = scene.to_dict()["gel"]
+        self.pitch_mm = gel["pitch_mm"]
+        self.middle_mm = np.array([*gel["centre_mm"], gel["surface_mm"]])
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "part.stl"
+            self.fit.mesh.export(path)
+            indenter = {"kind": "mesh", "path": str(path), "units": "mm"}
+            self.simulator = Simulator(scene.replace({"indenter": indenter}))
+        self.senses = Senses(self.simulator, {method.preset for method in METHODS})
+        self.surface = SmoothSurface(self.fit.mesh)
+        self.faces, self.is_ridged = Faces(self.template), is_ridged(self.fit.mesh)
+        self.nominal = Hold.nominal(self.part, RANGES)
+
+    def lie(self, hold: Hold) -> Array:
+        """Pose of the part that is held so, (4, 4) t_sensor_object."""
+        return lie(hold, np.asarray(self.template.points_mm), self.middle_mm, self.hole.tip_mm)
+
+    def grasp(self, t_sensor_object: Array, press_mm: float, seed: int) -> list[SimulatedFrame]:
+        """Fingers that close on a part until it is there, having pressed it in so far: markers are followed by the way.
+
+        Frames of a seed have numbers of their own, and noise with these.
+        """
+        frames = []
+        for step in range(1, _CLOSING + 1):
+            pose = np.array(t_sensor_object)
+            pose[2, 3] += press_mm * (1.0 - step / _CLOSING)
+            frames.append(self.simulator.press(pose, frame=_CLOSING * seed + step))
+        return frames
+
+    def reached(self, t_sensor_object: Array, press_mm: float) -> Array:
+        """Pose of the part, (4, 4), when fingers that close on it along the gel's normal have pressed it in so far."""
+        points = np.asarray(self.template.points_mm)
+        return reaching(t_sensor_object, points, self.middle_mm, self.middle_mm[2] - press_mm)
+
+    def find(
+        self, method: Method, frame: Frame, seed: int, before: Belief | None = None
+    ) -> tuple[Found, Belief]:
+        """Find the part from a frame of its contact, and what to believe of its pose.
+
+        `before` is what earlier looks made the robot believe, in this frame: registration starts from it.
+        """
+        surface_mm, patch_mm = np.asarray(self.template.points_mm), np.asarray(frame.patch_points_mm)
+        if len(patch_mm) < _LEAST_PATCH:
+            raise RegisterError(
+                f"only {len(patch_mm)} markers are in contact; valid is {_LEAST_PATCH} or more: press deeper"
+            )
+        registering = Registering(method, frame, self.template)
+        if before is None:
+            tried = registering.found(guesses(self.nominal, surface_mm, patch_mm, self.hole.tip_mm))
+        else:
+            tried = [registering.near(before.t_sensor_object)]
+        if not method.tries_all:
+            return tried[0], Belief.normal(tried[0], PRIOR)
+        if not self.is_ridged:
+            return tried[0], believed(tried, registering.held, PRIOR, seed, before=before)
+        tried = registering.again(tried)
+        pose = tried[0].t_sensor_object
+        told = self.faces.information(
+            pose, patch_mm, np.asarray(frame.covariance_mm2)[np.asarray(frame.patch)]
+        )
+        alike = markers_alike(pose[:3, 2], patch_mm, self.pitch_mm)
+        return tried[0], believed(tried, registering.held, PRIOR, seed, told, alike, before)
+
+    def least(self, t_sensor_object: Array, contact: SimulatedFrame, frame: Frame) -> Array:
+        """Least covariance of the part's pose, in its own frame, (6, 6), from the heights of markers that touch."""
+        seen = np.asarray(contact.in_contact) & (np.asarray(frame.state) == MarkerState.SEEN)
+        return least_covariance(
+            self.surface, t_sensor_object, contact.points_mm[seen], frame.covariance_mm2[seen], PRIOR
+        )
+
+    def told(self, hold: Hold, sigma_mm: float) -> tuple[int, Bound]:
+        """How many markers touch a part that is held so, and what their heights tell, each known to `sigma_mm`."""
+        t_sensor_object = self.lie(hold)
+        contact = self.simulator.press(t_sensor_object)
+        points_mm = contact.points_mm[contact.in_contact]
+        covariance = np.tile(sigma_mm**2 * np.eye(3), (len(points_mm), 1, 1))
+        least = least_covariance(self.surface, t_sensor_object, points_mm, covariance, PRIOR)
+        bound = Bound.of(self.hole, self.fit.end, least, np.random.default_rng(1))
+        return len(points_mm), bound
+
+
+#: Registration is not tried with fewer markers.
+_LEAST_PATCH = 6
+
+
+@lru_cache(maxsize=8)
+def workplace(letter: str) -> Workplace:
+    """Make a workplace once for each process."""
+    return Workplace(letter)

@@ -1,0 +1,151 @@
+"""The command `gelstereo frontier`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+
+from gelstereo.cli.options import count
+from gelstereo_bench.frontier.boards import measure_boards
+from gelstereo_bench.frontier.building import measure_building
+from gelstereo_bench.frontier.centres import CONDITIONS, measure_centres
+from gelstereo_bench.frontier.covariance import measure_covariance
+from gelstereo_bench.frontier.figures import draw_errors, draw_growth
+from gelstereo_bench.frontier.grasps import GRASPED, NOISES
+from gelstereo_bench.frontier.localization import measure_localization
+from gelstereo_bench.frontier.nearest import measure_nearest
+from gelstereo_bench.frontier.page import LOCALIZATION_SECTIONS, SECTIONS, check_page, row_tables, write_page
+from gelstereo_bench.frontier.registering import measure_registration
+from gelstereo_bench.frontier.saliency import measure_saliency
+from gelstereo_bench.frontier.scenes import LATTICES
+from gelstereo_bench.frontier.sensing import Row, measure_detection, measure_labels, measure_whole
+from gelstereo_bench.frontier.sequences import SEQUENCES
+from gelstereo_bench.frontier.speed import (
+    Speed,
+    growth_table,
+    measure_speed,
+    measure_threads,
+    speed_table,
+    speed_targets,
+    stage_table,
+)
+from gelstereo_bench.frontier.table import Report, Table, Target
+from gelstereo_bench.frontier.timing import InstructionCounter
+from gelstereo_bench.frontier.tracking import measure_tracking
+
+__all__ = ["EXAMPLES", "add_arguments", "run"]
+
+EXAMPLES = """examples:
+  gelstereo frontier                     measure everything and write docs/accuracy-vs-time.md (minutes)
+  gelstereo frontier localization        registration beside other libraries: docs/localization.md
+  gelstereo frontier --quick --docs out  a few rounds, to see that all methods run
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument(
+        "topic", nargs="?", choices=("sensing", "localization"), default="sensing", help="what is measured"
+    )
+    parser.add_argument("--docs", type=Path, default=Path("docs"), help="folder with the pages")
+    parser.add_argument("--quick", action="store_true", help="few rounds and starts: figures mean little")
+    parser.add_argument("--rounds", type=count, help="rounds of timing (default 200, quick 3)")
+    parser.add_argument("--starts", type=count, help="starts of registration per part (default 64, quick 4)")
+    parser.add_argument(
+        "--no-instructions",
+        action="store_true",
+        help="run neither callgrind nor the core's own timing program",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure every rung, print progress, and write the page and its figures; return the exit code."""
+    rounds = arguments.rounds or (3 if arguments.quick else 200)
+    starts = arguments.starts or (4 if arguments.quick else 64)
+    (arguments.docs / "pictures").mkdir(parents=True, exist_ok=True)
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        if arguments.topic == "localization":
+            return _localization(arguments, rounds, starts)
+        return _sensing(arguments, rounds, starts)
+    finally:
+        cv2.setNumThreads(threads)
+
+
+def _sensing(arguments: argparse.Namespace, rounds: int, starts: int) -> int:
+    page, pictures = arguments.docs / "accuracy-vs-time.md", arguments.docs / "pictures"
+    check_page(page, SECTIONS)
+    source = None if arguments.no_instructions or arguments.quick else Path.cwd()
+    rows = _rows(rounds, starts, InstructionCounter(source), _report)
+    tables, targets, speeds = _tables(arguments.quick, rounds, source, _report)
+    write_page(page, [*row_tables(rows), *tables], targets, rounds)
+    draw_errors(pictures / "accuracy-vs-time.png", rows, CONDITIONS[0].bound_px())
+    draw_growth(pictures / "time-over-size.png", speeds)
+    return _done(page, targets)
+
+
+def _localization(arguments: argparse.Namespace, rounds: int, starts: int) -> int:
+    page = arguments.docs / "localization.md"
+    check_page(page, LOCALIZATION_SECTIONS)
+    # Parts and noises differ in what they cost, and every contact counts.
+    rounds = max(rounds, starts * len(GRASPED) * len(NOISES))
+    tables, targets = measure_localization(range(1, 1 + starts), rounds, _report)
+    said = (
+        f"simulated, {starts} contacts of each part and noise, markers every 0.9 mm, gel shoulder and spread; "
+        "fixed seeds"
+    )
+    write_page(page, tables, targets, rounds, said)
+    return _done(page, targets)
+
+
+def _done(page: Path, targets: Sequence[Target]) -> int:
+    missed = [target for target in targets if not target.met]
+    print(f"wrote {page} and its figures; {len(targets) - len(missed)} of {len(targets)} targets met")
+    return 0
+
+
+def _rows(rounds: int, starts: int, counter: InstructionCounter, report: Report) -> list[Row]:
+    """Error beside time, rung by rung."""
+    rows = measure_detection(rounds, counter, report)
+    rows += measure_labels(rounds, counter, report)
+    rows += measure_whole(rounds, counter, report)
+    return rows + measure_registration(max(rounds // 4, 2), starts, counter, report)
+
+
+def _tables(
+    quick: bool, rounds: int, source: Path | None, report: Report
+) -> tuple[list[Table], list[Target], list[Speed]]:
+    """Everything else: tables, targets, and the times that are drawn."""
+    seeds = 1 if quick else 3
+    centres, targets, matches = measure_centres(seeds, report)
+    covariance, more = measure_covariance(matches, seeds, report)
+    targets += more
+    tracking, more = measure_tracking(report, SEQUENCES[:1] if quick else SEQUENCES)
+    targets += more
+    speeds = measure_speed(rounds, source, report, LATTICES[:1] if quick else LATTICES)
+    targets += speed_targets(speeds)
+    saliency, more = measure_saliency(1 if quick else 12, report)
+    targets += more
+    boards, more = measure_boards(1 if quick else 5, report)
+    targets += more
+    nearest, more = measure_nearest(max(rounds // 20, 2), report)
+    targets += more
+    templates, more = measure_building(1 if quick else 3, report)
+    targets += more
+    tables = [centres, covariance, tracking, speed_table(speeds), stage_table(speeds), growth_table(speeds)]
+    return (
+        [*tables, measure_threads(rounds // 2, report), saliency, *boards, nearest, templates],
+        targets,
+        speeds,
+    )
+
+
+def _report(what: str) -> None:
+    """Print progress with the time of day."""
+    print(f"{time.strftime('%H:%M:%S')} {what}", file=sys.stderr, flush=True)

@@ -1,0 +1,108 @@
+"""The pages of measurements: tables between markers."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from gelstereo_bench.frontier.scenes import CONDITIONS
+from gelstereo_bench.frontier.sensing import Row
+from gelstereo_bench.frontier.table import Table, Target
+from gelstereo_bench.reports.markdown import ReportError, replace_between, table
+from gelstereo_bench.reports.provenance import processor
+
+__all__ = ["LOCALIZATION_SECTIONS", "SECTIONS", "check_page", "row_tables", "write_page"]
+
+#: Names of the markers of docs/localization.md.
+LOCALIZATION_SECTIONS = ("conditions", "targets", "localization", "near", "budgets", "parts", "nees")
+
+#: Names of the markers of docs/accuracy-vs-time.md.
+SECTIONS = (
+    "conditions",
+    "targets",
+    "centres",
+    "covariance",
+    "tracking",
+    "detect",
+    "label",
+    "whole",
+    "speed",
+    "stages",
+    "growth",
+    "threads",
+    "saliency",
+    "boards",
+    "refraction",
+    "nearest",
+    "templates",
+    "register",
+)
+
+
+def check_page(page: Path, sections: Sequence[str] = SECTIONS) -> None:
+    """See that a page can be filled, before the minutes that measuring takes; begin one that does not exist.
+
+    Raises
+    ------
+    ReportError
+        A marker is missing.
+    """
+    if not page.exists():
+        places = [f"<!-- begin {name} -->\n<!-- end {name} -->\n" for name in sections]
+        page.write_text("\n".join([f"# {page.stem}\n", *places]), encoding="utf-8")
+    text = page.read_text(encoding="utf-8")
+    lines = [f"<!-- {side} {name} -->" for name in sections for side in ("begin", "end")]
+    missing = [line for line in lines if text.count(line) != 1]
+    if missing:
+        raise ReportError(f"{page} must hold once each the lines {', '.join(missing)}")
+
+
+def write_page(
+    page: Path, tables: Sequence[Table], targets: Sequence[Target], rounds: int, conditions: str = CONDITIONS
+) -> None:
+    """Fill the page's tables, all or none: a page is never left half written."""
+    with tempfile.TemporaryDirectory(dir=page.parent) as folder:
+        draft = Path(folder) / page.name
+        shutil.copy(page, draft)
+        said = (
+            f"All figures: {conditions}. Times: one thread, {processor()}, {rounds} rounds in which all methods take "
+            f"turns; {_load()}."
+        )
+        replace_between(draft, "conditions", said)
+        head = ["what", "target", "measured", "met"]
+        replace_between(draft, "targets", table(head, [target.line() for target in targets]))
+        for part in tables:
+            replace_between(draft, part.name, table(part.head, part.rows))
+        os.replace(draft, page)
+
+
+def row_tables(rows: Sequence[Row]) -> list[Table]:
+    """Make the tables of error and time, one per stage."""
+    head = ["method", "error", "median ms", "p99 ms", "10^6 instructions", "baseline's time over this"]
+    stages = dict.fromkeys(row.stage for row in rows)
+    return [Table(stage, head, [_line(row) for row in rows if row.stage == stage]) for stage in stages]
+
+
+def _line(row: Row) -> list[str]:
+    return [
+        row.name,
+        row.error,
+        f"{row.times.median_ms:.2f}",
+        f"{row.times.p99_ms:.2f}",
+        "-" if row.instructions is None else f"{row.instructions * 1e-6:.2f}",
+        f"{row.speed:.1f}",
+    ]
+
+
+def _load() -> str:
+    """Say how busy the machine was."""
+    try:
+        load = os.getloadavg()[1]
+    except OSError:
+        return "the machine's load is unknown"
+    return (
+        f"{load:.1f} programs on {os.cpu_count()} processors meanwhile, which shows in the 99th percentiles"
+    )
