@@ -19,7 +19,7 @@ FLOORS = (
     ("rig", "surface"),
     ("params",),
     ("detect",),
-    ("label",),
+    ("lattice",),
     ("track",),
     ("triangulate",),
     ("contact",),

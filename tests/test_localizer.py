@@ -28,26 +28,26 @@ def test_a_part_is_found_followed_lost_and_found_again(box: Template, method: st
     localizer = Localizer(box, t_sensor_object=guess, params=params)
     assert localizer.template is box and localizer.t_sensor_object is None
     found = localizer.process(salient, all_points_mm=everything)
-    assert found.standing == "found" and found.log_odds > 0 and off_deg(found.t_sensor_object, truth) < 2
+    assert found.tracking == "relocalized" and found.log_odds > 0 and off_deg(found.t_sensor_object, truth) < 2
     assert np.array_equal(localizer.t_sensor_object, found.t_sensor_object)
 
     # A step to the side, a small turn.
     step = np.asarray(se3_exp([0.0, 0.0, 0.01, 0.1, 0.05, 0.0]))
     moved = salient @ step[:3, :3].T + step[:3, 3]
     found = localizer.process(moved)
-    assert found.standing == "followed" and off_deg(found.t_sensor_object, step @ truth) < 2
+    assert found.tracking == "tracking" and off_deg(found.t_sensor_object, step @ truth) < 2
     held = localizer.t_sensor_object
 
     # Nothing of the box's shape.
     heights = np.random.default_rng(1).uniform(27.0, 28.3, len(moved))
     lost = localizer.process(np.column_stack([moved[:, :2], heights]))
-    assert lost.standing == "lost" and lost.log_odds < 0
+    assert lost.tracking == "lost" and lost.log_odds < 0
     assert np.array_equal(localizer.t_sensor_object, held)
     with pytest.raises(RegisterError, match="0 salient points"):
         localizer.process(np.empty((0, 3)))
 
     found = localizer.process(moved)
-    assert found.standing == "found" and off_deg(found.t_sensor_object, step @ truth) < 2
+    assert found.tracking == "relocalized" and off_deg(found.t_sensor_object, step @ truth) < 2
     localizer.expect(guess)
     assert localizer.t_sensor_object is None
 
@@ -56,7 +56,7 @@ def test_one_contact_has_no_standing(box: Template) -> None:
     truth, salient, _ = corner(0.02)
     close = Params().replace({"register.method": "surface_close"})
     found = localize(salient, box, t_sensor_object=truth, params=close)
-    assert found.standing is None and found.misfit is None and found.log_odds > 0
+    assert found.tracking is None and found.misfit is None and found.log_odds > 0
     assert localize(salient, box, t_sensor_object=truth).log_odds is None
 
 
@@ -85,9 +85,9 @@ def test_the_misfit_is_told_where_the_gel_is_asked(box: Template, decay_mm: floa
     # Beside the box it is at rest at once: another gel than one of 2 mm, and one of 0.1 mm is not asked.
     params = Params().replace({"contact.decay_mm": decay_mm})
     localizer = Localizer(box, t_sensor_object=truth, params=params)
-    for standing in ("found", "followed"):
+    for tracking in ("relocalized", "tracking"):
         found = localizer.process(salient, all_points_mm=everything)
-        assert found.standing == standing
+        assert found.tracking == tracking
         assert found.misfit is None if decay_mm < 1 else found.misfit > 2
 
 
@@ -108,7 +108,7 @@ def test_salient_points_that_are_not_among_all_markers_are_told_of(box: Template
         localizer.process(salient, all_points_mm=markers)
     with pytest.raises(RegisterError, match="give all markers of the same frame"):
         localize(salient, box, t_sensor_object=truth, all_points_mm=markers)
-    assert localizer.process(salient[::-1], all_points_mm=everything).standing == "found"
+    assert localizer.process(salient[::-1], all_points_mm=everything).tracking == "relocalized"
 
 
 def test_a_guess_that_is_not_finite_is_told_where(box: Template) -> None:

@@ -49,7 +49,7 @@ def test_a_localization(frame: gs.Frame, method: str) -> None:
 
     localizer = gs.Localizer(template, t_sensor_object=guess)
     found = localizer.process(frame.patch_points_mm)
-    assert again(found).standing == found.standing
+    assert again(found).tracking == found.tracking
 
 
 def test_a_template_with_all_that_was_added_to_it() -> None:

@@ -3,7 +3,7 @@
 
 use crate::report::Stage;
 use crate::sensing::{Action, Sensing, SensingError};
-use gelstereo_core::register::{Registration, Standing};
+use gelstereo_core::register::{Registration, TrackingStatus};
 use gelstereo_core::track::MarkerState;
 
 /// What the topic `/gelstereo/frame` says of a frame: evidence and digest, or the error.
@@ -26,23 +26,23 @@ pub fn frame_note(sensed: &Result<(), SensingError>, sensing: &Sensing) -> serde
     }
 }
 
-/// What a standing is called in notes and lines.
+/// What a tracking is called in notes and lines.
 #[must_use]
-pub const fn standing_name(standing: Standing) -> &'static str {
-    match standing {
-        Standing::Followed => "followed",
-        Standing::Found => "found",
-        Standing::Lost => "lost",
+pub const fn tracking_name(tracking: TrackingStatus) -> &'static str {
+    match tracking {
+        TrackingStatus::Tracking => "tracking",
+        TrackingStatus::Relocalized => "relocalized",
+        TrackingStatus::Lost => "lost",
     }
 }
 
-/// What the topic `/gelstereo/stage` says of an action and its result; a followed part has a standing.
+/// What the topic `/gelstereo/stage` says of an action and its result; a followed part has a tracking.
 #[must_use]
 pub fn action_note(
     stage: Stage,
     action: &Action,
     result: &Result<Option<Registration>, SensingError>,
-    standing: Option<Standing>,
+    tracking: Option<TrackingStatus>,
 ) -> serde_json::Value {
     let mut note = serde_json::json!({ "stage": stage, "request": action });
     match result {
@@ -50,8 +50,8 @@ pub fn action_note(
             note["digest"] = format!("{:016x}", found.digest()).into();
             note["converged"] = found.converged.into();
             note["free"] = found.free.iter().map(ToString::to_string).collect::<Vec<_>>().into();
-            if let (Action::Follow, Some(standing)) = (action, standing) {
-                note["standing"] = standing_name(standing).into();
+            if let (Action::Follow, Some(tracking)) = (action, tracking) {
+                note["tracking"] = tracking_name(tracking).into();
             }
         }
         Ok(None) => {}

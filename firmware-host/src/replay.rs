@@ -322,7 +322,7 @@ impl Replay {
         let stage: Stage = serde_json::from_value(note["stage"].take()).map_err(fail)?;
         let result = self.sensing.act(&action);
         self.report.localizations += u64::from(matches!(action, Action::Localize { .. } | Action::Follow));
-        self.compare(recorded, action_note(stage, &action, &result, self.sensing.standing()).to_string());
+        self.compare(recorded, action_note(stage, &action, &result, self.sensing.tracking()).to_string());
         Ok(())
     }
 

@@ -6,7 +6,7 @@ use gelstereo_core::math::linalg::{Symmetric, eigen};
 use gelstereo_core::math::{DMat3, DQuat, DVec3, Pose, so3};
 use gelstereo_core::params::Params;
 use gelstereo_core::pipeline::{Frame, Pipeline, PipelineError, RestRecord, Touch};
-use gelstereo_core::register::{Localizer, RegisterError, Registrar, Registration, Standing, Template};
+use gelstereo_core::register::{Localizer, RegisterError, Registrar, Registration, Template, TrackingStatus};
 use gelstereo_core::rig::Rig;
 use gelstereo_core::track::MarkerState;
 use serde::{Deserialize, Serialize};
@@ -103,7 +103,7 @@ pub struct Sensing {
     registrar: Registrar,
     /// Follows the part from frame to frame, once it was said where to expect it.
     localizer: Option<Localizer>,
-    standing: Option<Standing>,
+    tracking: Option<TrackingStatus>,
     template: Template,
     frame: Frame,
     touch: Touch,
@@ -119,7 +119,7 @@ impl Sensing {
             pipeline: Pipeline::new(rig, params).map_err(SensingError::Pipeline)?,
             registrar: Registrar::new(&params.register),
             localizer: None,
-            standing: None,
+            tracking: None,
             template,
             frame: Frame::default(),
             touch: Touch::default(),
@@ -140,8 +140,8 @@ impl Sensing {
 
     /// How the pose of the last [`Action::Follow`] was come by; `None` if it gave none.
     #[must_use]
-    pub const fn standing(&self) -> Option<Standing> {
-        self.standing
+    pub const fn tracking(&self) -> Option<TrackingStatus> {
+        self.tracking
     }
 
     /// What a later run needs to begin under contact; `None` before the rest frame.
@@ -207,11 +207,11 @@ impl Sensing {
     }
 
     fn follow(&mut self) -> Result<Registration, SensingError> {
-        self.standing = None;
+        self.tracking = None;
         let localizer = self.localizer.as_mut().ok_or(SensingError::NoExpectation)?;
         let located = localizer.run(&self.touch.of(&self.frame), &self.template);
         let located = located.map_err(SensingError::Register)?;
-        self.standing = Some(located.standing);
+        self.tracking = Some(located.tracking);
         Ok(located.registration)
     }
 }

@@ -76,7 +76,7 @@ fn a_simulated_grasp_is_felt_located_recorded_and_replays_to_the_same_bits() {
     let touching = |line: &&Value| line["contact"]["touching"] == true;
     let touched: Vec<&Value> = first.lines.iter().filter(touching).collect();
     assert!(touched.len() > 40 && touched.len() < 120, "contact comes and goes: {}", touched.len());
-    let followed = touched.iter().filter(|line| line["pose"]["standing"] == "followed").count();
+    let followed = touched.iter().filter(|line| line["pose"]["tracking"] == "tracking").count();
     assert!(followed + 3 > touched.len(), "{followed} of {}", touched.len());
     let points = first.lines[0]["points_mm"].as_array().unwrap();
     assert!(points.len() == 625 && points[0].as_array().unwrap().len() == 3);

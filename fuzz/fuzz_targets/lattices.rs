@@ -3,10 +3,10 @@
 #![no_main]
 
 use gelstereo_core::detect::Markers;
-use gelstereo_core::label::{FoundLattice, LatticeFinder, anchor, rest_lattice};
+use gelstereo_core::lattice::{FoundLattice, LatticeFinder, anchor, rest_lattice};
 use gelstereo_core::math::DVec2;
 use gelstereo_core::params::{Motion, Params};
-use gelstereo_core::track::{CheckedTracker, MarkerState, Tracks, Verdict};
+use gelstereo_core::track::{Certainty, MarkerState, Tracks, VerifiedTracker};
 use libfuzzer_sys::arbitrary::{Result, Unstructured};
 use libfuzzer_sys::fuzz_target;
 
@@ -67,7 +67,7 @@ fn find(finder: &mut LatticeFinder, seen: &Markers, expected_px: &[DVec2], rows:
     }
 }
 
-fn check(tracks: &Tracks, seen: &Markers, verdict: Verdict) {
+fn check(tracks: &Tracks, seen: &Markers, verdict: Certainty) {
     assert!(tracks.positions_px.iter().all(|p| p.is_finite()));
     let mut positions: Vec<DVec2> = tracks
         .positions_px
@@ -77,7 +77,7 @@ fn check(tracks: &Tracks, seen: &Markers, verdict: Verdict) {
         .map(|(&p, _)| p)
         .collect();
     assert!(positions.iter().all(|p| seen.centres_px.contains(p)));
-    assert!(verdict == Verdict::Certain || positions.is_empty());
+    assert!(verdict == Certainty::Certain || positions.is_empty());
     let count = |list: &[DVec2], p: DVec2| list.iter().filter(|&&q| q == p).count();
     while let Some(p) = positions.pop() {
         assert!(count(&positions, p) < count(&seen.centres_px, p), "a detection has two names");
@@ -99,7 +99,7 @@ fn run(mut u: Unstructured<'_>) -> Result<()> {
     let Ok(rest) = rest_lattice(&first.centres_px, &params.lattice, params.label.tolerance_pitches) else {
         return Ok(());
     };
-    let (mut tracker, mut tracks) = (CheckedTracker::new(&params.track, SIZE_PX), Tracks::default());
+    let (mut tracker, mut tracks) = (VerifiedTracker::new(&params.track, SIZE_PX), Tracks::default());
     tracker.initialise(&rest, &first, 4 * rows * cols, &mut tracks);
     while !u.is_empty() {
         let seen = detections(&mut u, &lattice)?;

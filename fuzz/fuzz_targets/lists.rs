@@ -3,7 +3,7 @@
 #![no_main]
 
 use gelstereo_core::detect::Markers;
-use gelstereo_core::label::{foresight_sort, rest_lattice};
+use gelstereo_core::lattice::{foresight_sort, rest_lattice};
 use gelstereo_core::math::DVec2;
 use gelstereo_core::params::Params;
 use gelstereo_core::track::{Tracker, Tracks};

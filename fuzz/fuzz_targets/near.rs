@@ -3,7 +3,7 @@
 #![no_main]
 
 use gelstereo_core::detect::{Detector, Markers};
-use gelstereo_core::detect::{Found, Sight};
+use gelstereo_core::detect::{Found, WindowObservation};
 use gelstereo_core::image::GrayView;
 use gelstereo_core::math::DVec2;
 use gelstereo_core::params::{Background, Centre, Params, Polarity, Threshold};
@@ -77,7 +77,7 @@ fn run(mut u: Unstructured<'_>) -> Result<()> {
     assert_eq!(found.sights.len(), count);
     let mut given = vec![false; found.markers.centres_px.len()];
     for (sight, at) in found.sights.iter().zip(&expected_px) {
-        let Sight::Marker(m) = *sight else { continue };
+        let WindowObservation::Marker(m) = *sight else { continue };
         let (m, centre) = (m as usize, found.markers.centres_px[m as usize]);
         assert!(!core::mem::replace(&mut given[m], true), "a marker of two positions");
         assert!(

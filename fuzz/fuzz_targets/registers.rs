@@ -7,7 +7,7 @@ use gelstereo_core::math::linalg::{Symmetric, eigen};
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::params::{RegisterMethod, RegisterParams};
-use gelstereo_core::register::{Contact, Localizer, Registrar, Registration, Standing, Template};
+use gelstereo_core::register::{Contact, Localizer, Registrar, Registration, Template, TrackingStatus};
 use gelstereo_core::surface::TriangleMesh;
 use libfuzzer_sys::arbitrary::{Result, Unstructured};
 use libfuzzer_sys::fuzz_target;
@@ -175,9 +175,9 @@ fn follow(u: &mut Unstructured<'_>, params: &RegisterParams, given: &Given<'_>) 
         if let (Ok(located), Ok(same)) = (&located, &same) {
             check(&located.registration, moved.len());
             let digests = [located, same].map(|found| found.registration.digest());
-            assert_eq!(digests[0], digests[1], "{:?} {:?}", located.standing, same.standing);
+            assert_eq!(digests[0], digests[1], "{:?} {:?}", located.tracking, same.tracking);
         }
-        if located.is_ok_and(|found| found.standing != Standing::Lost) {
+        if located.is_ok_and(|found| found.tracking != TrackingStatus::Lost) {
             assert!(one.last().is_some());
         }
         let shift = vector(u, 0.3)?;

@@ -12,7 +12,7 @@ pub struct GrayView<'a> {
 }
 
 /// Most columns and rows of an image: what 16 bits count.
-pub const MOST_SIDE_PX: usize = u16::MAX as usize;
+pub const MAX_SIDE_PX: usize = u16::MAX as usize;
 
 /// Why a buffer is no image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,10 +65,7 @@ impl core::fmt::Display for ImageError {
                 write!(f, "the image is {width} x {height} pixels; both sides must be at least 1")
             }
             Self::TooLarge { width, height } => {
-                write!(
-                    f,
-                    "the image is {width} x {height} pixels; valid is up to {MOST_SIDE_PX} on each side"
-                )
+                write!(f, "the image is {width} x {height} pixels; valid is up to {MAX_SIDE_PX} on each side")
             }
             Self::StrideTooSmall { width, stride } => {
                 write!(f, "the stride is {stride} bytes for rows of {width}; it must be at least the width")
@@ -90,12 +87,12 @@ impl<'a> GrayView<'a> {
     /// A view of rows that are `stride` bytes apart.
     ///
     /// # Errors
-    /// [`ImageError`] when the shape is empty, larger than [`MOST_SIDE_PX`] on a side, or does not fit the buffer.
+    /// [`ImageError`] when the shape is empty, larger than [`MAX_SIDE_PX`] on a side, or does not fit the buffer.
     pub fn new(data: &'a [u8], width: usize, height: usize, stride: usize) -> Result<Self, ImageError> {
         if width == 0 || height == 0 {
             return Err(ImageError::Empty { width, height });
         }
-        if width.max(height) > MOST_SIDE_PX {
+        if width.max(height) > MAX_SIDE_PX {
             return Err(ImageError::TooLarge { width, height });
         }
         if stride < width {

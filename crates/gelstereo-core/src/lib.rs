@@ -21,7 +21,7 @@ pub mod detect;
 pub mod digest;
 pub mod frames;
 pub mod image;
-pub mod label;
+pub mod lattice;
 pub mod math;
 pub mod params;
 pub mod pipeline;

@@ -7,7 +7,7 @@ use counting::ALLOCATIONS;
 use gelstereo_core::camera::{Camera, Layer, Layers};
 use gelstereo_core::detect::Found;
 use gelstereo_core::detect::{Detector, Markers};
-use gelstereo_core::label::{FoundLattice, LatticeFinder, anchor, foresight_sort, rest_lattice};
+use gelstereo_core::lattice::{FoundLattice, LatticeFinder, anchor, foresight_sort, rest_lattice};
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec2, DVec3};
 use gelstereo_core::params::{

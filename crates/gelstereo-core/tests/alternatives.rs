@@ -21,7 +21,7 @@ use std::sync::OnceLock;
 /// The bolt's pitch.
 const PITCH_MM: f64 = 1.5;
 /// A hundredth of the likelihood, in logarithms.
-const LEAST_LOG: f64 = 4.6;
+const MIN_LOG: f64 = 4.6;
 
 fn search() -> RegisterParams {
     RegisterParams { method: RegisterMethod::SurfaceSearch, ..Default::default() }
@@ -213,7 +213,7 @@ fn answers_are_ranked_and_those_that_have_no_place_are_not_hidden() {
     for found in [&near, &wide] {
         let ranks: Vec<f64> = answers(found).iter().map(|(_, likelihood)| *likelihood).collect();
         assert!(ranks.is_sorted_by(|a, b| a >= b), "{ranks:?}");
-        assert!(ranks[0] - ranks[ranks.len() - 1] <= LEAST_LOG, "{ranks:?}");
+        assert!(ranks[0] - ranks[ranks.len() - 1] <= MIN_LOG, "{ranks:?}");
     }
     // Nothing is said to be all when there was no time to look.
     assert!(with(1.0, 40_000).alternatives.is_cut() && !with(1.0, all).alternatives.is_cut());

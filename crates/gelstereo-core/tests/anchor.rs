@@ -4,7 +4,7 @@
 use crate::disturbed;
 
 use disturbed::{MIDDLE, PITCH, SIZE, Scene};
-use gelstereo_core::label::{Anchor, FoundLattice, LatticeFinder, anchor};
+use gelstereo_core::lattice::{Anchor, FoundLattice, LatticeFinder, anchor};
 use gelstereo_core::math::DVec2;
 use gelstereo_core::math::random::Stream;
 use proptest::prelude::*;

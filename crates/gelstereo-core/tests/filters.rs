@@ -5,7 +5,7 @@ use crate::support;
 use gelstereo_core::detect::mask::blur::{FRACTION_BITS, GaussianBlur, reflect101};
 use gelstereo_core::detect::mask::components::Components;
 use gelstereo_core::detect::mask::morphology::Closing;
-use gelstereo_core::image::MOST_SIDE_PX;
+use gelstereo_core::image::MAX_SIDE_PX;
 use proptest::prelude::*;
 use support::view;
 
@@ -190,11 +190,11 @@ proptest! {
 /// Sums by the formula of an arithmetic series.
 #[test]
 fn the_widest_and_the_highest_image_have_one_component() {
-    let most = MOST_SIDE_PX as u64;
-    let mask = vec![255; 2 * MOST_SIDE_PX];
+    let most = MAX_SIDE_PX as u64;
+    let mask = vec![255; 2 * MAX_SIDE_PX];
     let (half, sum) = (most * (most - 1) / 2, most);
     for (width, sums, last) in
-        [(MOST_SIDE_PX, (2 * half, sum), (u16::MAX - 1, 1)), (2, (sum, 2 * half), (1, u16::MAX - 1))]
+        [(MAX_SIDE_PX, (2 * half, sum), (u16::MAX - 1, 1)), (2, (sum, 2 * half), (1, u16::MAX - 1))]
     {
         let mut components = Components::default();
         let found = components.run(view(&mask, width));

@@ -2,7 +2,7 @@
 
 use crate::support;
 
-use gelstereo_core::label::{LabelError, foresight_sort, rest_lattice};
+use gelstereo_core::lattice::{LabelError, foresight_sort, rest_lattice};
 use gelstereo_core::math::DVec2;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::params::LatticeParams;

@@ -3,7 +3,7 @@
 use crate::disturbed;
 
 use disturbed::{MIDDLE, PITCH, SIZE, Scene};
-use gelstereo_core::label::{FoundLattice, LabelError, LatticeFinder, anchor, rest_lattice};
+use gelstereo_core::lattice::{FoundLattice, LabelError, LatticeFinder, anchor, rest_lattice};
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec2, cos, sin};
 use gelstereo_core::params::LatticeParams;

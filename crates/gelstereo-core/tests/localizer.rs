@@ -8,7 +8,7 @@ use crate::problems;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::params::{RegisterMethod, RegisterParams};
-use gelstereo_core::register::{Contact, Localizer, RegisterError, Standing};
+use gelstereo_core::register::{Contact, Localizer, RegisterError, TrackingStatus};
 use problems::follow::{METHODS, is_right, moved, part, sense};
 use problems::gel::Gel;
 use problems::parts::Part;
@@ -38,12 +38,12 @@ fn follow_moving(method: RegisterMethod, seed: u64) -> [usize; 3] {
                 break;
             }
             let located = localizer.run(&problem.contact(), &template).unwrap();
-            assert!(frame > 0 || located.standing == Standing::Found, "{name} {method:?}");
+            assert!(frame > 0 || located.tracking == TrackingStatus::Relocalized, "{name} {method:?}");
             frames += 1;
             wrong += usize::from(!is_right(&problem, &located));
-            searched += usize::from(frame > 0 && located.standing != Standing::Followed);
+            searched += usize::from(frame > 0 && located.tracking != TrackingStatus::Tracking);
             let is_last = localizer.last() == Some(&located.registration.t_sensor_object);
-            assert_eq!(is_last, located.standing != Standing::Lost, "{name} {method:?}, frame {frame}");
+            assert_eq!(is_last, located.tracking != TrackingStatus::Lost, "{name} {method:?}, frame {frame}");
             pose = moved(pose, DVec3::Z * 0.005, DVec3::new(0.06, -0.04, 0.0));
         }
     }
@@ -80,9 +80,9 @@ fn a_part_that_jumps_is_lost_and_found_again() {
             let second = sensed(&part, turned, &mut random);
             let located = localizer.run(&second.contact(), &template).unwrap();
             count += 1;
-            wrong += usize::from(located.standing != Standing::Lost && !is_right(&second, &located));
-            recovered += usize::from(located.standing == Standing::Found);
-            noticed += usize::from(located.standing != Standing::Followed);
+            wrong += usize::from(located.tracking != TrackingStatus::Lost && !is_right(&second, &located));
+            recovered += usize::from(located.tracking == TrackingStatus::Relocalized);
+            noticed += usize::from(located.tracking != TrackingStatus::Tracking);
         }
     }
     // Of 120 such jumps 11 were believed where they were not, and 105 found again; of 48 more than 10 are with a probability
@@ -104,7 +104,7 @@ fn a_part_that_is_let_go_is_looked_for_where_it_was() {
     let back =
         sensed(&part, moved(first.t_sensor_object, DVec3::Z * 0.1, DVec3::new(0.8, -0.5, 0.0)), &mut random);
     let located = localizer.run(&back.contact(), &template).unwrap();
-    assert!(located.standing == Standing::Found && is_right(&back, &located));
+    assert!(located.tracking == TrackingStatus::Relocalized && is_right(&back, &located));
 }
 
 /// A part that was followed far from where it is expected is looked for where it was last, too.
@@ -118,14 +118,14 @@ fn a_part_that_turned_away_from_where_it_is_expected_is_found_where_it_was() {
     for frame in 0..14 {
         let problem = sensed(&part, pose, &mut random);
         let located = localizer.run(&problem.contact(), &template).unwrap();
-        assert!(located.standing != Standing::Lost, "frame {frame}");
+        assert!(located.tracking != TrackingStatus::Lost, "frame {frame}");
         pose = moved(pose, DVec3::Z * 0.0625, DVec3::ZERO);
     }
     // Steps of 3.6 degrees are more than some frames of the way are followed well by; the last one is.
     assert!(localizer.run(&Contact::new(&[]), &template).is_err());
     let back = sensed(&part, moved(pose, DVec3::Z * 0.1, DVec3::new(0.5, -0.5, 0.0)), &mut random);
     let located = localizer.run(&back.contact(), &template).unwrap();
-    assert!(located.standing == Standing::Found && is_right(&back, &located));
+    assert!(located.tracking == TrackingStatus::Relocalized && is_right(&back, &located));
 }
 
 #[test]
@@ -139,7 +139,7 @@ fn another_part_is_not_taken_for_it_and_a_new_grasp_is_found() {
     for _ in 0..2 {
         let other = Problem::press(&plug, Sensing::GOOD, &mut random);
         let located = localizer.run(&other.contact(), &template).unwrap();
-        assert_eq!(located.standing, Standing::Lost);
+        assert_eq!(located.tracking, TrackingStatus::Lost);
         assert!(located.registration.log_odds.unwrap() < 0.0);
         // What was not believed is not followed.
         assert_eq!(localizer.last(), Some(&held));
@@ -148,9 +148,9 @@ fn another_part_is_not_taken_for_it_and_a_new_grasp_is_found() {
     localizer.expect(&again.guess(0.15, 1.0, &mut random));
     assert_eq!(localizer.last(), None);
     let located = localizer.run(&again.contact(), &template).unwrap();
-    assert!(located.standing == Standing::Found && is_right(&again, &located));
+    assert!(located.tracking == TrackingStatus::Relocalized && is_right(&again, &located));
     let located = localizer.run(&again.contact(), &template).unwrap();
-    assert_eq!(located.standing, Standing::Followed);
+    assert_eq!(located.tracking, TrackingStatus::Tracking);
 }
 
 #[test]

@@ -8,7 +8,7 @@ use crate::problems;
 use gelstereo_core::math::DVec3;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::params::RegisterParams;
-use gelstereo_core::register::{Contact, Registrar, Standing};
+use gelstereo_core::register::{Contact, Registrar, TrackingStatus};
 use problems::follow::{METHODS, is_right, localizer, moved, part, sense};
 use problems::gel::{Gel, SOFT_MM};
 use problems::{Problem, Sensing};
@@ -41,13 +41,13 @@ fn a_still_part_that_slips_at_times_is_never_said_to_be_lost() {
                 let located = localizer.run(&soft(&problem), &template).unwrap();
                 assert!(located.misfit.is_some());
                 assert_ne!(
-                    located.standing,
-                    Standing::Lost,
+                    located.tracking,
+                    TrackingStatus::Lost,
                     "{name} {method:?} {frame}: {:?}",
                     located.misfit
                 );
                 count += 1;
-                searched += usize::from(frame > 0 && located.standing == Standing::Found);
+                searched += usize::from(frame > 0 && located.tracking == TrackingStatus::Relocalized);
             }
         }
     }
@@ -81,7 +81,7 @@ fn a_part_that_was_turned_end_for_end_untouched_is_not_believed_where_it_was() {
             let turned = moved(first.t_sensor_object, DVec3::Z * PI, DVec3::ZERO);
             let second = sense(&Gel::press_into(SOFT_MM, &part, &turned), turned, &mut random);
             let Ok(located) = localizer.run(&soft(&second), &template) else { continue };
-            let is_believed = located.standing != Standing::Lost;
+            let is_believed = located.tracking != TrackingStatus::Lost;
             count += 1;
             wrong += usize::from(is_believed && !is_right(&second, &located));
         }

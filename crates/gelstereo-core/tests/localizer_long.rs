@@ -11,7 +11,7 @@ use gelstereo_core::digest::Digest;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::params::RegisterMethod;
-use gelstereo_core::register::{Contact, Localizer, Standing, Template};
+use gelstereo_core::register::{Contact, Localizer, Template, TrackingStatus};
 use problems::follow::{METHODS, is_right, localizer, moved, part, sense};
 use problems::gel::{Gel, SOFT_MM};
 use problems::{Problem, Sensing};
@@ -61,9 +61,9 @@ impl Counted {
             self.refused += 1;
             return;
         };
-        self.digest = self.digest.u64(located.registration.digest()).u64(located.standing as u64);
-        self.searched += usize::from(located.standing != Standing::Followed);
-        if located.standing != Standing::Lost {
+        self.digest = self.digest.u64(located.registration.digest()).u64(located.tracking as u64);
+        self.searched += usize::from(located.tracking != TrackingStatus::Tracking);
+        if located.tracking != TrackingStatus::Lost {
             self.believed += 1;
             self.taken += usize::from(k == OTHER);
             self.wrong += usize::from(frame.is_some_and(|problem| !is_right(problem, &located)));

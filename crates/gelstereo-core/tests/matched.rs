@@ -3,7 +3,7 @@
 use crate::support;
 
 use gelstereo_core::detect::centre::fit::Noise;
-use gelstereo_core::detect::centre::matched::{MOST_MISFIT, Matched, Refined};
+use gelstereo_core::detect::centre::matched::{MAX_MISFIT, Matched, Refined};
 use gelstereo_core::detect::{Detector, Markers};
 use gelstereo_core::image::GrayView;
 use gelstereo_core::math::random::Stream;
@@ -284,7 +284,7 @@ fn predictions_lead_to_the_same_centre() {
     let mut stream = Stream::new(3, "predictions");
     for at in truth.iter().step_by(3) {
         let seen = matched.refine(view(&image, 640), *at, 4.3).unwrap();
-        assert!(seen.misfit < 0.5 * MOST_MISFIT && (seen.contrast_levels + 120.0).abs() < 6.0, "{seen:?}");
+        assert!(seen.misfit < 0.5 * MAX_MISFIT && (seen.contrast_levels + 120.0).abs() < 6.0, "{seen:?}");
         let angle = std::f64::consts::TAU * stream.uniform();
         let off = 1.5 * stream.uniform() * DVec2::from_angle(angle);
         let found = matched.refine(view(&image, 640), *at + off, 4.3).unwrap();
@@ -328,7 +328,7 @@ fn misfits_tell_what_is_no_disc() {
     let mut matched = prepared(&clean, &truth);
     let mut fits = |image: &[u8], at: DVec2| {
         let refined: Option<Refined> = matched.refine(view(image, 640), at, 4.3);
-        refined.is_some_and(|refined| refined.misfit <= MOST_MISFIT)
+        refined.is_some_and(|refined| refined.misfit <= MAX_MISFIT)
     };
     for at in truth.iter().step_by(17) {
         assert!(fits(&clean, *at));

@@ -3,7 +3,7 @@
 use crate::support;
 
 use gelstereo_core::detect::{DetectError, Detector, Markers};
-use gelstereo_core::detect::{Found, Sight};
+use gelstereo_core::detect::{Found, WindowObservation};
 use gelstereo_core::math::DVec2;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::params::{Background, Centre, DetectParams, Threshold};
@@ -53,7 +53,7 @@ fn markers_near_expected_positions_have_the_bits_of_the_whole_search() {
         let expected: Vec<DVec2> = truth.iter().map(|&t| t + DVec2::new(off(), off())).collect();
         let (all, found) = both(&params, &image, 640, &expected, 8.8);
         for (sight, truth) in found.sights.iter().zip(&truth) {
-            let Sight::Marker(m) = *sight else { panic!("{sight:?} at {truth}, {params:?}") };
+            let WindowObservation::Marker(m) = *sight else { panic!("{sight:?} at {truth}, {params:?}") };
             assert!(found.markers.centres_px[m as usize].distance(*truth) < 0.5);
             assert!(same(&all, &found.markers, m).is_some(), "{params:?}");
         }
@@ -67,9 +67,9 @@ fn what_is_no_single_marker_is_not_found() {
     let (image, at) = one_marker_and_what_is_none();
     for params in rungs() {
         let (_, found) = both(&params, &image, 160, &at, 8.5);
-        let expected = [Sight::Marker(0), Sight::Nothing, Sight::Nothing];
+        let expected = [WindowObservation::Marker(0), WindowObservation::Nothing, WindowObservation::Nothing];
         assert_eq!(found.sights[..3], expected, "{params:?}");
-        assert_eq!(found.sights[3..], [Sight::Unclear; 5], "{params:?}");
+        assert_eq!(found.sights[3..], [WindowObservation::Unclear; 5], "{params:?}");
     }
 }
 
@@ -81,10 +81,10 @@ fn no_marker_is_given_twice_and_no_position_has_two() {
     for params in rungs() {
         let near = centres[4] + DVec2::new(1.0, 0.0);
         let (_, found) = both(&params, &image, 120, &[centres[4] - DVec2::new(2.0, 1.0), near], 8.5);
-        assert_eq!(found.sights, [Sight::Unclear, Sight::Marker(0)]);
+        assert_eq!(found.sights, [WindowObservation::Unclear, WindowObservation::Marker(0)]);
         let between = (centres[3] + centres[4]) * 0.5;
         let (_, found) = both(&params, &image, 120, &[between], 15.0);
-        assert_eq!(found.sights, [Sight::Several]);
+        assert_eq!(found.sights, [WindowObservation::Several]);
     }
 }
 
@@ -156,20 +156,20 @@ proptest! {
         };
         let ((x0, x1), (y0, y1)) = (side(at.x, width), side(at.y, height));
         if x0 >= x1 || y0 >= y1 {
-            prop_assert_eq!(&found.sights, &[Sight::Unclear]);
+            prop_assert_eq!(&found.sights, &[WindowObservation::Unclear]);
             return Ok(());
         }
         let pieces = pieces(&mask, width, (x0, y0), (x1, y1));
         let large = pieces.iter().filter(|(area, _)| *area >= 3);
         let whole = large.clone().filter(|(area, partial)| !partial && *area <= 60).count();
         match found.sights[0] {
-            Sight::Marker(m) => {
+            WindowObservation::Marker(m) => {
                 prop_assert_eq!(whole, 1);
                 prop_assert!(same(&all, &found.markers, m).is_some());
             }
-            Sight::Several => prop_assert!(whole > 1),
-            Sight::Nothing => prop_assert_eq!(large.count(), 0),
-            Sight::Unclear => prop_assert!(whole == 0 && large.count() > 0),
+            WindowObservation::Several => prop_assert!(whole > 1),
+            WindowObservation::Nothing => prop_assert_eq!(large.count(), 0),
+            WindowObservation::Unclear => prop_assert!(whole == 0 && large.count() > 0),
         }
     }
 }

@@ -10,7 +10,7 @@ use gelstereo_core::math::{DQuat, DVec3, Pose};
 use proptest::prelude::*;
 use std::f64::consts::PI;
 
-const MOST_ULP: f64 = 4.0;
+const MAX_ULP: f64 = 4.0;
 
 /// A sum of two numbers that no rounding separates, some 106 bits (Dekker 1971, Knuth 1969).
 #[derive(Clone, Copy)]
@@ -112,12 +112,12 @@ proptest! {
     fn a_product_is_that_of_twice_the_digits(a in motion(), b in motion()) {
         let found = a * b;
         let expected = product(twice(a.rotation.to_array()), twice(b.rotation.to_array()));
-        prop_assert!(ulps(found.rotation.to_array(), expected, 1.0) <= MOST_ULP);
+        prop_assert!(ulps(found.rotation.to_array(), expected, 1.0) <= MAX_ULP);
         let shift = twice(a.translation_mm.to_array());
         let turned = rotated(a.rotation, b.translation_mm);
         let expected: [Twice; 3] = std::array::from_fn(|k| turned[k].plus(shift[k]));
         let length_mm = a.translation_mm.length() + b.translation_mm.length();
-        prop_assert!(ulps(found.translation_mm.to_array(), expected, length_mm) <= MOST_ULP);
+        prop_assert!(ulps(found.translation_mm.to_array(), expected, length_mm) <= MAX_ULP);
         // A point is moved as a translation is.
         prop_assert_eq!(a.transform_point(b.translation_mm), found.translation_mm);
     }
@@ -126,19 +126,19 @@ proptest! {
     fn an_inverse_is_that_of_twice_the_digits_and_undoes(a in motion(), p in vector(1e3)) {
         let back = a.inverse();
         let expected = rotated(a.rotation.conjugate(), -a.translation_mm);
-        prop_assert!(ulps(back.translation_mm.to_array(), expected, a.translation_mm.length()) <= MOST_ULP);
+        prop_assert!(ulps(back.translation_mm.to_array(), expected, a.translation_mm.length()) <= MAX_ULP);
         prop_assert_eq!(back.rotation, a.rotation.conjugate());
         // Two rotations of 4 ulp each, a sum, and a quaternion whose square is up to 4 ulp off 1.
         let size_mm = 2.0 * (p.length() + a.translation_mm.length());
-        prop_assert!(apart(&(back * a), &Pose::IDENTITY, size_mm) <= 3.0 * MOST_ULP);
-        prop_assert!(largest(back.transform_point(a.transform_point(p)) - p) <= 3.0 * MOST_ULP * ulp(size_mm));
+        prop_assert!(apart(&(back * a), &Pose::IDENTITY, size_mm) <= 3.0 * MAX_ULP);
+        prop_assert!(largest(back.transform_point(a.transform_point(p)) - p) <= 3.0 * MAX_ULP * ulp(size_mm));
     }
 
     #[test]
     fn products_may_be_put_in_any_brackets(a in motion(), b in motion(), c in motion()) {
         let size_mm = [a, b, c].iter().map(|m| m.translation_mm.length()).sum::<f64>();
         // Two products on each side.
-        prop_assert!(apart(&((a * b) * c), &(a * (b * c)), size_mm) <= 4.0 * MOST_ULP);
+        prop_assert!(apart(&((a * b) * c), &(a * (b * c)), size_mm) <= 4.0 * MAX_ULP);
     }
 
     /// T exp(ω, v) T⁻¹ = exp(R ω, R v + t × R ω): the adjoint, by which twists change their frame.
@@ -152,6 +152,6 @@ proptest! {
         // Left: an exponential, an inverse and two products; right: two rotations, a sum, an exponential, and its turn's
         // error of 4 ulp of π, by which V v moves by half as much.
         let size_mm = 2.0 * v.length() + (1.0 + PI) * t.translation_mm.length();
-        prop_assert!(apart(&here, &there, size_mm) <= 9.0 * MOST_ULP, "{here:?} {there:?}");
+        prop_assert!(apart(&here, &there, size_mm) <= 9.0 * MAX_ULP, "{here:?} {there:?}");
     }
 }

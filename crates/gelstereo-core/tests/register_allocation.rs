@@ -12,7 +12,7 @@ use counting::ALLOCATIONS;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::params::{RegisterMethod, RegisterParams};
-use gelstereo_core::register::{Contact as Patch, Localizer, Registrar, Standing, Template};
+use gelstereo_core::register::{Contact as Patch, Localizer, Registrar, Template, TrackingStatus};
 use gelstereo_core::surface::Facing;
 use problems::follow::METHODS;
 
@@ -76,7 +76,7 @@ fn a_followed_part_allocates_nothing_whether_held_or_lost() {
     let symmetries = template.find_symmetries(0.02);
     assert_eq!(symmetries.len(), 3);
     let template = template.with_symmetries(symmetries);
-    let mut random = Stream::new(2, "followed");
+    let mut random = Stream::new(2, "tracking");
     let press = Contact::press(&shape, Pose::exp(DVec3::X * 0.1, DVec3::ZERO), 1.2, 0.03, &mut random);
     let guess = press.guess(0.02, 0.2, &mut random);
     // No part looks like this.
@@ -86,10 +86,18 @@ fn a_followed_part_allocates_nothing_whether_held_or_lost() {
         let mut localizer = Localizer::new(&settings, &guess);
         let round = |localizer: &mut Localizer| {
             [&press.points_mm, &press.points_mm, &noise, &press.points_mm]
-                .map(|points| localizer.run(&Patch::new(points), &template).unwrap().standing)
+                .map(|points| localizer.run(&Patch::new(points), &template).unwrap().tracking)
         };
         let first = round(&mut localizer);
-        assert_eq!(first, [Standing::Found, Standing::Followed, Standing::Lost, Standing::Found]);
+        assert_eq!(
+            first,
+            [
+                TrackingStatus::Relocalized,
+                TrackingStatus::Tracking,
+                TrackingStatus::Lost,
+                TrackingStatus::Relocalized
+            ]
+        );
         let before = ALLOCATIONS.get();
         let second = round(&mut localizer);
         assert_eq!(ALLOCATIONS.get(), before, "{method:?}");
@@ -108,13 +116,13 @@ fn a_part_that_the_gel_is_asked_about_allocates_nothing_followed() {
     for method in METHODS {
         let settings = RegisterParams { method, ..Default::default() };
         let mut localizer = Localizer::new(&settings, &problem.t_sensor_object);
-        assert_eq!(localizer.run(&contact, &template).unwrap().standing, Standing::Found);
+        assert_eq!(localizer.run(&contact, &template).unwrap().tracking, TrackingStatus::Relocalized);
         localizer.run(&contact, &template).unwrap();
         let before = ALLOCATIONS.get();
         // Longer than it takes to know what is usual.
         for _ in 0..30 {
             let located = localizer.run(&contact, &template).unwrap();
-            assert!(located.standing == Standing::Followed && located.misfit.is_some());
+            assert!(located.tracking == TrackingStatus::Tracking && located.misfit.is_some());
         }
         assert_eq!(ALLOCATIONS.get(), before, "{method:?}");
     }

@@ -3,7 +3,7 @@
 use crate::support;
 
 use gelstereo_core::detect::Markers;
-use gelstereo_core::label::RestLattice;
+use gelstereo_core::lattice::RestLattice;
 use gelstereo_core::math::DVec2;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::params::TrackParams;

@@ -3,10 +3,10 @@
 use crate::support;
 
 use gelstereo_core::detect::Markers;
-use gelstereo_core::detect::{Found, Sight};
+use gelstereo_core::detect::{Found, WindowObservation};
 use gelstereo_core::math::DVec2;
 use gelstereo_core::params::{Motion, TrackParams};
-use gelstereo_core::track::{MarkerState, Verdict};
+use gelstereo_core::track::{Certainty, MarkerState};
 use proptest::prelude::*;
 use support::sequence::{MARKERS, PITCH_PX, Run, Seeing, Warp, see};
 
@@ -22,7 +22,7 @@ fn start(motion: Motion, seed: u64) -> Run {
 
 /// All that is detected is identified, but for one or two beside the image's border.
 fn step_complete(run: &mut Run, warp: &Warp, seeing: &Seeing) {
-    assert_eq!(run.step(warp, seeing).unwrap(), Verdict::Certain, "frame {}", run.frames);
+    assert_eq!(run.step(warp, seeing).unwrap(), Certainty::Certain, "frame {}", run.frames);
     // One that comes into view may have too few neighbours yet.
     assert!(run.missed.len() < 3, "frame {}: {:?}", run.frames, run.missed);
 }
@@ -55,18 +55,19 @@ fn sights_change_no_bit() {
                 centres[..n].iter().map(|b| a.distance_squared(*b)).fold(f64::INFINITY, f64::min)
             };
             let apart_px = centres.iter().enumerate().map(apart2).fold(f64::INFINITY, f64::min).sqrt();
-            let mut sights = vec![Sight::Nothing; MARKERS];
+            let mut sights = vec![WindowObservation::Nothing; MARKERS];
             for (m, identity) in (0..).zip(&frame.identity) {
                 let Some(n) = *identity else { continue };
                 // One in eight is that of another marker, or of none.
                 let other = run.stream.below(8 * centres.len()) as u32;
-                sights[n] = Sight::Marker(if (other as usize) < 2 * centres.len() { other } else { m });
+                sights[n] =
+                    WindowObservation::Marker(if (other as usize) < 2 * centres.len() { other } else { m });
             }
             let expected_px = near.predict(&tracks);
             used += (expected_px.iter().zip(&sights))
                 .filter(|&(at, sight)| {
                     let m = match sight {
-                        Sight::Marker(m) => *m as usize,
+                        WindowObservation::Marker(m) => *m as usize,
                         _ => return false,
                     };
                     centres.get(m).is_some_and(|c| c.distance(*at) < 0.49 * apart_px)
@@ -124,7 +125,7 @@ fn jumps_by_more_than_a_pitch_are_noticed() {
             let jump = DVec2::from_angle(angle) * (f64::from(k % 14) * 0.1 * PITCH_PX);
             let shift_px = if k % 3 == 0 { jump } else { DVec2::ZERO };
             let verdict = run.step(&Warp { shift_px, ..Warp::new() }, &Seeing::default()).unwrap();
-            assert_eq!(verdict, Verdict::Certain, "frame {k}");
+            assert_eq!(verdict, Certainty::Certain, "frame {k}");
             // Beside the image's border one may not stand out enough.
             assert!(run.missed.len() < 3, "frame {k}: {:?}", run.missed);
         }
@@ -229,7 +230,7 @@ fn a_jump_with_the_border_hidden_is_held() {
     let lattice: Vec<DVec2> = run.rest_px.iter().map(|&p| p + shift_px).collect();
     let inner = (0..MARKERS).filter(|n| (1..24).contains(&(n % 25)) && (1..24).contains(&(n / 25)));
     let hidden = Markers::at(inner.map(|n| lattice[n]).collect(), 0.1);
-    assert_eq!(run.tracker.run(&hidden, &mut run.tracks), Verdict::Uncertain);
+    assert_eq!(run.tracker.run(&hidden, &mut run.tracks), Certainty::Uncertain);
     assert!(run.tracks.state.iter().all(|&s| s == MarkerState::Held));
     step_complete(&mut run, &Warp { shift_px, ..Warp::new() }, &Seeing::default());
 }
@@ -246,7 +247,7 @@ fn a_move_by_two_rows_is_no_move_by_one() {
                 let far = Warp { shift_px: near.shift_px + DVec2::new(0.0, rows * PITCH_PX), ..Warp::new() };
                 run.step(&far, &Seeing::default()).unwrap();
                 // With the velocity wrong once, at the latest the frame after is certain.
-                assert_eq!(run.step(&far, &Seeing::default()).unwrap(), Verdict::Certain);
+                assert_eq!(run.step(&far, &Seeing::default()).unwrap(), Certainty::Certain);
             }
         }
     }

@@ -4,7 +4,7 @@
 use crate::support;
 
 use gelstereo_core::detect::{Detector, Markers};
-use gelstereo_core::detect::{Found, Sight};
+use gelstereo_core::detect::{Found, WindowObservation};
 use gelstereo_core::math::DVec2;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::params::{DetectParams, Params, Polarity};
@@ -46,7 +46,7 @@ fn markers_are_found_in_windows_as_in_the_whole_image() {
         let expected: Vec<DVec2> = truth.iter().map(|&t| t + DVec2::new(off(), off())).collect();
         let found = windows(&params(), &image, 640, &expected, REACH_PX);
         for (sight, truth) in found.sights.iter().zip(&truth) {
-            let Sight::Marker(m) = *sight else { panic!("{sight:?} at {truth}, noise {noise}") };
+            let WindowObservation::Marker(m) = *sight else { panic!("{sight:?} at {truth}, noise {noise}") };
             let centre = found.markers.centres_px[m as usize];
             assert!(centre.distance(*truth) < 0.2, "{centre} for {truth}");
             let apart = all.centres_px.iter().map(|c| c.distance(centre)).fold(f64::INFINITY, f64::min);
@@ -78,8 +78,11 @@ fn matched_steps_from_windows_are_as_good_as_those_of_the_whole_image() {
 fn what_is_no_single_marker_is_not_found() {
     let (image, at) = one_marker_and_what_is_none();
     let found = windows(&params(), &image, 160, &at, 8.5);
-    assert_eq!(found.sights[..3], [Sight::Marker(0), Sight::Nothing, Sight::Nothing]);
-    assert_eq!(found.sights[3..], [Sight::Unclear; 5]);
+    assert_eq!(
+        found.sights[..3],
+        [WindowObservation::Marker(0), WindowObservation::Nothing, WindowObservation::Nothing]
+    );
+    assert_eq!(found.sights[3..], [WindowObservation::Unclear; 5]);
     assert_eq!(found.markers.centres_px.len(), 1);
 }
 
@@ -90,12 +93,12 @@ fn no_marker_is_given_twice_and_no_position_has_two() {
     let image = Dots::new(120, 100, centres.clone()).render();
     let near = centres[4] + DVec2::new(1.0, 0.0);
     let found = windows(&params(), &image, 120, &[centres[4] - DVec2::new(2.0, 1.0), near], 8.5);
-    assert_eq!(found.sights, [Sight::Unclear, Sight::Marker(0)]);
+    assert_eq!(found.sights, [WindowObservation::Unclear, WindowObservation::Marker(0)]);
     let found = windows(&params(), &image, 120, &[near, centres[4] - DVec2::new(2.0, 1.0)], 8.5);
-    assert_eq!(found.sights, [Sight::Marker(0), Sight::Unclear]);
+    assert_eq!(found.sights, [WindowObservation::Marker(0), WindowObservation::Unclear]);
     let between = (centres[3] + centres[4]) * 0.5;
     let found = windows(&params(), &image, 120, &[between], 15.0);
-    assert_eq!(found.sights, [Sight::Several]);
+    assert_eq!(found.sights, [WindowObservation::Several]);
 }
 
 /// A marker in contact with dirt is not taken for a marker elsewhere: its window says that it is not clear.
@@ -109,8 +112,8 @@ fn a_smear_over_half_a_marker_is_unclear() {
         image[y * 640 + x..y * 640 + x + 9].fill(60);
     }
     let found = windows(&params(), &image, 640, &truth, REACH_PX);
-    assert_eq!(found.sights[300], Sight::Unclear);
-    let rest = found.sights.iter().filter(|s| matches!(s, Sight::Marker(_))).count();
+    assert_eq!(found.sights[300], WindowObservation::Unclear);
+    let rest = found.sights.iter().filter(|s| matches!(s, WindowObservation::Marker(_))).count();
     assert_eq!(rest, 624);
 }
 
@@ -135,10 +138,13 @@ fn markers_are_found_in_windows_under_all_conditions() {
         let found = windows(&params(), &image, 640, &at, 6.0);
         let (seen, empty) = found.sights.split_at(truth.len());
         for (sight, truth) in seen.iter().zip(&truth) {
-            let Sight::Marker(m) = *sight else { panic!("{sight:?} at {truth}: {condition:?}") };
+            let WindowObservation::Marker(m) = *sight else { panic!("{sight:?} at {truth}: {condition:?}") };
             assert!(found.markers.centres_px[m as usize].distance(*truth) < 1.0);
         }
-        let false_ones = empty.iter().filter(|s| matches!(s, Sight::Marker(_) | Sight::Several)).count();
+        let false_ones = empty
+            .iter()
+            .filter(|s| matches!(s, WindowObservation::Marker(_) | WindowObservation::Several))
+            .count();
         assert_eq!(false_ones, 0, "{condition:?}");
     }
 }
@@ -173,7 +179,7 @@ proptest! {
         prop_assert_eq!(&found, &windows(&params(), &bytes, width, &at, reach_px));
         let mut taken = Vec::new();
         for (sight, at) in found.sights.iter().zip(&at) {
-            if let Sight::Marker(m) = *sight {
+            if let WindowObservation::Marker(m) = *sight {
                 prop_assert!(!taken.contains(&m));
                 taken.push(m);
                 let off = found.markers.centres_px[m as usize] - *at;

@@ -4,7 +4,7 @@ use crate::arrays::{self, Array1, Image, Matrix, Numbers};
 use crate::errors::raise;
 use crate::params::Params;
 use gelstereo_core::detect as core;
-use gelstereo_core::detect::{Found, Sight};
+use gelstereo_core::detect::{Found, WindowObservation};
 use gelstereo_core::math::DVec2;
 use gelstereo_core::params::{DetectParams, Polarity};
 use numpy::{PyArray2, PyArray3};
@@ -178,10 +178,10 @@ impl Detector {
         });
         let found = found.map_err(raise::<core::DetectError>)?;
         let sights = found.sights.iter().map(|sight| match sight {
-            Sight::Marker(index) => i64::from(*index),
-            Sight::Nothing => -1,
-            Sight::Several => -2,
-            Sight::Unclear => -3,
+            WindowObservation::Marker(index) => i64::from(*index),
+            WindowObservation::Nothing => -1,
+            WindowObservation::Several => -2,
+            WindowObservation::Unclear => -3,
         });
         let sights = arrays::list(py, sights.collect());
         Ok((Markers::new(py, found.markers)?, sights))

@@ -62,7 +62,7 @@ stage_errors! {
     core::camera::CameraError => RigError,
     core::image::ImageError => ImageError,
     core::detect::DetectError => DetectError,
-    core::label::LabelError => LabelError,
+    core::lattice::LabelError => LabelError,
     core::triangulate::TriangulateError => TriangulateError,
     core::contact::ContactError => ContactError,
     core::pipeline::RestRecordError => ContactError,

@@ -14,7 +14,7 @@ mod frames;
 mod geometry;
 mod gripper;
 mod interrupt;
-mod label;
+mod lattice;
 mod layer;
 mod params;
 mod pickle;
@@ -59,7 +59,7 @@ mod _native {
     #[pymodule_export]
     use crate::gripper::{GripperDriver, GripperStatus};
     #[pymodule_export]
-    use crate::label::{RestLattice, foresight_sort, rest_lattice};
+    use crate::lattice::{RestLattice, foresight_sort, rest_lattice};
     #[pymodule_export]
     use crate::layer::{LayerContact, LayerSolution};
     #[pymodule_export]

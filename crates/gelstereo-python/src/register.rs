@@ -61,7 +61,7 @@ impl FreeDirection {
 #[pyclass(frozen, module = "gelstereo")]
 pub struct Localization {
     found: core::Registration,
-    standing: Option<core::Standing>,
+    tracking: Option<core::TrackingStatus>,
     misfit: Option<f64>,
 }
 
@@ -171,14 +171,14 @@ impl Localization {
         self.found.gel_decay.map(|gel| gel.is_at_limit)
     }
 
-    /// How a `Localizer` came to the pose: ``"followed"`` from the frame before, ``"found"`` by a search, or ``"lost"``: the
+    /// How a `Localizer` came to the pose: ``"tracking"`` from the frame before, ``"relocalized"`` by a search, or ``"lost"``: the
     /// search found nothing that explains the contact, and this is its best. None from `localize`.
     #[getter]
-    fn standing(&self) -> Option<&'static str> {
-        self.standing.map(|standing| match standing {
-            core::Standing::Followed => "followed",
-            core::Standing::Found => "found",
-            core::Standing::Lost => "lost",
+    fn tracking(&self) -> Option<&'static str> {
+        self.tracking.map(|tracking| match tracking {
+            core::TrackingStatus::Tracking => "tracking",
+            core::TrackingStatus::Relocalized => "relocalized",
+            core::TrackingStatus::Lost => "lost",
         })
     }
 
@@ -215,13 +215,13 @@ impl Localization {
 
     #[classmethod]
     fn _from_bytes(_cls: &Bound<'_, PyType>, data: &[u8]) -> PyResult<Self> {
-        let (found, standing, misfit) = pickle::from_bytes(data, "Localization")?;
-        Ok(Self { found, standing, misfit })
+        let (found, tracking, misfit) = pickle::from_bytes(data, "Localization")?;
+        Ok(Self { found, tracking, misfit })
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<pickle::Reduced<'py>> {
-        let Self { found, standing, misfit } = slf.get();
-        pickle::reduce(slf, "_from_bytes", &pickle::to_bytes(&(found, standing, misfit))?)
+        let Self { found, tracking, misfit } = slf.get();
+        pickle::reduce(slf, "_from_bytes", &pickle::to_bytes(&(found, tracking, misfit))?)
     }
 
     fn __repr__(&self) -> String {
@@ -239,7 +239,7 @@ impl Localization {
 }
 
 /// Points that are registered in seconds. More than the template's own density tells nothing new.
-const MOST_POINTS: usize = 20_000;
+const MAX_POINTS: usize = 20_000;
 
 /// Find where a part sits: register a contact patch to its template.
 ///
@@ -299,7 +299,7 @@ pub fn localize(
     let method = params.register.method;
     let markers = (points_mm, all_points_mm, covariance_mm2);
     let found = with_contact(py, markers, method, gel, register)?;
-    Ok(Localization { found, standing: None, misfit: None })
+    Ok(Localization { found, tracking: None, misfit: None })
 }
 
 thread_local! {
@@ -346,9 +346,9 @@ fn with_contact<T: Send>(
 ) -> PyResult<T> {
     let points = Numbers::new(points_mm, "points_mm")?;
     let points = points.rows::<DVec3, 3>()?;
-    if points.len() > MOST_POINTS {
+    if points.len() > MAX_POINTS {
         return Err(RegisterError::new_err(format!(
-            "there are {} points; valid is up to {MOST_POINTS}: hand over the contact patch alone, thinned to about \
+            "there are {} points; valid is up to {MAX_POINTS}: hand over the contact patch alone, thinned to about \
              the spacing of the template",
             points.len()
         )));
@@ -405,7 +405,7 @@ fn with_contact<T: Send>(
 ///     for left, right in camera:
 ///         frame = pipeline.process(left, right)
 ///         found = localizer.process(frame.patch_points_mm, all_points_mm=frame.points_mm)
-///         if found.standing == "lost":
+///         if found.tracking == "lost":
 ///             ...
 #[pyclass(frozen, module = "gelstereo")]
 pub struct Localizer {
@@ -452,7 +452,7 @@ impl Localizer {
     fn __repr__(&self, py: Python<'_>) -> String {
         let (held, points) = (py.detach(|| self.lock().last().is_some()), self.template.get().inner());
         let points = points.points_mm().len();
-        format!("<Localizer: a part of {points} points, {}>", if held { "followed" } else { "not found yet" })
+        format!("<Localizer: a part of {points} points, {}>", if held { "tracking" } else { "not found yet" })
     }
 
     /// The part is expected elsewhere from now on: the gripper has let go, or grasped it anew.
@@ -477,7 +477,7 @@ impl Localizer {
     /// Returns
     /// -------
     /// Localization
-    ///     Its ``standing`` says how the pose was come by.
+    ///     Its ``tracking`` says how the pose was come by.
     ///
     /// Raises
     /// ------
@@ -500,7 +500,7 @@ impl Localizer {
         let located = with_contact(py, markers, method, self.gel, run)?;
         Ok(Localization {
             found: located.registration,
-            standing: Some(located.standing),
+            tracking: Some(located.tracking),
             misfit: located.misfit.map(|misfit| misfit.mean),
         })
     }

@@ -4,7 +4,7 @@
 use crate::common;
 
 use common::{press, simulator};
-use gelstereo_core::contact::{LabelSlips, RestSurface};
+use gelstereo_core::contact::{RestSurface, StereoMismatch};
 use gelstereo_core::image::GrayView;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec2, DVec3};
@@ -30,7 +30,7 @@ struct Sensor {
     triangulator: Triangulator,
     max_epipolar_px: f64,
     rest: RestSurface,
-    slips: LabelSlips,
+    slips: StereoMismatch,
     left_px: Vec<DVec2>,
     right_px: Vec<DVec2>,
 }
@@ -53,7 +53,7 @@ impl Sensor {
         triangulator.run(centres(&left_px), centres(&right_px), &mut stereo).unwrap();
         let points_mm: Vec<DVec3> = stereo.iter().map(|s| s.point_mm).collect();
         let rest = RestSurface::new(&points_mm).unwrap();
-        let mut slips = LabelSlips::default();
+        let mut slips = StereoMismatch::default();
         let pitch_px = left_px[0].distance(left_px[1]);
         let lattice = (scene.gel.cols, pitch_px);
         slips.learn(&triangulator, &rest, [centres(&left_px), centres(&right_px)], lattice);

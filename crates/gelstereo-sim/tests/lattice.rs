@@ -4,7 +4,7 @@
 use crate::common;
 
 use common::{press, simulator, with_effects};
-use gelstereo_core::label::{FoundLattice, LatticeFinder};
+use gelstereo_core::lattice::{FoundLattice, LatticeFinder};
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec2, DVec3};
 use gelstereo_sim::{Effects, Shape, Truth};
@@ -37,7 +37,7 @@ fn parts() -> [(&'static str, Shape, DVec3); 4] {
 /// Places that most agree on, up to a turn and a shift; the others are wrong.
 fn right(found: &FoundLattice) -> usize {
     let agreeing = |turns| {
-        let shift = |(label, place): (usize, &Option<gelstereo_core::label::Place>)| {
+        let shift = |(label, place): (usize, &Option<gelstereo_core::lattice::Place>)| {
             let at = (*place)?.turned(turns);
             Some(((label / SIDE) as i32 - at.row, (label % SIDE) as i32 - at.col))
         };

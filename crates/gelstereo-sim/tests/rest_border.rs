@@ -6,7 +6,7 @@ use crate::common;
 use common::images;
 use gelstereo_core::detect::{Detector, Markers};
 use gelstereo_core::image::GrayView;
-use gelstereo_core::label::{LabelError, RestLattice, rest_lattice, rest_lattice_of};
+use gelstereo_core::lattice::{LabelError, RestLattice, rest_lattice, rest_lattice_of};
 use gelstereo_core::params::Params;
 use gelstereo_sim::effects::{Defocus, Effects, SensorNoise};
 use gelstereo_sim::{Scene, Sight, Truth};

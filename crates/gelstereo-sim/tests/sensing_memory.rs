@@ -15,7 +15,7 @@ use gelstereo_sim::{ContactState, Scene, Shape, Simulator, Truth};
 /// Bytes that a small computer has to spare.
 const MOST: usize = 16_000_000;
 /// At 1280 x 720 the images, and the room for their markers, are three times as large.
-const MOST_OF_LARGER: usize = 27_000_000;
+const MAX_OF_LARGER: usize = 27_000_000;
 
 /// Whether 16 MB must do.
 fn is_small(size: &str, markers: usize, as_preset: bool) -> bool {
@@ -115,7 +115,7 @@ fn row_35_memory_is_bounded_for_every_preset_and_lattice() {
                 let mut params = Params::preset(preset).unwrap();
                 // Windows where the preset has none need a second list of markers.
                 let as_preset = params.detect.search == search || search == Search::Whole;
-                let most = if is_small(size, markers, as_preset) { MOST } else { MOST_OF_LARGER };
+                let most = if is_small(size, markers, as_preset) { MOST } else { MAX_OF_LARGER };
                 params.detect.search = search;
                 params.lattice.pitch_mm = scene.gel.pitch_mm;
                 let bytes = most_held(&scene, &pairs, &params);

@@ -8,12 +8,12 @@ use crate::counting;
 use counting::{ALLOCATIONS, HELD};
 use gelstereo_core::contact::RestSurface;
 use gelstereo_core::detect::Markers;
-use gelstereo_core::label;
+use gelstereo_core::lattice;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec2, DVec3, Pose};
 use gelstereo_core::params::Params;
 use gelstereo_core::rig::Rig;
-use gelstereo_core::track::{CheckedTracker, MarkerState, Tracks, Verdict};
+use gelstereo_core::track::{Certainty, MarkerState, Tracks, VerifiedTracker};
 use gelstereo_core::triangulate::{Centre, Triangulator};
 use gelstereo_sim::effects::Effects;
 use gelstereo_sim::{ContactState, Scene, Shape, Simulator, Truth};
@@ -120,7 +120,7 @@ impl Counters {
 }
 
 struct Sensor {
-    trackers: [CheckedTracker; 2],
+    trackers: [VerifiedTracker; 2],
     tracks: [Tracks; 2],
     markers: Markers,
     triangulator: Triangulator,
@@ -146,11 +146,11 @@ impl Sensor {
         markers.covariance_px2.reserve(1000);
         markers.area_px2.reserve(1000);
         let mut tracks = [Tracks::default(), Tracks::default()];
-        let mut trackers = [0; 2].map(|_| CheckedTracker::new(&params.track, SIZE_PX));
+        let mut trackers = [0; 2].map(|_| VerifiedTracker::new(&params.track, SIZE_PX));
         for ((tracker, tracks), px) in trackers.iter_mut().zip(&mut tracks).zip(&moment.views_px) {
             detect(px, 0.0, None, &mut random, &mut markers);
             let rest =
-                label::rest_lattice(&markers.centres_px, &params.lattice, params.label.tolerance_pitches)
+                lattice::rest_lattice(&markers.centres_px, &params.lattice, params.label.tolerance_pitches)
                     .unwrap();
             tracker.initialise(&rest, &markers, 1000, tracks);
         }
@@ -180,7 +180,7 @@ impl Sensor {
                 self.markers.centres_px.clear();
                 self.markers.centres_px.extend(shown.map(|(_, &at)| at));
                 finish(SIGMA_PX * SIGMA_PX, &mut self.markers);
-                assert_eq!(self.trackers[k].run(&self.markers, &mut self.tracks[k]), Verdict::Certain);
+                assert_eq!(self.trackers[k].run(&self.markers, &mut self.tracks[k]), Certainty::Certain);
             }
         }
         let ready = self.triangulator.ready();
@@ -203,7 +203,7 @@ impl Sensor {
             counters.shown += detect(truth, 0.02, smear(self.frame), &mut self.random, &mut self.markers);
             let covariance_px2 = self.markers.covariance_px2[0];
             let verdict = self.trackers[k].run(&self.markers, tracks);
-            counters.uncertain += usize::from(verdict == Verdict::Uncertain);
+            counters.uncertain += usize::from(verdict == Certainty::Uncertain);
             for (n, &at) in tracks.positions_px.iter().enumerate() {
                 counters.lost += usize::from(tracks.state[n] == MarkerState::Lost);
                 if tracks.state[n] == MarkerState::Seen {

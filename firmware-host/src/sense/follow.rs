@@ -4,7 +4,7 @@ use crate::config::{Config, LocalizeWhen};
 use crate::sensing::Action;
 use gelstereo_core::frames::WidthError;
 use gelstereo_core::math::Pose;
-use gelstereo_core::register::Standing;
+use gelstereo_core::register::TrackingStatus;
 
 /// Asks for localizations: one that searches where the part is expected when contact begins, then one a frame
 /// that follows, and after a loss a search now and then.
@@ -16,7 +16,7 @@ pub struct Follower {
     in_contact: bool,
     /// When the last search found nothing.
     lost_at_ns: Option<u64>,
-    standing: Option<Standing>,
+    tracking: Option<TrackingStatus>,
 }
 
 impl Follower {
@@ -39,14 +39,14 @@ impl Follower {
             pause_ns: (settings.search_pause_s * 1e9) as u64,
             in_contact: false,
             lost_at_ns: None,
-            standing: None,
+            tracking: None,
         })
     }
 
     /// How the last pose was come by; `None` without contact.
     #[must_use]
-    pub const fn standing(&self) -> Option<Standing> {
-        self.standing
+    pub const fn tracking(&self) -> Option<TrackingStatus> {
+        self.tracking
     }
 
     /// What to ask for in the frame of this moment.
@@ -64,20 +64,20 @@ impl Follower {
         }
     }
 
-    /// What came of [`Action::Follow`]: `None` when there was no pose at all. Returns whether the standing
+    /// What came of [`Action::Follow`]: `None` when there was no pose at all. Returns whether the tracking
     /// changed.
-    pub fn take(&mut self, standing: Option<Standing>, time_ns: u64) -> bool {
-        let is_lost = matches!(standing, None | Some(Standing::Lost));
+    pub fn take(&mut self, tracking: Option<TrackingStatus>, time_ns: u64) -> bool {
+        let is_lost = matches!(tracking, None | Some(TrackingStatus::Lost));
         self.lost_at_ns = is_lost.then_some(time_ns);
-        let standing = standing.unwrap_or(Standing::Lost);
-        self.standing.replace(standing) != Some(standing)
+        let tracking = tracking.unwrap_or(TrackingStatus::Lost);
+        self.tracking.replace(tracking) != Some(tracking)
     }
 
     /// Nothing touches the gel.
     pub const fn let_go(&mut self) {
         self.in_contact = false;
         self.lost_at_ns = None;
-        self.standing = None;
+        self.tracking = None;
     }
 }
 
@@ -93,14 +93,14 @@ mod tests {
         let mut follower = Follower::new(&Config::default()).unwrap();
         assert!(follower.actions(false, 0).is_empty());
         assert!(matches!(follower.actions(true, FRAME_NS)[..], [Action::Expect { .. }, Action::Follow]));
-        assert!(follower.take(Some(Standing::Found), FRAME_NS));
+        assert!(follower.take(Some(TrackingStatus::Relocalized), FRAME_NS));
         assert_eq!(follower.actions(true, 2 * FRAME_NS), [Action::Follow]);
-        assert!(follower.take(Some(Standing::Lost), 2 * FRAME_NS));
+        assert!(follower.take(Some(TrackingStatus::Lost), 2 * FRAME_NS));
         let asked: Vec<u64> = (3..40).filter(|&k| !follower.actions(true, k * FRAME_NS).is_empty()).collect();
         assert_eq!(asked.first(), Some(&18), "half a second after the loss");
         assert!(!follower.take(None, 18 * FRAME_NS), "still lost");
         assert!(follower.actions(false, 41 * FRAME_NS).is_empty());
-        assert_eq!(follower.standing(), None);
+        assert_eq!(follower.tracking(), None);
         assert_eq!(follower.actions(true, 42 * FRAME_NS).len(), 2);
     }
 }

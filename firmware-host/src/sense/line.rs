@@ -1,11 +1,11 @@
 //! Results as JSON, one line a frame.
 
 use super::contact::Contact;
-use crate::notes::standing_name;
+use crate::notes::tracking_name;
 use crate::source::Capture;
 use gelstereo_core::math::sqrt;
 use gelstereo_core::pipeline::Frame;
-use gelstereo_core::register::{Registration, Standing};
+use gelstereo_core::register::{Registration, TrackingStatus};
 use serde::{Deserialize, Serialize};
 
 /// Everything that one stereo pair gave.
@@ -40,7 +40,7 @@ pub struct FrameLine {
 pub struct PoseLine {
     /// `found`, `followed` or `lost`; a lost part's pose is the best one that a search gave, and not to be
     /// relied on.
-    pub standing: String,
+    pub tracking: String,
     /// Rows of the 4x4 matrix that maps part coordinates to sensor coordinates, millimetres.
     pub t_sensor_object: [[f64; 4]; 4],
     /// Standard deviations of x y z, millimetres, then of rotations about x y z, radians (sensor frame).
@@ -56,9 +56,9 @@ pub struct PoseLine {
 impl PoseLine {
     /// Of a registration and its covariance (millimetres, radians).
     #[must_use]
-    pub fn new(found: &Registration, standing: Standing, covariance: &[[f64; 6]; 6]) -> Self {
+    pub fn new(found: &Registration, tracking: TrackingStatus, covariance: &[[f64; 6]; 6]) -> Self {
         Self {
-            standing: standing_name(standing).to_owned(),
+            tracking: tracking_name(tracking).to_owned(),
             t_sensor_object: found.t_sensor_object.to_rows(),
             sigma: core::array::from_fn(|i| sqrt(covariance[i][i])),
             rmse_mm: found.rmse_mm,

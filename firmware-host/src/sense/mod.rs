@@ -29,7 +29,7 @@ use crate::recording::{Recording, Topic, messages};
 use crate::report::Stage;
 use crate::sensing::{self, Action, Sensing};
 use crate::source::{Next, SourceError, SourceEvent, StereoPair, monotonic_ns};
-use gelstereo_core::register::{Registration, Standing};
+use gelstereo_core::register::{Registration, TrackingStatus};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use supervisor::Supervisor;
@@ -271,19 +271,19 @@ impl<'a> Sense<'a> {
             if action != Action::Follow {
                 continue;
             }
-            let standing = self.parts.sensing.standing();
-            if self.follower.take(standing, time_ns) {
-                (self.say)(&Report::pose(standing.unwrap_or(Standing::Lost), time_ns));
+            let tracking = self.parts.sensing.tracking();
+            if self.follower.take(tracking, time_ns) {
+                (self.say)(&Report::pose(tracking.unwrap_or(TrackingStatus::Lost), time_ns));
             }
-            match (result, standing) {
-                (Ok(Some(found)), Some(standing)) => self.pose(&found, standing, line),
+            match (result, tracking) {
+                (Ok(Some(found)), Some(tracking)) => self.pose(&found, tracking, line),
                 (Ok(_), _) => {}
                 (Err(error), _) => line.error = Some(error),
             }
         }
     }
 
-    fn pose(&mut self, found: &Registration, standing: Standing, line: &mut FrameLine) {
+    fn pose(&mut self, found: &Registration, tracking: TrackingStatus, line: &mut FrameLine) {
         let (time_ns, task) = (self.pair.time_ns, &self.parts.config.task);
         let covariance = sensing::covariance(
             &found.information,
@@ -291,19 +291,19 @@ impl<'a> Sense<'a> {
             task.part_sigma_mm,
             task.part_sigma_rad,
         );
-        if standing != Standing::Lost {
+        if tracking != TrackingStatus::Lost {
             let metres = sensing::in_metres(&covariance);
             let message = messages::pose_with_covariance(time_ns, &found.t_sensor_object, &metres);
             self.parts.outputs.message(Topic::Pose, time_ns, &message);
         }
-        line.pose = Some(PoseLine::new(found, standing, &covariance));
+        line.pose = Some(PoseLine::new(found, tracking, &covariance));
     }
 
     /// Asks something of the pipeline, and records that it was asked and what came of it.
     fn act(&mut self, action: &Action) -> Result<Option<Registration>, String> {
         let result = self.parts.sensing.act(action);
-        let standing = self.parts.sensing.standing();
-        let note = || action_note(Stage::Sense, action, &result, standing).to_string();
+        let tracking = self.parts.sensing.tracking();
+        let note = || action_note(Stage::Sense, action, &result, tracking).to_string();
         self.parts.outputs.text(Topic::Stage, self.pair.time_ns, note);
         result.map_err(|error| error.to_string())
     }
@@ -360,7 +360,7 @@ impl<'a> Sense<'a> {
         status.unpublished = self.parts.outputs.dropped();
         status.rest_known = self.rest.is_known();
         status.touching = self.touching;
-        status.pose = self.follower.standing().map(crate::notes::standing_name);
+        status.pose = self.follower.tracking().map(crate::notes::tracking_name);
         let silent_s = self.last_good.elapsed().as_secs_f64();
         let is_silent = silent_s > self.parts.config.sense.max_silence_s;
         let silence = is_silent.then(|| format!("no good frame for {silent_s:.1} s"));

@@ -2,9 +2,9 @@
 
 use super::contact::Crossing;
 use super::histogram::Histogram;
-use crate::notes::standing_name;
+use crate::notes::tracking_name;
 use crate::source::SourceEvent;
-use gelstereo_core::register::Standing;
+use gelstereo_core::register::TrackingStatus;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -152,7 +152,7 @@ pub enum Report {
     /// A pose was found, or the part was lost.
     Pose {
         /// How the pose was come by.
-        standing: &'static str,
+        tracking: &'static str,
         /// The frame source's time.
         time_ns: u64,
     },
@@ -183,10 +183,10 @@ pub enum Report {
 }
 
 impl Report {
-    /// A pose's standing.
+    /// A pose's tracking.
     #[must_use]
-    pub const fn pose(standing: Standing, time_ns: u64) -> Self {
-        Self::Pose { standing: standing_name(standing), time_ns }
+    pub const fn pose(tracking: TrackingStatus, time_ns: u64) -> Self {
+        Self::Pose { tracking: tracking_name(tracking), time_ns }
     }
 
     /// `error`, `warning` or `info`.
@@ -220,7 +220,7 @@ impl std::fmt::Display for Report {
                 let side = if crossing.above { "above" } else { "below" };
                 write!(f, "motion is {side} the {:?} trigger", crossing.trigger)
             }
-            Self::Pose { standing, .. } => write!(f, "pose {standing}"),
+            Self::Pose { tracking, .. } => write!(f, "pose {tracking}"),
             Self::BadFrame { reason, .. } => write!(f, "a frame cannot be sensed: {reason}"),
             Self::OutputLost { output, reason } => write!(f, "{output} takes no more: {reason}"),
             Self::Status(status) => status.fmt(f),

@@ -124,7 +124,7 @@ impl<'a> Log<'a> {
         sensing: &Sensing,
     ) {
         self.trace.asked(action, sensing.frame());
-        let note = action_note(self.stage, action, result, sensing.standing());
+        let note = action_note(self.stage, action, result, sensing.tracking());
         self.digest = self.digest.bytes(note.to_string().as_bytes());
         self.note(&note);
     }

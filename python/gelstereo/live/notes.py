@@ -72,7 +72,7 @@ def pose_note(located: Localization) -> dict[str, Any]:
     """What is known of a pose, for ``/gelstereo/stage``: how it was come by, what is free, and the digest."""
     return {
         "stage": "live",
-        "standing": located.standing,
+        "tracking": located.tracking,
         "converged": located.converged,
         "free": [str(direction) for direction in located.free],
         "digest": f"{located.digest:016x}",

@@ -160,7 +160,7 @@ class LivePicture:
         if result.located is not None:
             words.append((pose_in_words(result.located.t_sensor_object), INK))
             free = "; ".join(map(str, result.located.free)) or "nothing"
-            words.append((f"{result.located.standing or 'found'}; free: {free}", FAINT))
+            words.append((f"{result.located.tracking or 'found'}; free: {free}", FAINT))
         if result.problem is not None and result.problem != result.frame.event:
             words.append((result.problem, _ALARM))
         words += [(f"{event.after_s:.1f} s: {event.text}", _ALARM) for event in reading.events[-3:]]

@@ -32,7 +32,7 @@ class Shown:
         if located is not None:
             pose = {
                 "t_sensor_object": located.t_sensor_object.tolist(),
-                "standing": located.standing,
+                "tracking": located.tracking,
                 "free": [str(direction) for direction in located.free],
             }
         return {

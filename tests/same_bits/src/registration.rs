@@ -72,7 +72,7 @@ pub fn followed(out: &mut Digests) -> Outcome<()> {
         for (frame, _) in &touches {
             let located = localizer.run(&touch.of(frame), &template)?;
             let misfit = located.misfit.map(|misfit| misfit.mean);
-            digest = digest.u64(located.registration.digest()).u64(located.standing as u64).f64s(misfit);
+            digest = digest.u64(located.registration.digest()).u64(located.tracking as u64).f64s(misfit);
         }
         out.push((format!("follow/{method:?}"), digest.value()));
     }

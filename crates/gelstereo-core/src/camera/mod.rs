@@ -69,7 +69,7 @@ impl core::fmt::Display for CameraError {
         match self {
             Self::Invalid { field, found } => write!(
                 f,
-                "the camera's {field} is {found}; sizes and focal lengths must be above 0, and no number beyond {MOST_PX:e}"
+                "the camera's {field} is {found}; sizes and focal lengths must be above 0, and no number beyond {MAX_PX:e}"
             ),
             Self::BeyondDistortion { pixel_px } => write!(
                 f,
@@ -104,11 +104,11 @@ impl core::error::Error for CameraError {}
 
 /// Largest size, focal length, principal point and coefficient: a thousand times those of real cameras, so that no square
 /// of what follows from them overflows.
-const MOST_PX: f64 = 1e8;
+const MAX_PX: f64 = 1e8;
 
 /// Largest length of distorted normalised coordinates that has a ray: half a degree from the image plane, where no lens
 /// of this model was ever calibrated.
-const MOST_SLOPE: f64 = 100.0;
+const MAX_SLOPE: f64 = 100.0;
 
 impl Camera {
     /// Checks that the numbers describe a camera.
@@ -119,13 +119,13 @@ impl Camera {
         let sizes = [("width_px", self.width_px as f64), ("height_px", self.height_px as f64)];
         let focals = [("fx_px", self.fx_px), ("fy_px", self.fy_px)];
         for (field, found) in sizes.into_iter().chain(focals) {
-            if !(found > 0.0 && found <= MOST_PX) {
+            if !(found > 0.0 && found <= MAX_PX) {
                 return Err(CameraError::Invalid { field, found });
             }
         }
         let rest = [("cx_px", self.cx_px), ("cy_px", self.cy_px)];
         for (field, found) in rest.into_iter().chain(self.distortion.map(|k| ("distortion", k))) {
-            if !(found.abs() <= MOST_PX) {
+            if !(found.abs() <= MAX_PX) {
                 return Err(CameraError::Invalid { field, found });
             }
         }
@@ -177,7 +177,7 @@ impl Camera {
         }
         let target =
             DVec2::new((pixel_px.x - self.cx_px) / self.fx_px, (pixel_px.y - self.cy_px) / self.fy_px);
-        if !(target.length_squared() < MOST_SLOPE * MOST_SLOPE) {
+        if !(target.length_squared() < MAX_SLOPE * MAX_SLOPE) {
             return Err(CameraError::BeyondDistortion { pixel_px });
         }
         if self.distortion == [0.0; 5] {

@@ -16,7 +16,7 @@
 //! it is less.
 
 use super::quick::QuickPressure;
-use super::rule::{LEAST_SIGMA_MM, START};
+use super::rule::{MIN_SIGMA_MM, START};
 use super::stencils::Regions;
 use super::{ContactError, RestSurface};
 use crate::math::{abs, sqrt};
@@ -231,7 +231,7 @@ impl AdaptiveSaliency {
         let heights = indentation_mm.iter().zip(&self.variance_mm2).zip(state);
         self.evidence.extend(heights.map(|((&h, &variance), &state)| {
             if state == MarkerState::Seen {
-                h * abs(h) / variance.max(LEAST_SIGMA_MM * LEAST_SIGMA_MM)
+                h * abs(h) / variance.max(MIN_SIGMA_MM * MIN_SIGMA_MM)
             } else {
                 0.0
             }

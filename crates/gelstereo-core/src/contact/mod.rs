@@ -6,14 +6,14 @@ mod kriging;
 mod pressure;
 mod quick;
 mod rule;
-mod slips;
 mod stencils;
+mod stereo_mismatch;
 
 pub use adaptive::{AdaptiveSaliency, ContactRule};
 pub use decay::{Decay, DecayFit};
 pub use pressure::Pressure;
 pub use quick::QuickPressure;
-pub use slips::LabelSlips;
+pub use stereo_mismatch::StereoMismatch;
 
 use crate::math::linalg::{Symmetric, eigen};
 use crate::math::{DVec2, DVec3, centroid, median};
@@ -157,7 +157,7 @@ pub fn variance_along(covariance_mm2: &Symmetric<3>, direction: DVec3) -> f64 {
 /// reflection, or one whose rest height was never seen. Rules that take all heights as equally known would take the
 /// error for a contact. On the path-traced images for work such heights
 /// are known 20 to 1000 times worse in σ, others up to 5 times.
-const MOST_OF_MEDIAN: f64 = 100.0;
+const MAX_OF_MEDIAN: f64 = 100.0;
 
 /// States by which contact is judged: a marker counts as not seen where its height's variance is more than 100 times the
 /// median of those that were seen. `scratch` and `out` are cleared first.
@@ -170,7 +170,7 @@ pub fn known_states(
     let markers = || variance_mm2.iter().copied().zip(state.iter().copied());
     scratch.clear();
     scratch.extend(markers().filter(|&(_, state)| state == MarkerState::Seen).map(|(variance, _)| variance));
-    let limit_mm2 = median(scratch).map_or(0.0, |median_mm2| MOST_OF_MEDIAN * median_mm2);
+    let limit_mm2 = median(scratch).map_or(0.0, |median_mm2| MAX_OF_MEDIAN * median_mm2);
     out.clear();
     out.extend(markers().map(|(variance_mm2, state)| match state {
         MarkerState::Seen if variance_mm2 > limit_mm2 => MarkerState::Held,

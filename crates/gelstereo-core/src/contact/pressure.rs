@@ -12,7 +12,7 @@
 //! around contacts, are predicted anew.
 
 use super::kriging::{Covariances, Kriging, LANES, REACH, SIDE, WINDOW, Windows};
-use super::rule::{self, LEAST_SIGMA_MM, START};
+use super::rule::{self, MIN_SIGMA_MM, START};
 use super::stencils::{Regions, Stencils};
 use super::{ContactError, RestSurface};
 use crate::math::sqrt;
@@ -20,7 +20,7 @@ use crate::track::MarkerState;
 use alloc::vec::Vec;
 
 /// A marker that keeps changing stays as it is: the windows make the energy approximate, so that there can be cycles.
-const MOST_CHANGES: u8 = 4;
+const MAX_CHANGES: u8 = 4;
 /// Variance of a height that was not measured, mm²: as good as unknown, and still 10 digits above round-off.
 const UNKNOWN_MM2: f64 = 100.0;
 
@@ -134,7 +134,7 @@ impl Pressure {
         self.variance_mm2.extend(variance_mm2);
         self.check(indentation_mm, state)?;
         for (variance, &state) in self.variance_mm2.iter_mut().zip(state) {
-            let least = LEAST_SIGMA_MM * LEAST_SIGMA_MM;
+            let least = MIN_SIGMA_MM * MIN_SIGMA_MM;
             *variance = if state == MarkerState::Seen { variance.max(least) } else { UNKNOWN_MM2 };
         }
         self.height_mm.clear();
@@ -288,6 +288,6 @@ impl Pressure {
         let gain = rule::gain(pressure, self.height_mm[i], variance, neighbours);
         self.evidence[i] = rule::evidence(pressure, variance);
         let gain = if contact[i] { -gain } else { gain };
-        self.gain[i] = if self.changes[i] < MOST_CHANGES { gain } else { 0.0 };
+        self.gain[i] = if self.changes[i] < MAX_CHANGES { gain } else { 0.0 };
     }
 }

@@ -5,7 +5,7 @@
 //! count as equally noisy, the lattice as even, only the twelve markers whose stencils share a height with the judged one's predict
 //! its noise, and labels change all at once, in a few rounds, where the pressure alone does not settle them.
 
-use super::rule::{self, LEAST_SIGMA_MM, START};
+use super::rule::{self, MIN_SIGMA_MM, START};
 use super::stencils::{Regions, Stencils};
 use super::{ContactError, RestSurface};
 use crate::math::{abs, sqrt};
@@ -226,7 +226,7 @@ impl QuickPressure {
         if found != rest {
             return Err(ContactError::LengthMismatch { rest, found });
         }
-        Ok(sqrt(sum / f64::max(count, 1.0)).max(LEAST_SIGMA_MM))
+        Ok(sqrt(sum / f64::max(count, 1.0)).max(MIN_SIGMA_MM))
     }
 
     /// Pressures and their scores; 0 where a height is missing.

@@ -6,7 +6,7 @@ use super::error::DetectError;
 use super::found::Found;
 use super::markers::{Markers, most_markers};
 use super::mask::segmentation::Segmentation;
-use super::mask::threshold::LEAST_LEVELS;
+use super::mask::threshold::MIN_LEVELS;
 use super::search::half::{self, HalfSize};
 use super::search::masked::MaskedSearch;
 use super::search::whole;
@@ -225,7 +225,7 @@ impl Detector {
         }
         let threshold_levels = match self.params.threshold {
             Threshold::Fixed => self.params.threshold_levels,
-            Threshold::Auto => LEAST_LEVELS,
+            Threshold::Auto => MIN_LEVELS,
         };
         if !image.spans(threshold_levels) {
             let (low, high) = image.range();

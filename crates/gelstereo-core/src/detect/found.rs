@@ -5,7 +5,7 @@ use alloc::vec::Vec;
 
 /// What the window around one expected position shows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Sight {
+pub enum WindowObservation {
     /// One whole marker: that of this index in [`Found::markers`]. No two positions are given the same one.
     Marker(u32),
     /// Gel, and specks smaller than any marker: there is no marker.
@@ -24,7 +24,7 @@ pub struct Found {
     /// Each once, in the order of the positions.
     pub markers: Markers,
     /// What was seen at each position.
-    pub sights: Vec<Sight>,
+    pub sights: Vec<WindowObservation>,
     /// No two of the markers are closer to each other than this, as far as the search tells; 0 where it does not.
     pub apart_px: f64,
 }

@@ -7,7 +7,7 @@ use alloc::vec;
 use alloc::vec::Vec;
 
 /// Most markers of an image, those that the border cuts included: 90 x 90 and a few.
-pub const MOST_MARKERS: usize = 8192;
+pub const MAX_MARKERS: usize = 8192;
 
 /// Pixels of an image for each of the markers that it may have.
 pub const PIXELS_PER_MARKER: usize = 50;
@@ -88,5 +88,5 @@ pub fn most_markers(params: &DetectParams, size_px: (usize, usize)) -> usize {
     let pixels = size_px.0 * size_px.1;
     (pixels / params.min_area_px2.max(4) as usize)
         .min((pixels / PIXELS_PER_MARKER).max(1024))
-        .min(MOST_MARKERS)
+        .min(MAX_MARKERS)
 }

@@ -15,6 +15,6 @@ mod window;
 
 pub use detector::Detector;
 pub use error::DetectError;
-pub use found::{Found, Sight};
-pub use markers::{CutMarker, MOST_MARKERS, Markers, PIXELS_PER_MARKER, most_markers};
+pub use found::{Found, WindowObservation};
+pub use markers::{CutMarker, MAX_MARKERS, Markers, PIXELS_PER_MARKER, most_markers};
 pub use window::size::MarkerSize;

@@ -111,7 +111,7 @@ pub struct RegisterParams {
 }
 
 /// Most starts: more take longer than anything that waits for them.
-const MOST_STARTS: u32 = 4096;
+const MAX_STARTS: u32 = 4096;
 
 /// How well a pose was known before a contact: standard deviations, about and along every axis, of a turn about the patch's
 /// centroid and of a shift of it.
@@ -180,7 +180,7 @@ impl RegisterParams {
         length("register.search_radius_mm", r.search_radius_mm)?;
         let scale_ok = (1e-3..=1e3).contains(&r.gel_scale);
         check(scale_ok, "register.gel_scale", r.gel_scale, "from 0.001 to 1000")?;
-        count("register.starts", r.starts, MOST_STARTS, "from 1 to 4096")?;
+        count("register.starts", r.starts, MAX_STARTS, "from 1 to 4096")?;
         let turn = r.start_sigma_deg;
         check((1e-6..=180.0).contains(&turn), "register.start_sigma_deg", turn, "0.000001 to 180 degrees")?;
         length("register.start_sigma_mm", r.start_sigma_mm)?;

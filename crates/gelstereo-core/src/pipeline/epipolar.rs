@@ -16,9 +16,9 @@ const ORDER: usize = 4;
 /// Its terms.
 pub(super) const TERMS: usize = (ORDER + 1) * (ORDER + 2) / 2;
 /// Rows and columns from which it is determined, with some to spare.
-const LEAST_SIDE: usize = ORDER + 3;
+const MIN_SIDE: usize = ORDER + 3;
 /// Residuals of more times the median one are of no marker that was measured well, such as one under a glint.
-const MOST_OFF: f64 = 6.0;
+const MAX_OFF: f64 = 6.0;
 /// Rounds of leaving such out.
 const ROUNDS: usize = 3;
 /// Standard deviations of a residual that are chance: beyond are 1 in 16 000.
@@ -54,7 +54,7 @@ impl Epipolar {
         left: Centres<'_>,
         right: Centres<'_>,
     ) -> Self {
-        if rows < LEAST_SIDE || cols < LEAST_SIDE {
+        if rows < MIN_SIDE || cols < MIN_SIDE {
             return Self::default();
         }
         let sample = |i: usize| Sample {
@@ -69,7 +69,7 @@ impl Epipolar {
             let off = |sample: &Sample| abs(sample.residual_px - dot(&smooth, &sample.terms));
             let Some(usual) = median(&mut samples.iter().map(off).collect::<Vec<_>>()) else { break };
             let count = samples.len();
-            samples.retain(|sample| off(sample) <= MOST_OFF * usual);
+            samples.retain(|sample| off(sample) <= MAX_OFF * usual);
             if samples.len() == count {
                 break;
             }

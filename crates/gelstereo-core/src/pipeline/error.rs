@@ -3,7 +3,7 @@
 use super::rest_record::RestRecordError;
 use crate::contact::ContactError;
 use crate::detect::DetectError;
-use crate::label::LabelError;
+use crate::lattice::LabelError;
 use crate::params::ParamsError;
 pub use crate::rig::View;
 use crate::triangulate::TriangulateError;

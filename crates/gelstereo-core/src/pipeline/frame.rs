@@ -81,7 +81,7 @@ pub struct Frame {
     /// Mean motion of the seen markers of the left view since the reference, pixels.
     pub motion_px: f64,
     /// Markers that both views saw, but that no point of space explains (rows or disparity disagree), or none of the gel's surface
-    /// (labels of the views have slipped against each other, see [`LabelSlips`](crate::contact::LabelSlips)).
+    /// (labels of the views have slipped against each other, see [`StereoMismatch`](crate::contact::StereoMismatch)).
     pub mismatched: usize,
     /// The left view's evidence.
     pub left: ViewEvidence,

@@ -15,11 +15,12 @@ pub use frame::{Frame, LabelSource, Searched, Touch, ViewEvidence};
 pub use rest_record::{RestRecord, RestRecordError, RestView};
 
 use crate::contact::{
-    self, AdaptiveSaliency, ContactRule, Decay, DecayFit, LabelSlips, Pressure, QuickPressure, RestSurface,
+    self, AdaptiveSaliency, ContactRule, Decay, DecayFit, Pressure, QuickPressure, RestSurface,
+    StereoMismatch,
 };
 use crate::detect::DetectError;
 use crate::image::GrayView;
-use crate::label::LatticeFinder;
+use crate::lattice::LatticeFinder;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, DVec3};
 use crate::params::{DiscBias, Params, Saliency};
@@ -47,7 +48,7 @@ pub struct Pipeline {
     rest_variance_mm2: Vec<f64>,
     epipolar: Epipolar,
     reference_px: Vec<DVec2>,
-    slips: LabelSlips,
+    slips: StereoMismatch,
     discs: Discs,
     points_mm: Vec<DVec3>,
     covariance_mm2: Vec<Symmetric<3>>,
@@ -95,7 +96,7 @@ impl Pipeline {
             rest_variance_mm2: Vec::new(),
             epipolar: Epipolar::default(),
             reference_px: Vec::new(),
-            slips: LabelSlips::default(),
+            slips: StereoMismatch::default(),
             discs: Discs::default(),
             points_mm: Vec::new(),
             covariance_mm2: Vec::new(),

@@ -6,10 +6,10 @@ use super::rest_record::RestView;
 use super::windows::Windows;
 use crate::detect::{DetectError, Detector, Markers, most_markers};
 use crate::image::GrayView;
-use crate::label::{self, LatticeFinder, RestLattice};
+use crate::lattice::{self, LatticeFinder, RestLattice};
 use crate::math::DVec2;
 use crate::params::{LabelMethod, Params, Search};
-use crate::track::{CheckedTracker, MarkerState, Tracker, Tracks, Verdict};
+use crate::track::{Certainty, MarkerState, Tracker, Tracks, VerifiedTracker};
 use alloc::vec::Vec;
 
 /// One view's stages, from image to labelled markers.
@@ -21,7 +21,7 @@ pub(super) struct ViewStages {
     markers: Markers,
     detected: Result<(), DetectError>,
     tracker: Tracker,
-    checked: CheckedTracker,
+    checked: VerifiedTracker,
     tracks: Tracks,
     windows: Windows,
     searched: Searched,
@@ -50,7 +50,7 @@ impl ViewStages {
             markers: Markers::default(),
             detected: Ok(()),
             tracker: Tracker::new(&params.track),
-            checked: CheckedTracker::new(&params.track, size_px),
+            checked: VerifiedTracker::new(&params.track, size_px),
             tracks: Tracks::default(),
             windows: Windows::default(),
             searched: Searched::Whole,
@@ -106,7 +106,9 @@ impl ViewStages {
             return false;
         }
         match params.label.method {
-            LabelMethod::Lattice => checked.run_near(&windows.found, &mut windows.tracks) == Verdict::Certain,
+            LabelMethod::Lattice => {
+                checked.run_near(&windows.found, &mut windows.tracks) == Certainty::Certain
+            }
             LabelMethod::Foresight => {
                 tracker.run(&windows.found.markers, &mut windows.tracks);
                 is_certain(params, &windows.tracks)
@@ -144,7 +146,7 @@ impl ViewStages {
         other: Option<&RestLattice>,
     ) -> Result<RestLattice, PipelineError> {
         let tolerance_pitches = params.label.tolerance_pitches;
-        let rest = label::rest_lattice_by(finder, &self.markers, &params.lattice, tolerance_pitches)
+        let rest = lattice::rest_lattice_by(finder, &self.markers, &params.lattice, tolerance_pitches)
             .map_err(|error| PipelineError::Label { view: self.view, error })?;
         let rest = match other {
             Some(other) => rest.turned_like(other),
@@ -206,7 +208,7 @@ impl ViewStages {
 
     /// Follows the first frames after a record, until labels are certain.
     fn follow_record(&mut self, params: &Params) {
-        let certain = self.track(params) == Verdict::Certain;
+        let certain = self.track(params) == Certainty::Certain;
         let printed = |&[row, col]: &[usize; 2]| {
             self.tracks.state.get(row * self.cols + col).is_some_and(|&state| state == MarkerState::Seen)
         };
@@ -217,7 +219,7 @@ impl ViewStages {
             self.resumes = !certain;
         }
         if !self.resumes && params.label.method != LabelMethod::Lattice {
-            self.checked = CheckedTracker::new(&params.track, self.size_px);
+            self.checked = VerifiedTracker::new(&params.track, self.size_px);
         }
         self.take_tracks(if self.resumes { LabelSource::Held } else { LabelSource::Lattice });
     }
@@ -229,22 +231,22 @@ impl ViewStages {
         let verdict = self.track(params);
         match (params.label.method, verdict) {
             (LabelMethod::Foresight, _) => self.sort(params.label.tolerance_pitches),
-            (LabelMethod::Lattice, Verdict::Certain) => self.take_tracks(LabelSource::Lattice),
-            (LabelMethod::Lattice, Verdict::Uncertain) => self.take_tracks(LabelSource::Held),
+            (LabelMethod::Lattice, Certainty::Certain) => self.take_tracks(LabelSource::Lattice),
+            (LabelMethod::Lattice, Certainty::Uncertain) => self.take_tracks(LabelSource::Held),
         }
     }
 
     /// Brings the tracks to this frame.
-    fn track(&mut self, params: &Params) -> Verdict {
+    fn track(&mut self, params: &Params) -> Certainty {
         if self.searched == Searched::Windows {
             core::mem::swap(&mut self.tracks, &mut self.windows.tracks);
-            return Verdict::Certain;
+            return Certainty::Certain;
         }
         if params.label.method == LabelMethod::Lattice || self.resumes {
             return self.checked.run(&self.markers, &mut self.tracks);
         }
         self.tracker.run(&self.markers, &mut self.tracks);
-        Verdict::Certain
+        Certainty::Certain
     }
 
     fn evidence(&self, labels: LabelSource, relabelled: usize) -> ViewEvidence {
@@ -271,7 +273,7 @@ impl ViewStages {
         let all_found = self.searched == Searched::Whole && self.markers.centres_px.len() == rows * cols;
         let all_tracked = self.tracks.state.iter().all(|&state| state == MarkerState::Seen);
         let mut sorts = |positions: &[DVec2]| {
-            label::foresight_sort(positions, rows, cols, tolerance_px, &mut self.order).is_ok()
+            lattice::foresight_sort(positions, rows, cols, tolerance_px, &mut self.order).is_ok()
         };
         if all_found && !all_tracked && sorts(&self.markers.centres_px) {
             let relabelled = self.tracks.update(&self.markers, &self.order);

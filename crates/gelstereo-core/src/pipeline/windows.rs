@@ -2,7 +2,7 @@
 
 use crate::detect::MarkerSize;
 use crate::detect::{DetectError, Detector, Markers};
-use crate::detect::{Found, Sight};
+use crate::detect::{Found, WindowObservation};
 use crate::image::GrayView;
 use crate::math::DVec2;
 use crate::track::{MarkerState, Tracks};
@@ -89,7 +89,7 @@ impl Windows {
     ) -> bool {
         let markers = tracks.state.len();
         let (sights, sentinels) = self.found.sights.split_at(markers);
-        let is_missing = |k: usize| !matches!(sights[k], Sight::Marker(_));
+        let is_missing = |k: usize| !matches!(sights[k], WindowObservation::Marker(_));
         let is_inside = |k: usize, by_px: f64| {
             let (p, end) = (self.places_px[k], DVec2::new(width as f64, height as f64) - by_px);
             p.x >= by_px && p.y >= by_px && p.x < end.x && p.y < end.y
@@ -98,10 +98,12 @@ impl Windows {
         let is_news = |k: &usize| tracks.state[*k] == MarkerState::Seen && is_inside(*k, reach_px);
         let missing = (0..markers).filter(is_news).filter(|&k| is_missing(k)).count();
         let seen = |k: usize| is_inside(markers + k, 0.0).then_some(sentinels[k]);
-        let alarm = (0..sentinels.len()).any(|k| matches!(seen(k), Some(Sight::Marker(_) | Sight::Several)));
+        let alarm = (0..sentinels.len())
+            .any(|k| matches!(seen(k), Some(WindowObservation::Marker(_) | WindowObservation::Several)));
         let is_told = || {
             sides(markers, cols).into_iter().flatten().all(|side| {
-                let unclear = side.sentinels().filter(|&k| seen(k) == Some(Sight::Unclear)).count();
+                let unclear =
+                    side.sentinels().filter(|&k| seen(k) == Some(WindowObservation::Unclear)).count();
                 ONE_UNCLEAR_IN * unclear <= side.count
                     || ONE_UNCLEAR_IN * side.opposite().filter(|&k| is_missing(k)).count() <= side.count
             })
@@ -199,9 +201,9 @@ mod tests {
                 let is_beside = !(0..COLS as i32).contains(&(col + moved_cols as i32))
                     || !(0..ROWS as i32).contains(&row);
                 match (0..COLS as i32).contains(&col) && (0..ROWS as i32).contains(&row) {
-                    _ if is_walled && is_beside => Sight::Unclear,
-                    true => Sight::Marker(0),
-                    false => Sight::Nothing,
+                    _ if is_walled && is_beside => WindowObservation::Unclear,
+                    true => WindowObservation::Marker(0),
+                    false => WindowObservation::Nothing,
                 }
             })
             .collect();
@@ -233,7 +235,7 @@ mod tests {
             for col in 0..COLS {
                 let k = (ROWS - 1) * COLS + col;
                 windows.places_px[k].y = y_px;
-                windows.found.sights[k] = Sight::Nothing;
+                windows.found.sights[k] = WindowObservation::Nothing;
             }
             assert_eq!(windows.is_as_expected(&tracks, (COLS, 1.5), (640, 480)), expected, "{y_px}");
         }

@@ -1,6 +1,6 @@
 //! What can be wrong with a template or with a patch, said so that the reader knows what to do.
 
-use super::limits::{LEAST_POINTS, MOST_POINTS, REACH_MM};
+use super::limits::{MAX_POINTS, MIN_POINTS, REACH_MM};
 use crate::params::ParamsError;
 use crate::stop::Stopped;
 use crate::surface::SolidError;
@@ -60,7 +60,7 @@ impl core::fmt::Display for TemplateError {
             }
             Self::TooMany { found, spacing_mm } => write!(
                 f,
-                "a spacing of {spacing_mm} mm gives {found:.0} template points; at most {MOST_POINTS} are held: \
+                "a spacing of {spacing_mm} mm gives {found:.0} template points; at most {MAX_POINTS} are held: \
                  increase the spacing, or check the units of the part (millimetres)"
             ),
             Self::Lengths { points, normals } => {
@@ -79,7 +79,7 @@ impl core::fmt::Display for TemplateError {
                 f,
                 "the spacing is {found_mm} mm for points that extend over {extent_mm} mm; valid is a positive \
                  spacing from {:e} times the extent to the extent itself (are both in millimetres?)",
-                super::limits::LEAST_SPACING
+                super::limits::MIN_SPACING
             ),
         }
     }
@@ -265,4 +265,4 @@ impl From<ParamsError> for RegisterError {
 }
 
 /// Points that a rigid motion in space needs.
-pub(crate) const LEAST_PATCH: usize = LEAST_POINTS;
+pub(crate) const MIN_PATCH: usize = MIN_POINTS;

@@ -8,7 +8,7 @@ use super::observe::{Observability, PatchFrame};
 use crate::math::Pose;
 
 /// Projections; each leaves a small share of what the one before left.
-const MOST_STEPS: u32 = 12;
+const MAX_STEPS: u32 = 12;
 /// Shorter ones, over the patch, are none.
 const SHORTEST_MM: f64 = 1e-9;
 
@@ -18,7 +18,7 @@ pub(super) fn nearest(seen: &Observability, t_sensor_object: &Pose, other: &Pose
     let about = Pose::from_translation_mm(seen.centre_mm);
     let back = other.inverse();
     let mut pose = *t_sensor_object;
-    for _ in 0..MOST_STEPS {
+    for _ in 0..MAX_STEPS {
         let (omega, v) = frame.twist(&(pose * back));
         let (fixed_omega, fixed_v) = seen.determined((omega, v));
         let (omega, v) = (fixed_omega - omega, fixed_v - v);

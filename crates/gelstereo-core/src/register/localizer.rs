@@ -1,7 +1,7 @@
 //! Localization from frame to frame: follow, notice that the part is lost, find it again.
 
 use super::observe::PatchFrame;
-use super::surface::Usual;
+use super::surface::UsualResiduals;
 use super::template::Template;
 use super::{Contact, Misfit, RegisterError, Registrar, Registration};
 use crate::math::Pose;
@@ -16,11 +16,11 @@ const MOVED: f64 = 0.1;
 /// How a localizer came to a pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-pub enum Standing {
+pub enum TrackingStatus {
     /// From the frame before, by the rung that follows.
-    Followed,
+    Tracking,
     /// By a search: the first pose, or the part again after it was lost.
-    Found,
+    Relocalized,
     /// The search found nothing that explains the contact. The pose is its best one, and is not followed.
     Lost,
 }
@@ -31,7 +31,7 @@ pub struct Located {
     /// The pose, with its evidence.
     pub registration: Registration,
     /// How it was come by.
-    pub standing: Standing,
+    pub tracking: TrackingStatus,
     /// How far the markers are from what the gel does there, where it was asked.
     pub misfit: Option<Misfit>,
 }
@@ -64,7 +64,7 @@ pub struct Localizer {
     outlier_share: f64,
     /// Whether the gel is as it is said to be: it explained what was found.
     asks_gel: bool,
-    usual: Usual,
+    usual: UsualResiduals,
 }
 
 impl Localizer {
@@ -92,7 +92,7 @@ impl Localizer {
             is_held: false,
             outlier_share: params.outlier_share,
             asks_gel: false,
-            usual: Usual::new(params.outlier_share),
+            usual: UsualResiduals::new(params.outlier_share),
         }
     }
 
@@ -102,7 +102,7 @@ impl Localizer {
         self.last = None;
         self.is_held = false;
         self.asks_gel = false;
-        self.usual = Usual::new(self.outlier_share);
+        self.usual = UsualResiduals::new(self.outlier_share);
     }
 
     /// The last pose that was believed (`t_sensor_object`).
@@ -153,8 +153,8 @@ impl Localizer {
                     Err(RegisterError::Stopped) => return Err(RegisterError::Stopped),
                     Err(_) => continue,
                 };
-                let mut followed = self.judge(found, (contact, template), Standing::Followed);
-                if followed.standing == Standing::Followed {
+                let mut followed = self.judge(found, (contact, template), TrackingStatus::Tracking);
+                if followed.tracking == TrackingStatus::Tracking {
                     // Along what is free it is where it was first guessed to be, however far it has been followed.
                     followed.registration.guess_sigma = self.search.params().guess_sigma();
                     hold_free(&mut followed.registration, &last);
@@ -174,7 +174,7 @@ impl Localizer {
     ) -> Result<Located, RegisterError> {
         let around = self.last.unwrap_or(self.expected);
         let first = self.search_around(&around, contact, template, stop);
-        let is_found = first.as_ref().is_ok_and(|one| one.standing == Standing::Found);
+        let is_found = first.as_ref().is_ok_and(|one| one.tracking == TrackingStatus::Relocalized);
         if is_found || around == self.expected {
             return first.map(|one| self.believe(one));
         }
@@ -185,7 +185,7 @@ impl Localizer {
                 Err(RegisterError::Stopped)
             }
             (Ok(first), Ok(second)) => {
-                let is_second = second.standing == Standing::Found
+                let is_second = second.tracking == TrackingStatus::Relocalized
                     || second.registration.log_odds > first.registration.log_odds;
                 Ok(if is_second { second } else { first })
             }
@@ -203,7 +203,7 @@ impl Localizer {
         stop: Stop<'_>,
     ) -> Result<Located, RegisterError> {
         let found = self.search.register_unless(contact, template, around, stop)?;
-        Ok(self.judge(found, (contact, template), Standing::Found))
+        Ok(self.judge(found, (contact, template), TrackingStatus::Relocalized))
     }
 
     /// A pose that was come by in some way, or lost if it does not explain the contact.
@@ -211,11 +211,11 @@ impl Localizer {
         &mut self,
         registration: Registration,
         of: (&Contact<'_>, &Template),
-        standing: Standing,
+        tracking: TrackingStatus,
     ) -> Located {
         let asks = self.asks_gel || registration.gel_decay.is_some();
         // Most of what is followed is right, and that is soon seen once it is known what is usual.
-        let is_soon = standing == Standing::Followed && self.usual.is_enough();
+        let is_soon = tracking == TrackingStatus::Tracking && self.usual.is_enough();
         let usual = is_soon.then_some(&self.usual);
         let told = if asks { self.search.misfit(of, &registration.t_sensor_object, usual) } else { None };
         let is_usual = told.as_ref().is_some_and(|misfit| !self.usual.is_exceeded(misfit));
@@ -230,13 +230,13 @@ impl Localizer {
         // A gel that has explained nothing yet may be another than it is said to be.
         let goes_by_odds = told.is_none() || !self.asks_gel;
         let is_explained = is_usual || (goes_by_odds && registration.log_odds.is_some_and(|odds| odds > 0.0));
-        let standing = if is_explained { standing } else { Standing::Lost };
-        Located { registration, standing, misfit: told }
+        let tracking = if is_explained { tracking } else { TrackingStatus::Lost };
+        Located { registration, tracking, misfit: told }
     }
 
     /// Takes a pose for what to follow, unless the part is lost.
     fn believe(&mut self, located: Located) -> Located {
-        if located.standing != Standing::Lost {
+        if located.tracking != TrackingStatus::Lost {
             self.last = Some(located.registration.t_sensor_object);
             self.is_held = true;
         }

@@ -32,7 +32,7 @@ pub use codec::TemplateBytesError;
 pub use error::{RegisterError, TemplateError};
 pub use free::{FreeDirection, FreeDirections, Motion};
 pub use fusion::{FusedPose, FusionError, PlaneContact, PoseEstimate, fuse_plane, fuse_poses};
-pub use localizer::{Localizer, Located, Standing};
+pub use localizer::{Localizer, Located, TrackingStatus};
 pub use observe::Observability;
 pub use paper::{SoftMatch, soft_match};
 pub use registrar::Registrar;

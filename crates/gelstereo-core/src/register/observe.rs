@@ -72,7 +72,7 @@ impl PatchFrame {
 
 /// Least share of the prior's variance, so that round-off leaves a covariance positive definite: with a guess known to 2 mm,
 /// a standard deviation of 20 nm.
-const LEAST_SHARE: f64 = 1e-10;
+const MIN_SHARE: f64 = 1e-10;
 
 /// One point's line of the linear system: it sees a motion along `normal`.
 #[derive(Clone, Copy, Debug)]
@@ -259,7 +259,7 @@ impl Observability {
         }
         let linalg::Eigen { values, vectors } = linalg::eigen(&known);
         let along = vectors.map(|w| scaled(&w));
-        self.spread(along.iter().zip(values.map(|value| 1.0 / value.clamp(1.0, 1.0 / LEAST_SHARE))))
+        self.spread(along.iter().zip(values.map(|value| 1.0 / value.clamp(1.0, 1.0 / MIN_SHARE))))
     }
 
     /// Covariance over the determined directions alone, the pseudo-inverse of the information: zero along free ones.

@@ -1,6 +1,6 @@
 //! The registration stage.
 
-use super::error::{LEAST_PATCH, RegisterError};
+use super::error::{MIN_PATCH, RegisterError};
 use super::registration::Registration;
 use super::surface::{self, Contact, Misfit};
 use super::template::Template;
@@ -108,7 +108,7 @@ impl Registrar {
         &mut self,
         of: (&Contact<'_>, &Template),
         t_sensor_object: &Pose,
-        usual: Option<&surface::Usual>,
+        usual: Option<&surface::UsualResiduals>,
     ) -> Option<Misfit> {
         surface::misfit(&self.params, of, t_sensor_object, usual, &mut self.surface)
     }
@@ -120,8 +120,8 @@ fn check(points_mm: &[DVec3], guess: &Pose) -> Result<Pose, RegisterError> {
     if let Some(index) = points_mm.iter().position(far) {
         return Err(RegisterError::PointNotFinite { index });
     }
-    if points_mm.len() < LEAST_PATCH {
-        return Err(RegisterError::TooFewPoints { found: points_mm.len(), least: LEAST_PATCH });
+    if points_mm.len() < MIN_PATCH {
+        return Err(RegisterError::TooFewPoints { found: points_mm.len(), least: MIN_PATCH });
     }
     if far(&guess.translation_mm) {
         return Err(RegisterError::BadGuess);

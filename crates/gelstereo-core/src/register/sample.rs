@@ -1,7 +1,7 @@
 //! Even sampling of a mesh by dart throwing (Cook 1986).
 
 use super::error::TemplateError;
-use super::limits::{LEAST_POINTS, MOST_POINTS};
+use super::limits::{MAX_POINTS, MIN_POINTS};
 use crate::math::random::Stream;
 use crate::math::{DVec3, floor, sqrt};
 use crate::stop::{Stop, ask};
@@ -12,7 +12,7 @@ use alloc::vec::Vec;
 /// points on an area A; this many darts come to 0.66.
 const DARTS_PER_POINT: f64 = 30.0;
 /// Least distance in spacings: with it there is one point for every spacing², as 0.66 / 0.81² = 1.
-const LEAST_DISTANCE: f64 = 0.81;
+const MIN_DISTANCE: f64 = 0.81;
 
 /// Points and unit normals, spread evenly over the mesh.
 pub(super) fn evenly(
@@ -28,14 +28,14 @@ pub(super) fn evenly(
         return Err(TemplateError::Spacing { found_mm: spacing_mm, extent_mm: (high - low).max_element() });
     }
     let expected = area_mm2 / spacing_mm / spacing_mm;
-    if expected.is_nan() || expected > MOST_POINTS as f64 {
+    if expected.is_nan() || expected > MAX_POINTS as f64 {
         return Err(TemplateError::TooMany { found: expected, spacing_mm });
     }
-    if expected < LEAST_POINTS as f64 {
-        return Err(TemplateError::TooFew { found: expected as usize, least: LEAST_POINTS });
+    if expected < MIN_POINTS as f64 {
+        return Err(TemplateError::TooFew { found: expected as usize, least: MIN_POINTS });
     }
     let mut random = Stream::new(seed, "template");
-    let mut darts = Darts::new(LEAST_DISTANCE * spacing_mm, expected as usize);
+    let mut darts = Darts::new(MIN_DISTANCE * spacing_mm, expected as usize);
     for dart in 0..(expected * DARTS_PER_POINT) as usize {
         ask(stop, dart)?;
         // Every dart draws three numbers whether it lands or not.

@@ -4,9 +4,9 @@ use crate::math::{DQuat, DVec3, Pose, abs, atan2, cos, round, sin, sqrt};
 use core::f64::consts::{PI, TAU};
 
 /// Turns that are put together; symmetries of a body are turns about one axis each, and declared ones two or three.
-const MOST_COMBINED: usize = 8;
+const MAX_COMBINED: usize = 8;
 /// Pairs of turns that are tried.
-const MOST_PAIRS: usize = 512;
+const MAX_PAIRS: usize = 512;
 
 /// An axis about which a part can be turned and looks the same.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -55,9 +55,9 @@ pub(super) fn nearest_copy(symmetries: &[Symmetry], t_sensor_object: &Pose, othe
 fn nearest_turn(symmetries: &[Symmetry], t_sensor_object: &Pose, other: &Pose) -> Pose {
     let turns: usize = symmetries.iter().filter_map(|s| s.order).map(|n| n as usize).sum();
     // A list of so many has all axes.
-    let has_pairs = turns * symmetries.len() <= MOST_PAIRS;
+    let has_pairs = turns * symmetries.len() <= MAX_PAIRS;
     let mut turn = Pose::IDENTITY;
-    for _ in 0..MOST_COMBINED {
+    for _ in 0..MAX_COMBINED {
         let off = other.rotation.conjugate() * t_sensor_object.rotation * turn.rotation;
         let mut best = Best { w: abs(off.w), turn: None };
         best.try_one(symmetries, off, &Pose::IDENTITY);

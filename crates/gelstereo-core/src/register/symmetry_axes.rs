@@ -9,13 +9,13 @@ use alloc::vec::Vec;
 use core::f64::consts::{PI, TAU};
 
 /// Most equal turns of an axis that are looked for.
-const MOST_TURNS: u32 = 64;
+const MAX_TURNS: u32 = 64;
 /// Faces, by area, whose normals and their sums are looked at as axes.
-const MOST_NORMALS: usize = 24;
+const MAX_NORMALS: usize = 24;
 /// Normals closer than this cosine are of one face.
 const SAME: f64 = 1.0 - 1e-8;
 /// Axes closer than this are one, found twice: those across an axis of order n are π / n apart.
-const NEAREST_RAD: f64 = 0.5 * PI / MOST_TURNS as f64;
+const NEAREST_RAD: f64 = 0.5 * PI / MAX_TURNS as f64;
 /// Turns by multiples of the golden section, which no order has.
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 /// Points that a turn is tried on before all are.
@@ -89,7 +89,7 @@ impl Part<'_> {
             let step = TAU / f64::from(n);
             self.hold((1..=n / 2).map(|k| axis.turned(f64::from(k) * step)))
         };
-        for n in (2..=MOST_TURNS).rev() {
+        for n in (2..=MAX_TURNS).rev() {
             if looks_the_same(n)? {
                 return Ok(Some(Some(n)));
             }
@@ -168,13 +168,13 @@ fn largest_normals(solid: &Solid, stop: Stop<'_>) -> Result<Vec<DVec3>, Stopped>
         let corners = corners.map(|i| solid.vertices_mm()[i as usize]);
         let area = sqrt(area_vector(&corners).length_squared());
         // Among the first ones only: a finely divided round part has no large faces.
-        match faces.iter_mut().take(8 * MOST_NORMALS).find(|(_, n)| n.dot(normal).abs() > SAME) {
+        match faces.iter_mut().take(8 * MAX_NORMALS).find(|(_, n)| n.dot(normal).abs() > SAME) {
             Some(face) => face.0 += area,
             None => faces.push((area, upright(normal))),
         }
     }
     faces.sort_by(|a, b| b.0.total_cmp(&a.0));
-    faces.truncate(MOST_NORMALS);
+    faces.truncate(MAX_NORMALS);
     Ok(faces.into_iter().map(|(_, normal)| normal).collect())
 }
 

@@ -2,7 +2,7 @@
 
 use super::blocks::{self, Block};
 use super::error::TemplateError;
-use super::limits::{LEAST_POINTS, LEAST_SPACING, MOST_POINTS, REACH_MM};
+use super::limits::{MAX_POINTS, MIN_POINTS, MIN_SPACING, REACH_MM};
 use super::sample;
 use super::surface::Relief;
 use super::surfels::surfels;
@@ -353,10 +353,10 @@ fn check(points_mm: &[DVec3], normals: &[DVec3], spacing_mm: f64) -> Result<(), 
     if points_mm.len() != normals.len() {
         return Err(TemplateError::Lengths { points: points_mm.len(), normals: normals.len() });
     }
-    if points_mm.len() < LEAST_POINTS {
-        return Err(TemplateError::TooFew { found: points_mm.len(), least: LEAST_POINTS });
+    if points_mm.len() < MIN_POINTS {
+        return Err(TemplateError::TooFew { found: points_mm.len(), least: MIN_POINTS });
     }
-    if points_mm.len() > MOST_POINTS {
+    if points_mm.len() > MAX_POINTS {
         return Err(TemplateError::TooMany { found: points_mm.len() as f64, spacing_mm });
     }
     let bad = |p: &DVec3| !p.is_finite() || p.abs().max_element() > REACH_MM;
@@ -368,7 +368,7 @@ fn check(points_mm: &[DVec3], normals: &[DVec3], spacing_mm: f64) -> Result<(), 
     let extent_mm = (high - low).max_element();
     // Squares of the spacing must be ordinary numbers.
     let fits = spacing_mm.is_finite() && spacing_mm > 1e-100;
-    if !(fits && spacing_mm <= extent_mm && spacing_mm >= LEAST_SPACING * extent_mm) {
+    if !(fits && spacing_mm <= extent_mm && spacing_mm >= MIN_SPACING * extent_mm) {
         return Err(TemplateError::Spacing { found_mm: spacing_mm, extent_mm });
     }
     Ok(())

@@ -4,7 +4,7 @@ use crate::math::{DVec2, DVec3, sqrt};
 use alloc::vec::Vec;
 
 /// Most buckets along one side; wider spreads get larger buckets.
-const MOST_BUCKETS: usize = 256;
+const MAX_BUCKETS: usize = 256;
 
 /// Side of a square of points that are spread evenly, in their distance.
 const EVEN_SIDE: f64 = 2.2;
@@ -27,7 +27,7 @@ impl Grid {
     /// Makes room for so many points, spread over so many pixels, in buckets of at least `side_px`.
     pub fn reserve(&mut self, points: usize, spread_px: (usize, usize), side_px: f64) {
         // Points may lie a bucket or two outside.
-        let buckets = |extent: usize| ((extent as f64 / side_px) as usize + 4).min(MOST_BUCKETS + 1);
+        let buckets = |extent: usize| ((extent as f64 / side_px) as usize + 4).min(MAX_BUCKETS + 1);
         self.starts.clear();
         self.starts.reserve(buckets(spread_px.0) * buckets(spread_px.1) + 1);
         self.items.clear();
@@ -54,10 +54,10 @@ impl Grid {
             return;
         }
         let spread = high - low;
-        let side = side_px.max(spread.max_element() / MOST_BUCKETS as f64);
+        let side = side_px.max(spread.max_element() / MAX_BUCKETS as f64);
         self.origin = low;
         self.per_unit = if side > 0.0 && side.is_finite() { 1.0 / side } else { 0.0 };
-        let buckets = |extent: f64| ((extent * self.per_unit) as usize).min(MOST_BUCKETS) + 1;
+        let buckets = |extent: f64| ((extent * self.per_unit) as usize).min(MAX_BUCKETS) + 1;
         (self.columns, self.rows) = (buckets(spread.x), buckets(spread.y));
         self.starts.resize(self.columns * self.rows + 1, 0);
         for point in finite() {

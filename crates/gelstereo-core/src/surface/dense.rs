@@ -8,7 +8,7 @@ use spade::handles::FixedVertexHandle;
 use spade::{DelaunayTriangulation, FloatTriangulation, Point2, Triangulation};
 
 /// The largest grid.
-const MOST_CELLS: f64 = (1 << 22) as f64;
+const MAX_CELLS: f64 = (1 << 22) as f64;
 
 /// Interpolates between markers on a grid over their places of rest (Sibson 1981).
 ///
@@ -71,7 +71,7 @@ impl core::fmt::Display for DenseSurfaceError {
             Self::Step { step_mm, cells } => write!(
                 f,
                 "a step of {step_mm} mm makes {cells} cells; valid is a length above 0, at most the longer \
-                 side of the markers' box, that makes at most {MOST_CELLS}"
+                 side of the markers' box, that makes at most {MAX_CELLS}"
             ),
             Self::Stopped => Stopped.fmt(f),
             Self::NotFinite { marker } => {
@@ -113,7 +113,7 @@ impl DenseSurface {
         let side = |length: f64| ceil(length / step_mm - 1e-9) + 1.0;
         let size = high - low;
         let (across, down) = (side(size.x), side(size.y));
-        if !(step_mm > 0.0 && step_mm <= size.max_element() && across * down <= MOST_CELLS) {
+        if !(step_mm > 0.0 && step_mm <= size.max_element() && across * down <= MAX_CELLS) {
             let cells = if step_mm > 0.0 { across * down } else { f64::INFINITY };
             return Err(DenseSurfaceError::Step { step_mm, cells });
         }

@@ -1,8 +1,8 @@
 //! Which detection belongs to which place of the lattice, up to a shift by whole pitches.
 
-use super::canvas::{Canvas, NONE, SUGGESTED_FROM};
+use super::extended_lattice::{ExtendedLattice, NONE, SUGGESTED_FROM};
 use super::near;
-use super::sights::Sights;
+use super::window_detections::WindowDetections;
 use crate::math::DVec2;
 use crate::spatial::Grid;
 use alloc::vec::Vec;
@@ -59,12 +59,12 @@ pub(super) struct Before<'a> {
 }
 
 impl Before<'_> {
-    fn missed(&self, canvas: &Canvas, site: usize) -> Option<u32> {
+    fn missed(&self, canvas: &ExtendedLattice, site: usize) -> Option<u32> {
         canvas.marker(site).map(|n| self.missed_frames[n])
     }
 
     /// Whether the marker of a place was seen in the last certain frame.
-    fn is_fresh(&self, canvas: &Canvas, site: usize) -> bool {
+    fn is_fresh(&self, canvas: &ExtendedLattice, site: usize) -> bool {
         self.missed(canvas, site) == Some(0)
     }
 }
@@ -118,10 +118,10 @@ impl Matching {
     /// Returns whether all neighbours agree in the end.
     pub fn run(
         &mut self,
-        canvas: &mut Canvas,
+        canvas: &mut ExtendedLattice,
         detected_px: &[DVec2],
         before: Before<'_>,
-        (gate_px, sights): (Option<f64>, Sights<'_>),
+        (gate_px, sights): (Option<f64>, WindowDetections<'_>),
     ) -> bool {
         let disputed_px = DISPUTED * before.pitch_px;
         self.start(detected_px.len());
@@ -143,7 +143,7 @@ impl Matching {
     }
 
     /// Checks a labelling of the loaded detections that was made without the prediction, as [`Self::run`] checks its matches.
-    pub fn check(&mut self, canvas: &mut Canvas, detected_px: &[DVec2], before: Before<'_>) -> bool {
+    pub fn check(&mut self, canvas: &mut ExtendedLattice, detected_px: &[DVec2], before: Before<'_>) -> bool {
         self.start(detected_px.len());
         for &m in canvas.found.iter().filter(|&&m| m != NONE) {
             self.taken[m as usize] = true;
@@ -159,7 +159,7 @@ impl Matching {
     }
 
     /// Keeps what agrees with its neighbours and grows it; whether all do in the end.
-    fn agree(&mut self, canvas: &mut Canvas, detected_px: &[DVec2], before: Before<'_>) -> bool {
+    fn agree(&mut self, canvas: &mut ExtendedLattice, detected_px: &[DVec2], before: Before<'_>) -> bool {
         let pitch_px = before.pitch_px;
         self.keep_largest(canvas, pitch_px, |_, _| false);
         let mut changed = self.grow(canvas, detected_px, pitch_px);
@@ -172,7 +172,7 @@ impl Matching {
                 }
             }
             let reach_px = (NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px);
-            if self.claim(canvas, detected_px, reach_px, Sights::default()) {
+            if self.claim(canvas, detected_px, reach_px, WindowDetections::default()) {
                 self.grow(canvas, detected_px, pitch_px);
                 changed = true;
             }
@@ -193,10 +193,10 @@ impl Matching {
     /// much; whether any was given.
     fn claim(
         &mut self,
-        canvas: &mut Canvas,
+        canvas: &mut ExtendedLattice,
         detected_px: &[DVec2],
         (gate_px, disputed_px): (f64, f64),
-        sights: Sights<'_>,
+        sights: WindowDetections<'_>,
     ) -> bool {
         let Self { grid, taken, claims, targets, claimants, .. } = self;
         let sure_px2 = sights.nearest_px2.min(gate_px * gate_px);
@@ -239,7 +239,12 @@ impl Matching {
     }
 
     /// Drops all but the largest set of neighbours in agreement; of other sets some places may be spared.
-    fn keep_largest(&mut self, canvas: &mut Canvas, pitch_px: f64, spared: impl Fn(&Canvas, usize) -> bool) {
+    fn keep_largest(
+        &mut self,
+        canvas: &mut ExtendedLattice,
+        pitch_px: f64,
+        spared: impl Fn(&ExtendedLattice, usize) -> bool,
+    ) {
         let agree_px2 = (NEIGHBOURS_AGREE * pitch_px) * (NEIGHBOURS_AGREE * pitch_px);
         if in_one_piece(canvas, agree_px2) {
             return;
@@ -282,7 +287,7 @@ impl Matching {
     }
 
     /// Matches places beside matched ones, predicted by their residuals, until nothing new is found; whether anything was.
-    fn grow(&mut self, canvas: &mut Canvas, detected_px: &[DVec2], pitch_px: f64) -> bool {
+    fn grow(&mut self, canvas: &mut ExtendedLattice, detected_px: &[DVec2], pitch_px: f64) -> bool {
         let (mut any, reach_px) = (false, (NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px));
         loop {
             self.targets.clear();
@@ -291,7 +296,7 @@ impl Matching {
                     self.targets.push((site as u32, canvas.predicted_px[site] + around.middle_px));
                 }
             }
-            if !self.claim(canvas, detected_px, reach_px, Sights::default()) {
+            if !self.claim(canvas, detected_px, reach_px, WindowDetections::default()) {
                 return any;
             }
             any = true;
@@ -299,7 +304,7 @@ impl Matching {
     }
 
     /// Drops detections that an empty place wants about as much as the one that has it; whether there are any.
-    fn settle(&mut self, canvas: &mut Canvas, detected_px: &[DVec2], pitch_px: f64) -> bool {
+    fn settle(&mut self, canvas: &mut ExtendedLattice, detected_px: &[DVec2], pitch_px: f64) -> bool {
         let (reach_px, disputed_px) = (NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px);
         self.claimants.clear();
         for (site, &m) in canvas.found.iter().enumerate().filter(|&(_, &m)| m != NONE) {
@@ -329,7 +334,7 @@ impl Matching {
     }
 
     /// Whether all markers of the lattice were found, and nothing else.
-    fn is_complete(&self, canvas: &Canvas) -> bool {
+    fn is_complete(&self, canvas: &ExtendedLattice) -> bool {
         let markers = canvas.rows * canvas.cols;
         let found = |s: &usize| canvas.found[*s] != NONE && canvas.marker(*s).is_some();
         self.taken.len() == markers && (0..canvas.found.len()).filter(found).count() == markers
@@ -337,7 +342,7 @@ impl Matching {
 
     /// Drops detections that stand alone against their neighbours: specks, and merged pairs; until none does. Whether there
     /// were any.
-    fn weed(&mut self, canvas: &mut Canvas, before: Before<'_>) -> bool {
+    fn weed(&mut self, canvas: &mut ExtendedLattice, before: Before<'_>) -> bool {
         let suspects = &mut self.known;
         suspects.clear();
         suspects.resize(canvas.found.len(), true);
@@ -370,7 +375,7 @@ impl Matching {
 
 /// Whether every match but the first agrees with its left or upper neighbour: then all hang together. Most frames are like
 /// that; of others it says nothing.
-fn in_one_piece(canvas: &Canvas, agree_px2: f64) -> bool {
+fn in_one_piece(canvas: &ExtendedLattice, agree_px2: f64) -> bool {
     let (width, found) = (canvas.width(), &canvas.found);
     let mut matched = (0..found.len()).filter(|&s| found[s] != NONE);
     let _first = matched.next();
@@ -384,7 +389,7 @@ fn in_one_piece(canvas: &Canvas, agree_px2: f64) -> bool {
 }
 
 /// Whether a match differs from what its neighbours suggest, by more than is sure to be little, or has too few of them.
-fn stands_alone(canvas: &Canvas, before: Before<'_>, site: usize, sure_px: f64) -> bool {
+fn stands_alone(canvas: &ExtendedLattice, before: Before<'_>, site: usize, sure_px: f64) -> bool {
     let pitch_px = before.pitch_px;
     let hidden = !before.is_fresh(canvas, site);
     if !hidden && canvas.is_amid(site, sure_px) {
@@ -416,7 +421,7 @@ fn stands_alone(canvas: &Canvas, before: Before<'_>, site: usize, sure_px: f64) 
 /// Whether two neighbours have slipped against each other: their motions differ too much, or a marker does not stand between
 /// its neighbours. Where all three were seen in the frame before, it may, if it has moved as they have: gel that is
 /// twisted bends as far at the rim of the contact.
-fn torn(canvas: &Canvas, before: Before<'_>) -> bool {
+fn torn(canvas: &ExtendedLattice, before: Before<'_>) -> bool {
     let most_slip = if before.stale { SLIPPED_STALE } else { SLIPPED };
     let (slip, bent) = (most_slip * before.pitch_px, BENT * before.pitch_px);
     let (width, height) = (canvas.width(), canvas.height());
@@ -450,7 +455,7 @@ fn torn(canvas: &Canvas, before: Before<'_>) -> bool {
 }
 
 /// Mean residual of all matches if all lie closer to it than `most_px`.
-fn common_residual(canvas: &Canvas, most_px: f64) -> Option<DVec2> {
+fn common_residual(canvas: &ExtendedLattice, most_px: f64) -> Option<DVec2> {
     let matched =
         || canvas.found.iter().zip(&canvas.residual_px).filter(|&(&m, _)| m != NONE).map(|(_, &r)| r);
     let (sum, count) = matched().fold((DVec2::ZERO, 0.0), |(sum, count), r| (sum + r, count + 1.0));
@@ -460,7 +465,7 @@ fn common_residual(canvas: &Canvas, most_px: f64) -> Option<DVec2> {
 
 /// Mean residual of all matches if each lies so close to it that its neighbours in line are farther off: then none slipped, not
 /// even those that no neighbour ties to the others.
-fn moved_alike(canvas: &Canvas, pitch_px: f64) -> Option<DVec2> {
+fn moved_alike(canvas: &ExtendedLattice, pitch_px: f64) -> Option<DVec2> {
     let mean = common_residual(canvas, NEIGHBOURS_AGREE * pitch_px)?;
     let near = |s: usize| canvas.residual_px[s].distance(mean) < ALONE_AGREE * canvas.step_px(s);
     (0..canvas.found.len()).filter(|&s| canvas.found[s] != NONE).all(near).then_some(mean)
@@ -468,7 +473,7 @@ fn moved_alike(canvas: &Canvas, pitch_px: f64) -> Option<DVec2> {
 
 /// Whether all matches agree with each other, and those that reappear stand beside one that was seen before; then what was
 /// not found is given the mean residual.
-fn agree_all(canvas: &mut Canvas, before: Before<'_>) -> bool {
+fn agree_all(canvas: &mut ExtendedLattice, before: Before<'_>) -> bool {
     let Some(mean) = common_residual(canvas, ALL_AGREE * before.pitch_px) else { return false };
     let fresh_match = |s: usize| canvas.found[s] != NONE && before.is_fresh(canvas, s);
     let joined = |s: usize| before.is_fresh(canvas, s) || canvas.around(s).any(fresh_match);

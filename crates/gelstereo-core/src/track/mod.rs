@@ -1,17 +1,17 @@
 //! Identity of markers from frame to frame (Eq. 1 and 2).
 
-mod anchor;
-mod canvas;
-mod carry;
-mod checked;
+mod extended_lattice;
+mod interpolate;
 mod matching;
+mod pitch_shift;
 mod relabel;
-mod sights;
+mod verified;
+mod window_detections;
 
-pub use checked::{CheckedTracker, Verdict};
+pub use verified::{Certainty, VerifiedTracker};
 
 use crate::detect::Markers;
-use crate::label::RestLattice;
+use crate::lattice::RestLattice;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, sqrt};
 use crate::params::TrackParams;
@@ -243,7 +243,7 @@ impl Tracker {
         // Those left over are tried again where their neighbours' motion carries them, until nobody new is found; each
         // round but the last finds a marker, so that there is an end.
         while self.pair(detected_px, out) {
-            self.carry(out);
+            self.interpolator(out);
         }
         if !self.moves_as_one(detected_px.len(), &out.positions_px) {
             self.detection_of.fill(None);
@@ -312,7 +312,7 @@ impl Tracker {
     /// Moves the markers without a detection by the mean displacement of their neighbours with one.
     ///
     /// Displacements are counted from the rest frame: adding up steps would let errors grow without bound.
-    fn carry(&self, out: &mut Tracks) {
+    fn interpolator(&self, out: &mut Tracks) {
         for n in (0..self.rest_px.len()).filter(|&n| self.detection_of[n].is_none()) {
             let (mut now, mut before, mut seen) = (DVec2::ZERO, DVec2::ZERO, 0.0);
             for m in near(n, self.cols, self.rest_px.len(), 1) {

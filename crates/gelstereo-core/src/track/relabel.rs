@@ -1,8 +1,8 @@
 //! Labels afresh: the lattice found in a single frame, laid on the places that are expected.
 
-use super::canvas::{Canvas, NONE};
+use super::extended_lattice::{ExtendedLattice, NONE};
 use crate::detect::Markers;
-use crate::label::{self, AnchorEvidence, FoundLattice, LatticeFinder};
+use crate::lattice::{self, AnchorEvidence, FoundLattice, LatticeFinder};
 use crate::math::DVec2;
 
 /// Up to so many pitches from where its neighbours say, a marker of a complete frame is where it belongs: one that slipped
@@ -44,10 +44,10 @@ impl Relabel {
         &self,
         detected_px: &[DVec2],
         expected_px: &[DVec2],
-        canvas: &mut Canvas,
+        canvas: &mut ExtendedLattice,
     ) -> Option<AnchorEvidence> {
         let (rows, cols, rings) = (canvas.rows, canvas.cols, canvas.rings as i32);
-        let anchor = label::anchor(&self.found, detected_px, rows, cols, expected_px)?;
+        let anchor = lattice::anchor(&self.found, detected_px, rows, cols, expected_px)?;
         let (height, width) = (rows as i32 + 2 * rings, cols as i32 + 2 * rings);
         for (m, place) in self.found.places.iter().enumerate() {
             let Some(place) = *place else { continue };
@@ -64,7 +64,7 @@ impl Relabel {
 
     /// Every marker of the print found, nothing left over, and all in their rows: no part can have slipped, since its place would
     /// be empty or taken twice.
-    pub fn complete(&self, canvas: &Canvas) -> bool {
+    pub fn complete(&self, canvas: &ExtendedLattice) -> bool {
         let inside = (0..canvas.found.len()).filter(|&s| canvas.marker(s).is_some());
         let all = inside.filter(|&s| canvas.found[s] != NONE).count();
         all == canvas.rows * canvas.cols

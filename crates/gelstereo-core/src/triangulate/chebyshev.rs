@@ -5,7 +5,7 @@ use core::f64::consts::PI;
 
 /// Highest degree, and the coefficients of a polynomial of that degree.
 const DEGREE: usize = 7;
-const MOST_TERMS: usize = (DEGREE + 1) * (DEGREE + 2) * (DEGREE + 3) / 6;
+const MAX_TERMS: usize = (DEGREE + 1) * (DEGREE + 2) * (DEGREE + 3) / 6;
 
 /// Coefficients by the degrees of two variables.
 type Plane<const N: usize> = [[[f64; N]; DEGREE + 1]; DEGREE + 1];
@@ -15,13 +15,13 @@ type Plane<const N: usize> = [[[f64; N]; DEGREE + 1]; DEGREE + 1];
 pub(super) struct Series<const N: usize> {
     degree: usize,
     /// The first variable's degree runs fastest.
-    coefficients: [[f64; N]; MOST_TERMS],
+    coefficients: [[f64; N]; MAX_TERMS],
 }
 
 impl<const N: usize> Series<N> {
     /// Polynomials that are 0 everywhere.
     pub const fn zero() -> Self {
-        Self { degree: 0, coefficients: [[0.0; N]; MOST_TERMS] }
+        Self { degree: 0, coefficients: [[0.0; N]; MAX_TERMS] }
     }
 
     /// Of the values at [`nodes`], M along each variable: there the products are orthogonal, so that each coefficient is one
@@ -33,7 +33,7 @@ impl<const N: usize> Series<N> {
         V: Iterator<Item = &'v [f64; N]>,
     {
         let basis = roots::<M>().map(chebyshev);
-        let mut coefficients = [[0.0; N]; MOST_TERMS];
+        let mut coefficients = [[0.0; N]; MAX_TERMS];
         for z in &basis {
             let mut by_xy: Plane<N> = [[[0.0; N]; DEGREE + 1]; DEGREE + 1];
             for y in &basis {

@@ -2,7 +2,7 @@
 #![allow(dead_code, reason = "each test crate uses its own part of this")]
 use crate::support::lattice;
 use gelstereo_core::detect::Markers;
-use gelstereo_core::label::{Anchor, FoundLattice, Place};
+use gelstereo_core::lattice::{Anchor, FoundLattice, Place};
 use gelstereo_core::math::DVec2;
 use gelstereo_core::math::random::Stream;
 

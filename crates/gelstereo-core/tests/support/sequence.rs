@@ -2,11 +2,11 @@
 
 use super::paper_lattice;
 use gelstereo_core::detect::Markers;
-use gelstereo_core::label::RestLattice;
+use gelstereo_core::lattice::RestLattice;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec2, cos, exp, sin};
 use gelstereo_core::params::TrackParams;
-use gelstereo_core::track::{CheckedTracker, MarkerState, Tracks, Verdict};
+use gelstereo_core::track::{Certainty, MarkerState, Tracks, VerifiedTracker};
 
 pub const PITCH_PX: f64 = 17.56;
 pub const SIDE: usize = 25;
@@ -128,7 +128,7 @@ pub fn see(rest_px: &[DVec2], warp: &Warp, seeing: &Seeing, stream: &mut Stream)
 
 /// The checked tracker at work, with what it got right and wrong.
 pub struct Run {
-    pub tracker: CheckedTracker,
+    pub tracker: VerifiedTracker,
     pub tracks: Tracks,
     pub rest_px: Vec<DVec2>,
     pub stream: Stream,
@@ -155,7 +155,7 @@ impl Run {
             detection: (0..MARKERS).map(|n| (!unprinted.contains(&n)).then_some(n as u32)).collect(),
             pitch_px: PITCH_PX,
         };
-        let (mut tracker, mut tracks) = (CheckedTracker::new(params, SIZE_PX), Tracks::default());
+        let (mut tracker, mut tracks) = (VerifiedTracker::new(params, SIZE_PX), Tracks::default());
         tracker.initialise(&rest, &Markers::at(rest_px, 0.1), 4000, &mut tracks);
         Self {
             tracker,
@@ -172,11 +172,11 @@ impl Run {
     }
 
     /// Tracks one frame; an error names the markers that are taken for others.
-    pub fn step(&mut self, warp: &Warp, seeing: &Seeing) -> Result<Verdict, String> {
+    pub fn step(&mut self, warp: &Warp, seeing: &Seeing) -> Result<Certainty, String> {
         let frame = see(&self.rest_px, warp, seeing, &mut self.stream);
         let verdict = self.tracker.run(&frame.markers, &mut self.tracks);
         self.frames += 1;
-        self.certain += usize::from(verdict == Verdict::Certain);
+        self.certain += usize::from(verdict == Certainty::Certain);
         self.missed = frame.identity.iter().flatten().copied().collect();
         self.missed.retain(|&n| self.tracks.state[n] != MarkerState::Seen);
         self.last_seen = 0;

@@ -23,7 +23,7 @@ pub struct Convergence {
 }
 
 /// Products after which a solve gives up: ten times what the hardest of the tests takes.
-const MOST_PRODUCTS: usize = 1000;
+const MAX_PRODUCTS: usize = 1000;
 
 /// Fields over a window, kept from solve to solve.
 #[derive(Clone, Debug, Default)]
@@ -52,7 +52,7 @@ impl Pressing {
         let expansion = 1.9 / operator.stiffest[0];
         let mut found = Convergence { products: 1, ..Convergence::default() };
         self.restart(operator, pressure);
-        while found.products < MOST_PRODUCTS && !stop() {
+        while found.products < MAX_PRODUCTS && !stop() {
             let [free, reduced, chopped, largest] = self.measure(pressure, expansion);
             found.residual_mm = largest;
             found.converged = largest <= tolerance_mm;

@@ -13,7 +13,7 @@ use gelstereo_core::math::sqrt;
 use gelstereo_core::stop::Stop;
 
 /// As [`super::contact`]'s.
-const MOST_PRODUCTS: usize = 1000;
+const MAX_PRODUCTS: usize = 1000;
 
 /// Fields over a window, kept from solve to solve.
 #[derive(Clone, Debug, Default)]
@@ -46,7 +46,7 @@ impl Holding {
         let safe = 1.0 / operator.stiffest[1];
         let mut length = 2.0 * safe;
         let mut found = Convergence { products: 1, ..Convergence::default() };
-        while found.products < MOST_PRODUCTS && !stop() {
+        while found.products < MAX_PRODUCTS && !stop() {
             found.residual_mm = self.aim(safe, bound, traction) / safe;
             found.converged = found.residual_mm <= tolerance_mm;
             if found.converged {

@@ -96,11 +96,11 @@ struct Work {
 }
 
 /// Sides of the smallest operator.
-const LEAST_SIDE: usize = 8;
+const MIN_SIDE: usize = 8;
 /// Largest number of cells along a side.
-const MOST_CELLS: usize = 256;
+const MAX_CELLS: usize = 256;
 /// Turns of pressures and tractions after which a solve gives up.
-const MOST_TURNS: usize = 40;
+const MAX_TURNS: usize = 40;
 /// How far beside the part's deepest point, in parts of its depth, a cell is still looked at: pressed gel rises beside a
 /// contact, by less than that.
 const RISE: f64 = 0.25;
@@ -114,13 +114,12 @@ impl LayerContact {
         layer.validate()?;
         grid.validate(&layer)?;
         LayerError::check((0.0..=1e6).contains(&friction), "friction", friction, "0 to 1e6")?;
-        let logs =
-            |cells: usize| (cells.max(LEAST_SIDE).next_power_of_two() / LEAST_SIDE).ilog2() as usize + 1;
+        let logs = |cells: usize| (cells.max(MIN_SIDE).next_power_of_two() / MIN_SIDE).ilog2() as usize + 1;
         let sizes = [logs(grid.rows), logs(grid.cols)];
-        let side = LEAST_SIDE << (sizes[0].max(sizes[1]) - 1);
+        let side = MIN_SIDE << (sizes[0].max(sizes[1]) - 1);
         let influence = Influence::new(&layer, grid.cell_mm, side);
         let operator = |i: usize| {
-            let sides = [LEAST_SIDE << (i / sizes[1]), LEAST_SIDE << (i % sizes[1])];
+            let sides = [MIN_SIDE << (i / sizes[1]), MIN_SIDE << (i % sizes[1])];
             Operator::new(&influence, sides)
         };
         let operators = (0..sizes[0] * sizes[1]).map(operator).collect();
@@ -354,7 +353,7 @@ impl Work {
         let plane = &operator.plane;
         let mut found = Convergence::default();
         operator.lift(&self.traction, &mut self.scratch, &mut self.lifted);
-        for _turn in 0..MOST_TURNS {
+        for _turn in 0..MAX_TURNS {
             self.heights.iter_mut().zip(&self.lifted).for_each(|(height, lift)| *height -= lift);
             let pressed =
                 self.pressing.solve(operator, &self.heights, (tolerance_mm, stop), &mut self.pressure);
@@ -397,7 +396,7 @@ impl Layer {
 impl Grid {
     fn validate(&self, layer: &Layer) -> Result<(), LayerError> {
         for (name, side) in [("rows", self.rows), ("cols", self.cols)] {
-            LayerError::check((1..=MOST_CELLS).contains(&side), name, side as f64, "1 to 256 cells")?;
+            LayerError::check((1..=MAX_CELLS).contains(&side), name, side as f64, "1 to 256 cells")?;
         }
         let ok = self.cell_mm > 0.0 && self.cell_mm <= layer.thickness_mm;
         LayerError::check(ok, "cell_mm", self.cell_mm, "above 0, at most the layer's thickness")

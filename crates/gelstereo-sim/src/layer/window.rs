@@ -1,7 +1,7 @@
 //! The part of a grid that a solve looks at.
 
 use super::fft::Plane;
-use super::{Grid, LEAST_SIDE};
+use super::{Grid, MIN_SIDE};
 use alloc::vec::Vec;
 
 /// A rectangle of cells.
@@ -44,7 +44,7 @@ impl Window {
 
     /// Which of the operators, sorted by the logarithms of their sides, holds the window.
     pub(crate) fn operator(&self, sizes: [usize; 2]) -> usize {
-        let log = |cells: usize| (cells.max(LEAST_SIDE).next_power_of_two() / LEAST_SIDE).ilog2() as usize;
+        let log = |cells: usize| (cells.max(MIN_SIDE).next_power_of_two() / MIN_SIDE).ilog2() as usize;
         log(self.rows) * sizes[1] + log(self.cols)
     }
 

@@ -18,7 +18,7 @@ const PARTS: i32 = 1 << 16;
 const WHOLE_PARTS: f64 = 103_079_215_104.0;
 
 /// Most columns that are worked out at once; wider regions are drawn in parts.
-const MOST_COLUMNS: usize = 62;
+const MAX_COLUMNS: usize = 62;
 
 /// Adds the share of every pixel that lies within any of the regions, times `share`.
 pub(crate) fn cover(shapes: &[Shape], share: f64, canvas: &mut [f32], width: usize) {
@@ -37,8 +37,8 @@ pub(crate) fn cover(shapes: &[Shape], share: f64, canvas: &mut [f32], width: usi
     };
     let (first, last) = pixels(low.y, high.y, height);
     let (left, right) = pixels(low.x, high.x, width);
-    for left in (left..right).step_by(MOST_COLUMNS) {
-        let columns = left..right.min(left + MOST_COLUMNS);
+    for left in (left..right).step_by(MAX_COLUMNS) {
+        let columns = left..right.min(left + MAX_COLUMNS);
         let (border, end) = (left as f64 - 0.5, columns.end as f64 - 0.5);
         let clipped = low.x < border || high.x > end;
         let mut strip = Strip { left: border, columns: columns.len() as f64, clipped, sums: [0; 65] };

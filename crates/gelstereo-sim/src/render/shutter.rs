@@ -17,20 +17,20 @@ pub(crate) struct Shutter {
 const PIECE: f64 = 6.0;
 
 /// Of the longest piece: see [`pieces`].
-const MOST_PLACES: usize = 9;
+const MAX_PLACES: usize = 9;
 
 /// Pieces per pixel of ink without a lens, each with one place: its edges are sharp, which no rule is better at. A
 /// pixel's share of the ink bends where an edge enters or leaves it, once in a piece: off by an eighth of a piece's
 /// length, times the piece's share of the way, 2e-3 at most.
 const SHARP_PER_PX: f64 = 16.0;
-const LEAST_SHARP: f64 = 4.0;
+const MIN_SHARP: f64 = 4.0;
 
 /// Beyond so many pixels a way is sampled no more often.
 const FARTHEST_PX: f64 = 1e4;
 
 impl Shutter {
     pub(crate) fn new(sigma_px: Option<f64>) -> Self {
-        Self { sigma_px, rules: (1..=MOST_PLACES).map(gauss).collect() }
+        Self { sigma_px, rules: (1..=MAX_PLACES).map(gauss).collect() }
     }
 
     /// How often a dot is drawn that goes so far.
@@ -60,13 +60,13 @@ fn pieces(way_px: f64, sigma_px: Option<f64>) -> (usize, usize) {
         return (1, 1);
     }
     let Some(sigma_px) = sigma_px else {
-        return (ceil((way_px * SHARP_PER_PX).max(LEAST_SHARP)) as usize, 1);
+        return (ceil((way_px * SHARP_PER_PX).max(MIN_SHARP)) as usize, 1);
     };
     let sigmas = way_px / sigma_px;
     let pieces = ceil(sigmas / PIECE).max(1.0);
     // Waves that a Gaussian still has, 4 to a sigma, take 4 / 4 places to a sigma; and some more to converge.
     let places = ceil(1.5 + 1.2 * sigmas / pieces) as usize;
-    (pieces as usize, places.min(MOST_PLACES))
+    (pieces as usize, places.min(MAX_PLACES))
 }
 
 /// Gauss's rule: roots of Legendre's polynomial by Newton's method, and half of their weights.
@@ -108,7 +108,7 @@ mod tests {
 
     #[test]
     fn rules_are_exact_for_polynomials() {
-        for places in 1..=MOST_PLACES {
+        for places in 1..=MAX_PLACES {
             let rule = gauss(places);
             for degree in 0..2 * places as i32 {
                 let sum: f64 = rule.iter().map(|&(x, weight)| weight * x.powi(degree)).sum();

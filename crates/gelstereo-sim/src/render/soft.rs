@@ -21,17 +21,17 @@ use gelstereo_core::math::{DVec2, ceil, cos, sin};
 const LINES_PER_SIGMA: f64 = 2.2;
 
 /// Ellipses so large that they take more lines are cut like any other region, where the image is.
-const MOST_LINES: usize = 256;
+const MAX_LINES: usize = 256;
 
 /// Lines per pixel, or per half a sigma of the lens if that is more, over a region that is no ellipse. They lie as an
 /// ellipse's do between any two heights where a part of the region begins or ends.
 const DENSE_LINES: f64 = 32.0;
 
 /// Most columns of a window; wider ones are drawn in parts.
-const MOST_COLUMNS: usize = 32;
+const MAX_COLUMNS: usize = 32;
 
 /// Lines that are summed at once: those of a dot, and more are drawn in parts.
-const MOST_AT_ONCE: usize = 24;
+const MAX_AT_ONCE: usize = 24;
 
 /// Draws blurred ink.
 #[derive(Clone, Debug)]
@@ -52,14 +52,14 @@ pub(crate) struct Soft {
 #[derive(Clone, Debug)]
 struct Sheaf {
     lines: usize,
-    heights: [f64; MOST_AT_ONCE],
-    thickness: [f32; MOST_AT_ONCE],
+    heights: [f64; MAX_AT_ONCE],
+    thickness: [f32; MAX_AT_ONCE],
     /// Each line's share of the columns, in as many blocks as the window has.
     shares: Vec<Block>,
     /// Each line's weights for the rows about it.
     weights: Vec<f32>,
     /// The row of each line's first weight, counted from the window's top.
-    first_rows: [i32; MOST_AT_ONCE],
+    first_rows: [i32; MAX_AT_ONCE],
 }
 
 /// A part of the image: pixels that see anything of a region.
@@ -83,9 +83,9 @@ impl Soft {
         Self {
             lens,
             // Any column of a window from any place that one of its columns sees.
-            edges: Profile::new(reach + MOST_COLUMNS, |x| lens.edge(x)),
+            edges: Profile::new(reach + MAX_COLUMNS, |x| lens.edge(x)),
             reach,
-            half_steps: (0..=MOST_LINES).map(half_step).collect(),
+            half_steps: (0..=MAX_LINES).map(half_step).collect(),
             sheaf: Box::new(Sheaf::new(points.taps())),
             points,
             breaks: Vec::with_capacity(2 * regions),
@@ -96,7 +96,7 @@ impl Soft {
     pub(crate) fn ellipse(&mut self, ellipse: &Ellipse, share: f64, canvas: &mut [f32], width: usize) {
         let Some(shape) = Shape::ellipse(ellipse) else { return };
         let lines = 2.0 + LINES_PER_SIGMA * ellipse.longest_px() / self.lens.sigma_px;
-        if !(lines < MOST_LINES as f64) {
+        if !(lines < MAX_LINES as f64) {
             return self.union(&[shape], share, canvas, width);
         }
         self.draw(&[shape], [shape.low, shape.high], (ceil(lines) as usize, share), canvas, width);
@@ -134,8 +134,8 @@ impl Soft {
     ) {
         let Some(whole) = self.window(corners, canvas.len(), width) else { return };
         let (end, heights) = (whole.left + whole.columns, corners.map(|corner| corner.y));
-        for left in (whole.left..end).step_by(MOST_COLUMNS) {
-            let window = Window { left, columns: MOST_COLUMNS.min(end - left), ..whole };
+        for left in (whole.left..end).step_by(MAX_COLUMNS) {
+            let window = Window { left, columns: MAX_COLUMNS.min(end - left), ..whole };
             let image = (&mut *canvas, width);
             match window.columns.div_ceil(BLOCK) {
                 1..=4 => self.cut::<4>(window, shapes, heights, lines, image),
@@ -178,8 +178,8 @@ impl Soft {
         let (turn_sin, turn_cos) = (2.0 * s * c, c * c - s * s);
         let (mut sin_t, mut cos_t) = (-c, s);
         let thickest = 2.0 * angle * half * share;
-        for first in (0..lines).step_by(MOST_AT_ONCE) {
-            self.sheaf.lines = MOST_AT_ONCE.min(lines - first);
+        for first in (0..lines).step_by(MAX_AT_ONCE) {
+            self.sheaf.lines = MAX_AT_ONCE.min(lines - first);
             let places = self.sheaf.heights.iter_mut().zip(&mut self.sheaf.thickness);
             for (y, thickness) in places.take(lines - first) {
                 (*y, *thickness) = (middle + half * sin_t, (thickest * cos_t) as f32);
@@ -233,11 +233,11 @@ impl Sheaf {
     fn new(taps: usize) -> Self {
         Self {
             lines: 0,
-            heights: [0.0; MOST_AT_ONCE],
-            thickness: [0.0; MOST_AT_ONCE],
-            shares: alloc::vec![Block::default(); MOST_AT_ONCE * MOST_COLUMNS.div_ceil(BLOCK)],
-            weights: alloc::vec![0.0; MOST_AT_ONCE * taps],
-            first_rows: [0; MOST_AT_ONCE],
+            heights: [0.0; MAX_AT_ONCE],
+            thickness: [0.0; MAX_AT_ONCE],
+            shares: alloc::vec![Block::default(); MAX_AT_ONCE * MAX_COLUMNS.div_ceil(BLOCK)],
+            weights: alloc::vec![0.0; MAX_AT_ONCE * taps],
+            first_rows: [0; MAX_AT_ONCE],
         }
     }
 

@@ -17,7 +17,7 @@ const AROUND_PX: f64 = 3.0;
 /// Markers differ in area by this share without anything over them: by the light, by their tilt on a pressed gel.
 const AREA_SPREAD: f64 = 0.2;
 /// Share of a marker that a reflection beside it hides at least, by where its light is spread.
-const LEAST_HIDDEN: f64 = 0.1;
+const MIN_HIDDEN: f64 = 0.1;
 /// Neighbours whose areas a marker is compared with: those around it on a square lattice.
 const NEIGHBOURS: usize = 8;
 /// Side of a cell in which reflections are noted: about that of a marker's square.
@@ -112,7 +112,7 @@ pub(in crate::detect) fn variance_px2(
     let radius_px = sqrt(usual_px2 * FRAC_1_PI);
     let differs = abs(1.0 - area_px2 / usual_px2);
     let hidden = if is_under_glare(image, centre_px, radius_px) {
-        differs.max(LEAST_HIDDEN)
+        differs.max(MIN_HIDDEN)
     } else {
         (differs - AREA_SPREAD).max(0.0)
     };

@@ -8,7 +8,7 @@ use alloc::vec::Vec;
 const REACH: i32 = 16;
 const SIDE: usize = 2 * REACH as usize + 1;
 /// Most pixels that are looked at.
-pub(in crate::detect) const MOST_PIXELS: usize = SIDE * SIDE;
+pub(in crate::detect) const MAX_PIXELS: usize = SIDE * SIDE;
 
 /// Something's variance for a variance of 1 of the white noise, and of the grain.
 #[derive(Clone, Copy, Debug, Default)]

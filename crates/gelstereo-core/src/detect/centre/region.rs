@@ -5,7 +5,7 @@ use alloc::vec::Vec;
 use core::ops::Range;
 
 /// Markers from which a region is known; fewer may lie anywhere.
-const LEAST_MARKERS: usize = 16;
+const MIN_MARKERS: usize = 16;
 /// Share of the markers beyond each side. That leaves out dirt beside the gel, which is found as markers too, and the outermost
 /// rows of 17 markers or more, where the light falls off at the gel's edge: on path-traced images 0.01 leaves grain of 0.8 to
 /// 1.3 levels² that is not there, and 0.06 leaves 0.1 to 0.4.
@@ -23,7 +23,7 @@ impl Region {
     /// room for all of them.
     #[must_use]
     pub fn around(centres_px: &[DVec2], scratch: &mut Vec<f64>) -> Option<Self> {
-        if centres_px.len() < LEAST_MARKERS {
+        if centres_px.len() < MIN_MARKERS {
             return None;
         }
         let beyond = (BEYOND * centres_px.len() as f64) as usize;

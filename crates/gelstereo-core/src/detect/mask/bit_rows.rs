@@ -9,12 +9,12 @@ const WORD: usize = u64::BITS as usize;
 
 /// Set pixels of a row, 64 to a word, and none beyond its end.
 #[derive(Clone, Debug, Default)]
-pub struct RowBits {
+pub struct BitRow {
     words: Vec<u64>,
     width: usize,
 }
 
-impl RowBits {
+impl BitRow {
     /// Starts a row of this width, with no pixel set. No allocation for a row as wide as one before.
     pub fn start(&mut self, width: usize) {
         self.width = width;
@@ -120,7 +120,7 @@ pub(in crate::detect) const fn bits(bytes: [u8; 8]) -> u32 {
 
 #[cfg(test)]
 mod tests {
-    use super::RowBits;
+    use super::BitRow;
     use alloc::vec::Vec;
     use core::ops::Range;
     use proptest::prelude::*;
@@ -128,7 +128,7 @@ mod tests {
     /// Half of what is reached lies beyond the row's end.
     #[test]
     fn a_pixel_at_the_end_of_a_row_widens_without_holes() {
-        let mut row = RowBits::default();
+        let mut row = BitRow::default();
         row.start(130);
         row.set(0..1);
         row.set(129..130);
@@ -151,7 +151,7 @@ mod tests {
                     _ => expected.push(x..x + 1),
                 }
             }
-            let (mut of_bytes, mut of_runs) = (RowBits::default(), RowBits::default());
+            let (mut of_bytes, mut of_runs) = (BitRow::default(), BitRow::default());
             of_bytes.start(row.len());
             of_bytes.set_where(&row);
             of_runs.start(row.len());

@@ -1,6 +1,6 @@
 //! Connected components of a mask: runs joined by union-find.
 
-use super::bit_rows::{RowBits, bits};
+use super::bit_rows::{BitRow, bits};
 use crate::image::GrayView;
 use crate::math::DVec2;
 use crate::math::linalg::Symmetric;
@@ -141,7 +141,7 @@ impl Components {
 
     /// Sets the pixels of `row` that some component has in the same column of these rows of an image each pixel of whose mask
     /// has `scale` columns and rows.
-    pub fn cover(&self, rows: core::ops::RangeInclusive<usize>, scale: usize, row: &mut RowBits) {
+    pub fn cover(&self, rows: core::ops::RangeInclusive<usize>, scale: usize, row: &mut BitRow) {
         let (start, end) = (*rows.start() / scale, *rows.end() / scale);
         let first = self.runs.partition_point(|run| (run.y as usize) < start);
         for run in self.runs[first..].iter().take_while(|run| run.y as usize <= end) {

@@ -9,7 +9,7 @@ use crate::params::DetectParams;
 use alloc::vec::Vec;
 
 /// Smaller pieces take no pixels from a marker beside them.
-pub(in crate::detect) const LEAST_NEIGHBOUR_PX2: u32 = 3;
+pub(in crate::detect) const MIN_NEIGHBOUR_PX2: u32 = 3;
 
 /// Background, threshold, closing and components, and their scratch.
 #[derive(Clone, Debug)]
@@ -32,7 +32,7 @@ impl Segmentation {
             difference: Difference::new(params),
             closing: Closing::new(params.morphology_kernel_px),
             closes: params.morphology_kernel_px > 1,
-            components: Components::keeping(params.min_area_px2.min(LEAST_NEIGHBOUR_PX2)),
+            components: Components::keeping(params.min_area_px2.min(MIN_NEIGHBOUR_PX2)),
             size_px: (0, 0),
             mask: Vec::new(),
         }

@@ -6,14 +6,14 @@ use super::walls::Walls;
 use alloc::vec::Vec;
 
 /// Least threshold that is ever derived, grey levels: below, the camera's rounding and compression show.
-pub const LEAST_LEVELS: u8 = 3;
+pub const MIN_LEVELS: u8 = 3;
 
 /// Of the contrast between a marker's darkest pixel and its surround. The surround is the mean of gel and markers, so
 /// that this is somewhat more than half way from the gel to the marker.
 const SHARE: f64 = 0.45;
 
 /// The contrast around a block counts as at least this share of the whole image's.
-const LEAST_SHARE_OF_IMAGE: f64 = 0.6;
+const MIN_SHARE_OF_IMAGE: f64 = 0.6;
 
 /// Below this share of the whole image's contrast no marker is near: what is seen there is grain and light. The surround
 /// is then all gel, and a marker that stood there alone would show with the whole image's contrast.
@@ -122,13 +122,13 @@ impl Thresholds {
         self.near.clear();
         self.near.reserve(blocks.means().len());
         self.walls.reserve(blocks.means().len());
-        let floor = (NOISE_SIGMAS * noise_levels).max(f64::from(LEAST_LEVELS));
+        let floor = (NOISE_SIGMAS * noise_levels).max(f64::from(MIN_LEVELS));
         let whole = self.contrasts.take(blocks.depths(DEPTH_BITS));
         if self.hides_markers(blocks, radius, whole) {
             self.derive_beside_walls(blocks, radius, (whole, floor));
             return;
         }
-        self.feels_noise = floor > SHARE * LEAST_SHARE_OF_IMAGE * whole;
+        self.feels_noise = floor > SHARE * MIN_SHARE_OF_IMAGE * whole;
         self.levels.clear();
         let near = self.contrasts.around(self.cols, radius + WIDER_BLOCKS);
         self.levels.extend(near.map(|near| threshold(near, whole, floor)));
@@ -149,14 +149,14 @@ impl Thresholds {
         near.extend(contrasts.around(*cols, radius + WIDER_BLOCKS));
         let spots = contrasts.take(walls.depths(blocks, DEPTH_BITS));
         let whole = if with_walls > NOT_MARKERS * spots { spots } else { with_walls };
-        self.feels_noise = floor > SHARE * LEAST_SHARE_OF_IMAGE * whole;
+        self.feels_noise = floor > SHARE * MIN_SHARE_OF_IMAGE * whole;
         self.levels.clear();
         let unit = f64::from(1_u32 << FRACTION_BITS);
         let spots = contrasts.around(*cols, radius + WIDER_BLOCKS);
         let (means, surround) = blocks.means_and_surround_mut();
         let surrounds = surround.iter_mut().enumerate();
         for ((block, surround), (&near, spots)) in surrounds.zip(near.iter().zip(spots)) {
-            let (contrast, is_wall) = (spots.max(LEAST_SHARE_OF_IMAGE * whole), near > NOT_MARKERS * spots);
+            let (contrast, is_wall) = (spots.max(MIN_SHARE_OF_IMAGE * whole), near > NOT_MARKERS * spots);
             let least = f64::from(*surround) + if is_wall { 0.0 } else { MISSING * contrast * unit };
             let gel = walls.surround(means, block, (*cols, radius), contrast);
             self.levels.push(match gel.filter(|&gel| f64::from(gel) >= least) {
@@ -202,7 +202,7 @@ fn threshold(near: f64, whole: f64, floor: f64) -> u16 {
     let levels = if near < NO_MARKER * whole {
         SHARE_ALONE * whole
     } else {
-        SHARE * near.max(LEAST_SHARE_OF_IMAGE * whole)
+        SHARE * near.max(MIN_SHARE_OF_IMAGE * whole)
     };
     (levels.max(floor) * f64::from(1_u32 << FRACTION_BITS)) as u16
 }

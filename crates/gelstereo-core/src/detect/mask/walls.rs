@@ -11,7 +11,7 @@ use alloc::vec::Vec;
 const SAME_GEL: f64 = 1.25;
 
 /// Share of the blocks around one that belong to the same gel at least, beside a wall.
-const LEAST_SAME: f64 = 0.4;
+const MIN_SAME: f64 = 0.4;
 
 /// Mean level of a block, in grey levels, above which it is a reflection and not gel. Reflections saturate at 255; one value was
 /// tried.
@@ -86,7 +86,7 @@ impl Walls {
         }
         let all = (2 * radius as u32 + 1).pow(2);
         let mean = ((sum + count / 2) / count.max(1)) as u16;
-        let is_gel = f64::from(count) >= LEAST_SAME * f64::from(all) && mean < BRIGHTEST_GEL << FRACTION_BITS;
+        let is_gel = f64::from(count) >= MIN_SAME * f64::from(all) && mean < BRIGHTEST_GEL << FRACTION_BITS;
         is_gel.then_some(mean)
     }
 }

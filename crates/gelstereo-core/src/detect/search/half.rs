@@ -2,7 +2,7 @@
 //!
 //! The mean of 2 x 2 pixels halves the noise, as smoothing would, and leaves a quarter of the pixels to look at. What it hides
 //! is small: gaps of two pixels, and what stands within two pixels of the border. The image is searched at its own size, as if it had
-//! not been looked at, unless each component is a marker to [`Eyes::single`], or a speck, and thresholds are shares of the
+//! not been looked at, unless each component is a marker to [`SizedClassifier::single`], or a speck, and thresholds are shares of the
 //! markers' contrast, the same at both sizes.
 
 use crate::detect::centre::soft_threshold::SoftThreshold;
@@ -11,7 +11,7 @@ use crate::detect::mask::blob_filter::{BlobFilter, area_range_px2};
 use crate::detect::mask::components::Blob;
 use crate::detect::mask::segmentation::Segmentation;
 use crate::detect::window::size::MarkerSize;
-use crate::detect::window::sized::Eyes;
+use crate::detect::window::sized::SizedClassifier;
 use crate::image::GrayView;
 use crate::math::DVec2;
 use crate::params::{Centre, DetectParams, FindAt};
@@ -24,7 +24,7 @@ const PIXELS: u32 = (SCALE * SCALE) as u32;
 
 /// Least usual area, pixels of half the size: a disc of so many covers 4 to 7 of them wherever it lies, neither a speck beside
 /// the others nor two of them.
-const LEAST_PX2: f64 = 6.0;
+const MIN_PX2: f64 = 6.0;
 
 /// The image's middle is so many times smaller in each direction.
 const MIDDLE: usize = 8;
@@ -75,7 +75,7 @@ impl Halved {
         // covers: a pixel less where it is a marker, two more where it is a speck.
         let least_px2 = if least_px2 == u32::MAX { 0 } else { least_px2 };
         let (speck_px2, _) = area_range_px2(params.threshold, f64::from(least_px2.saturating_sub(1)));
-        filter.usual_px2 >= LEAST_PX2
+        filter.usual_px2 >= MIN_PX2
             && !self.segmentation.feel_noise()
             && largest_px2.is_none_or(|area_px2| area_px2 + 2 < speck_px2)
     }
@@ -186,9 +186,9 @@ impl HalfSize {
         // Their mean: a single area at half size is known to a few pixels.
         let (count, sum) = blobs().fold((0_u32, 0), |(n, sum), blob| (n + 1, sum + PIXELS * blob.area_px2));
         let size = MarkerSize::of(f64::from(sum) / f64::from(count))?;
-        let eyes = Eyes::new(size, params.polarity);
+        let classifier = SizedClassifier::new(size, params.polarity);
         for blob in blobs() {
-            rung.push(&eyes.single(image, full_size(blob.mean_px()))?, out);
+            rung.push(&classifier.single(image, full_size(blob.mean_px()))?, out);
         }
         Some(size)
     }

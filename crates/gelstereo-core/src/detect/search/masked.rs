@@ -2,7 +2,7 @@
 
 use crate::detect::centre::weighted::WeightedCentroid;
 use crate::detect::centre::{CentreRung, MaskedMarker, MaskedMarkers};
-use crate::detect::found::{Found, Sight};
+use crate::detect::found::{Found, WindowObservation};
 use crate::detect::mask::blob_filter::{area_range_px2, in_shape, usual_area_px2};
 use crate::detect::window::pieces::Pieces;
 use crate::detect::window::roi::Window;
@@ -12,10 +12,10 @@ use crate::params::DetectParams;
 use alloc::vec::Vec;
 
 /// Whole pieces of one window that are kept; a window with more is not clear anyway.
-const MOST_CANDIDATES: usize = 4;
+const MAX_CANDIDATES: usize = 4;
 
 /// Whole pieces of all windows that are kept, for each window: one is the rule.
-const MOST_ON_AVERAGE: usize = 2;
+const MAX_ON_AVERAGE: usize = 2;
 
 /// The search, and its scratch.
 #[derive(Clone, Debug)]
@@ -44,7 +44,7 @@ impl MaskedSearch {
 
     fn start(&mut self, positions: usize) {
         self.pieces.reserve();
-        self.most_candidates = MOST_ON_AVERAGE * positions;
+        self.most_candidates = MAX_ON_AVERAGE * positions;
         self.candidates.clear();
         self.candidates.reserve(self.most_candidates);
         self.areas_px2.clear();
@@ -61,12 +61,12 @@ impl MaskedSearch {
     ) {
         self.start(expected_px.len());
         out.markers.reserve(expected_px.len(), 0);
-        out.sights.resize(expected_px.len(), Sight::Nothing);
+        out.sights.resize(expected_px.len(), WindowObservation::Nothing);
         let size_px = (image.width(), image.height());
         for (position, &at) in expected_px.iter().enumerate() {
             out.sights[position] = match Window::around(at, reach_px, size_px) {
                 Some(window) => self.look((image, mask), rung, position, &window),
-                None => Sight::Unclear,
+                None => WindowObservation::Unclear,
             };
         }
         self.decide(expected_px, out);
@@ -96,21 +96,21 @@ impl MaskedSearch {
         rung: &mut dyn CentreRung,
         position: usize,
         window: &Window,
-    ) -> Sight {
+    ) -> WindowObservation {
         load(&mut self.pieces, mask, image.width(), window);
         let Self { params, pieces, candidates, most_candidates, .. } = self;
-        let most = (candidates.len() + MOST_CANDIDATES).min(*most_candidates);
-        let mut sight = Sight::Nothing;
+        let most = (candidates.len() + MAX_CANDIDATES).min(*most_candidates);
+        let mut sight = WindowObservation::Nothing;
         while let Some((blob, partial)) = pieces.next(window) {
             if blob.area_px2 < params.min_area_px2 {
                 continue;
             }
             if partial || blob.area_px2 > params.max_area_px2 || !in_shape(&blob, params.min_fill) {
-                sight = Sight::Unclear;
+                sight = WindowObservation::Unclear;
                 continue;
             }
             if candidates.len() == most {
-                return Sight::Several;
+                return WindowObservation::Several;
             }
             let runs = pieces.runs();
             candidates.push(MaskedMarker {
@@ -131,17 +131,17 @@ impl MaskedSearch {
         areas_px2.extend(candidates.iter().map(|c| c.area_px2));
         let (least_px2, most_px2) = area_range_px2(self.params.threshold, usual_area_px2(areas_px2));
         for candidate in candidates.iter().filter(|c| c.area_px2 > most_px2) {
-            out.sights[candidate.position as usize] = Sight::Unclear;
+            out.sights[candidate.position as usize] = WindowObservation::Unclear;
         }
         candidates.retain(|c| (least_px2..=most_px2).contains(&c.area_px2));
         // Several in one window: none. They stand in the order of the positions.
         let mut previous = None;
         for c in candidates.iter() {
             if previous.replace(c.position) == Some(c.position) {
-                out.sights[c.position as usize] = Sight::Several;
+                out.sights[c.position as usize] = WindowObservation::Several;
             }
         }
-        candidates.retain(|c| out.sights[c.position as usize] != Sight::Several);
+        candidates.retain(|c| out.sights[c.position as usize] != WindowObservation::Several);
         let distance = |c: &MaskedMarker| c.centre_px.distance_squared(expected_px[c.position as usize]);
         candidates.sort_unstable_by(|a, b| {
             a.key.cmp(&b.key).then(distance(a).total_cmp(&distance(b))).then(a.position.cmp(&b.position))
@@ -150,14 +150,14 @@ impl MaskedSearch {
         candidates.retain(|c| {
             let again = last.replace(c.key) == Some(c.key);
             if again {
-                out.sights[c.position as usize] = Sight::Unclear;
+                out.sights[c.position as usize] = WindowObservation::Unclear;
             }
             !again
         });
         candidates.sort_unstable_by_key(|c| c.position);
         let variance = self.params.centre_sigma_px * self.params.centre_sigma_px;
         for c in candidates.iter() {
-            out.sights[c.position as usize] = Sight::Marker(out.markers.centres_px.len() as u32);
+            out.sights[c.position as usize] = WindowObservation::Marker(out.markers.centres_px.len() as u32);
             out.markers.push(c.centre_px, variance, c.area_px2);
         }
     }

@@ -3,9 +3,9 @@
 use crate::detect::centre::CentreRung;
 use crate::detect::centre::covered;
 use crate::detect::centre::weighted::WeightedCentroid;
-use crate::detect::found::{Found, Sight};
+use crate::detect::found::{Found, WindowObservation};
 use crate::detect::mask::blob_filter::in_shape;
-use crate::detect::window::classifier::{Eye, Glance, Spot};
+use crate::detect::window::classifier::{WindowClass, WindowClassifier, WindowMarker};
 use crate::detect::window::pieces::Pieces;
 use crate::detect::window::pixels::flip;
 use crate::detect::window::roi::{self, Window};
@@ -25,7 +25,7 @@ const GEL_SHARE: f64 = 0.75;
 /// Share of the contrast at which pieces are outlined; and of the usual contrast, the least contrast they
 /// have.
 const SHARE: f64 = 0.5;
-const LEAST_OF_USUAL: f64 = 0.45;
+const MIN_OF_USUAL: f64 = 0.45;
 
 /// A marker that a window shows.
 #[derive(Clone, Copy, Debug)]
@@ -68,7 +68,7 @@ impl WindowSearch {
         self.seen.reserve(positions);
         self.pieces.reserve();
         self.mask.clear();
-        self.mask.reserve(roi::MOST_SIDE_PX);
+        self.mask.reserve(roi::MAX_ROI_PX);
         self.weighted.reserve(height);
         let cells_along = |px: usize| (px as f64 / size.cell_px()) as usize + 3;
         self.cells.clear();
@@ -89,9 +89,21 @@ impl WindowSearch {
     ) {
         let polarity = self.params.polarity;
         if size.is_small() {
-            self.look_at_all(&Eye::<16>::new(*size, polarity), image, expected_px, reach_px, out);
+            self.look_at_all(
+                &WindowClassifier::<16>::new(*size, polarity),
+                image,
+                expected_px,
+                reach_px,
+                out,
+            );
         } else {
-            self.look_at_all(&Eye::<32>::new(*size, polarity), image, expected_px, reach_px, out);
+            self.look_at_all(
+                &WindowClassifier::<32>::new(*size, polarity),
+                image,
+                expected_px,
+                reach_px,
+                out,
+            );
         }
         self.share_out(image, rung, expected_px, size, out);
         out.apart_px = size.cell_px();
@@ -102,27 +114,27 @@ impl WindowSearch {
 
     fn look_at_all<const L: usize>(
         &mut self,
-        eye: &Eye<L>,
+        classifier: &WindowClassifier<L>,
         image: GrayView<'_>,
         expected_px: &[DVec2],
         reach_px: f64,
         out: &mut Found,
     ) {
         let every = expected_px.len().div_ceil(SAMPLES).max(1);
-        let usual = eye.usual_contrast(image, expected_px.iter().step_by(every));
-        let most_off_px = reach_px - eye.size().radius_px;
-        eye.look_at_all(image, expected_px, usual, |position, glance| {
+        let usual = classifier.usual_contrast(image, expected_px.iter().step_by(every));
+        let most_off_px = reach_px - classifier.size().radius_px;
+        classifier.look_at_all(image, expected_px, usual, |position, glance| {
             let (at_px, position) = (expected_px[position], position as u32);
             let near = |c: DVec2| (c - at_px).abs().max_element() <= most_off_px;
             out.sights.push(match glance {
-                Glance::Marker(spot) if near(spot.centre_px) => {
-                    let Spot { centre_px, area_px2, band } = spot;
+                WindowClass::Marker(marker) if near(marker.centre_px) => {
+                    let WindowMarker { centre_px, area_px2, band } = marker;
                     self.seen.push(Seen { position, centre_px, area_px2, band, alive: true });
-                    Sight::Unclear
+                    WindowObservation::Unclear
                 }
-                Glance::Nothing => Sight::Nothing,
-                Glance::Marker(_) | Glance::Unclear => {
-                    self.look_closer(eye, image, (position, at_px), reach_px, usual)
+                WindowClass::Empty => WindowObservation::Nothing,
+                WindowClass::Marker(_) | WindowClass::Unclear => {
+                    self.look_closer(classifier, image, (position, at_px), reach_px, usual)
                 }
             });
         });
@@ -131,20 +143,20 @@ impl WindowSearch {
     /// Searches the square within reach for pieces.
     fn look_closer<const L: usize>(
         &mut self,
-        eye: &Eye<L>,
+        classifier: &WindowClassifier<L>,
         image: GrayView<'_>,
         (position, at_px): (u32, DVec2),
         reach_px: f64,
         usual: f64,
-    ) -> Sight {
+    ) -> WindowObservation {
         let Some(window) = Window::around(at_px, reach_px, (image.width(), image.height())) else {
-            return Sight::Unclear;
+            return WindowObservation::Unclear;
         };
         let Self { params, weighted, seen, pieces, mask, .. } = self;
         let flip = flip(params.polarity);
         let rows = || (window.first.1..window.end.1).map(|y| &image.row(y)[window.first.0..window.end.0]);
         let Some(below) = outline_level(rows().flatten().map(|&level| level ^ flip), usual) else {
-            return Sight::Nothing;
+            return WindowObservation::Nothing;
         };
         pieces.start();
         for row in rows() {
@@ -152,19 +164,20 @@ impl WindowSearch {
             mask.extend(row.iter().map(|&level| if (level ^ flip) < below { u8::MAX } else { 0 }));
             pieces.push(mask);
         }
-        let (mut sight, mut found) = (Sight::Nothing, None);
-        let (least_px2, most_px2) = eye.size().area_px2;
+        let (mut sight, mut found) = (WindowObservation::Nothing, None);
+        let (least_px2, most_px2) = classifier.size().area_px2;
         while let Some((blob, partial)) = pieces.next(&window) {
             if blob.area_px2 < params.min_area_px2 {
                 continue;
             }
             if partial || blob.area_px2 > most_px2 || !in_shape(&blob, params.min_fill) {
-                sight = Sight::Unclear;
+                sight = WindowObservation::Unclear;
             } else if blob.area_px2 >= least_px2 {
                 if found.is_some() {
-                    return Sight::Several;
+                    return WindowObservation::Several;
                 }
-                let shown = eye.centre(image, blob.mean_px()).map(|spot| (spot.centre_px, spot.band));
+                let shown =
+                    classifier.centre(image, blob.mean_px()).map(|marker| (marker.centre_px, marker.band));
                 let (centre_px, band) =
                     shown.unwrap_or_else(|| (weighted.run(image, &blob, pieces.runs().iter()), 0));
                 found = Some(Seen { position, centre_px, area_px2: blob.area_px2, band, alive: true });
@@ -223,7 +236,8 @@ impl WindowSearch {
             let areas_px2 = (marker.area_px2, size.usual_area_px2());
             let covered = covered::without_band_px2(marker.band, image, marker.centre_px, areas_px2);
             let variance_px2 = rung.window_variance_px2(marker.band) + covered;
-            out.sights[marker.position as usize] = Sight::Marker(out.markers.centres_px.len() as u32);
+            out.sights[marker.position as usize] =
+                WindowObservation::Marker(out.markers.centres_px.len() as u32);
             out.markers.push(marker.centre_px, variance_px2, marker.area_px2);
         }
     }
@@ -242,6 +256,6 @@ fn outline_level(levels: impl Iterator<Item = u8> + Clone, usual: f64) -> Option
         f64::from(below) >= below_gel
     })?;
     let darkest = histogram.iter().position(|&count| count > 0)?;
-    let (depth, least) = ((gel - darkest) as f64, LEAST_OF_USUAL * usual);
+    let (depth, least) = ((gel - darkest) as f64, MIN_OF_USUAL * usual);
     (depth >= least && least > 0.0).then_some((gel as f64 - SHARE * depth) as u8)
 }

@@ -20,22 +20,22 @@ const TRIES: usize = 3;
 const SHARES_OF_USUAL: (f64, f64) = (0.3, 0.45);
 
 /// Corners whose levels differ by more than this share of the contrast: a shadow, a smear, another marker.
-const MOST_UNEVEN: f64 = 0.35;
+const MAX_UNEVEN: f64 = 0.35;
 
 /// A component's mean position is so near to its marker's centre: simulated, 0.4 px at noise 2, 0.6 px at noise 18; two markers that
 /// nearly touch have theirs 2.5 px or more from their middle.
-const MOST_OFF_PX: f64 = 1.0;
+const MAX_OFF_PX: f64 = 1.0;
 
 /// A disc's second moment about its centre is area / 2 pi in each axis together; ellipses of 1 : 2 have 1.25
 /// times as much, two pieces more.
-const MOST_SPREAD: f64 = 1.35;
+const MAX_SPREAD: f64 = 1.35;
 
 /// What blur adds to it, px².
 const BLUR_PX2: f64 = 1.0;
 
 /// A marker in a window.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Spot {
+pub struct WindowMarker {
     /// Centre weighted by contrast, pixels.
     pub centre_px: DVec2,
     /// Pixels darker than half way.
@@ -60,11 +60,11 @@ pub(in crate::detect) struct Frame {
 
 /// What a window shows.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Glance {
+pub enum WindowClass {
     /// One marker, whole, with gel all around.
-    Marker(Spot),
+    Marker(WindowMarker),
     /// Gel.
-    Nothing,
+    Empty,
     /// Something else.
     Unclear,
 }
@@ -81,10 +81,10 @@ struct Outline {
 }
 
 impl Outline {
-    fn spot(&self) -> Spot {
+    fn marker(&self) -> WindowMarker {
         // Rounded: no area is so near to a half that the sum would be.
         let area_px2 = (self.area_px2 + 0.5) as u32;
-        Spot { centre_px: self.centre_px, area_px2, band: self.band }
+        WindowMarker { centre_px: self.centre_px, area_px2, band: self.band }
     }
 }
 
@@ -118,7 +118,7 @@ enum Settled {
 
 /// Looks at single windows.
 #[derive(Clone, Copy, Debug)]
-pub struct Eye<const L: usize> {
+pub struct WindowClassifier<const L: usize> {
     size: MarkerSize,
     /// 255 where markers are bright.
     flip: u8,
@@ -127,7 +127,7 @@ pub struct Eye<const L: usize> {
     corners: Corners,
 }
 
-impl<const L: usize> Eye<L> {
+impl<const L: usize> WindowClassifier<L> {
     /// For markers of one size.
     #[must_use]
     pub fn new(size: MarkerSize, polarity: Polarity) -> Self {
@@ -186,18 +186,18 @@ impl<const L: usize> Eye<L> {
         image: GrayView<'_>,
         positions_px: &[DVec2],
         usual_contrast: f64,
-        mut see: impl FnMut(usize, Glance),
+        mut see: impl FnMut(usize, WindowClass),
     ) {
         let share_of_usual = |share: f64| (share * f64::from(1 << BITS) * usual_contrast) as i32;
         let [nothing, faint] = [SHARES_OF_USUAL.0, SHARES_OF_USUAL.1].map(share_of_usual);
-        let (uneven, mut room) = (share_of_usual(MOST_UNEVEN), Room::new());
+        let (uneven, mut room) = (share_of_usual(MAX_UNEVEN), Room::new());
         for (position, &at_px) in positions_px.iter().enumerate() {
             let glance = match self.settle(&image, at_px, nothing, &mut room) {
-                Settled::Nothing => Glance::Nothing,
+                Settled::Nothing => WindowClass::Empty,
                 Settled::At(gel, outline) if gel.depth >= faint && gel.uneven <= uneven => {
                     self.decide(&outline)
                 }
-                Settled::Lost | Settled::At(..) => Glance::Unclear,
+                Settled::Lost | Settled::At(..) => WindowClass::Unclear,
             };
             see(position, glance);
         }
@@ -206,16 +206,16 @@ impl<const L: usize> Eye<L> {
     /// The marker about its component's mean position, if it lies whole in a window around it.
     /// None farther than a pixel away: a window upon two markers that nearly touch settles in their middle.
     #[must_use]
-    pub fn centre(&self, image: GrayView<'_>, at_px: DVec2) -> Option<Spot> {
-        self.outline_about(&image, at_px).map(|outline| outline.spot())
+    pub fn centre(&self, image: GrayView<'_>, at_px: DVec2) -> Option<WindowMarker> {
+        self.outline_about(&image, at_px).map(|outline| outline.marker())
     }
 
     /// As [`Self::centre`], of the size and shape of one marker.
     #[must_use]
-    pub fn single(&self, image: GrayView<'_>, at_px: DVec2) -> Option<Spot> {
+    pub fn single(&self, image: GrayView<'_>, at_px: DVec2) -> Option<WindowMarker> {
         match self.decide(&self.outline_about(&image, at_px)?) {
-            Glance::Marker(spot) => Some(spot),
-            Glance::Nothing | Glance::Unclear => None,
+            WindowClass::Marker(marker) => Some(marker),
+            WindowClass::Empty | WindowClass::Unclear => None,
         }
     }
 
@@ -223,8 +223,8 @@ impl<const L: usize> Eye<L> {
         match self.settle(image, at_px, 1, &mut Room::new()) {
             Settled::At(gel, outline)
                 if !outline.touches
-                    && f64::from(gel.uneven) < MOST_UNEVEN * f64::from(gel.depth)
-                    && outline.centre_px.distance_squared(at_px) < MOST_OFF_PX * MOST_OFF_PX =>
+                    && f64::from(gel.uneven) < MAX_UNEVEN * f64::from(gel.depth)
+                    && outline.centre_px.distance_squared(at_px) < MAX_OFF_PX * MAX_OFF_PX =>
             {
                 Some(outline)
             }
@@ -284,16 +284,16 @@ impl<const L: usize> Eye<L> {
         Settled::Lost
     }
 
-    fn decide(&self, outline: &Outline) -> Glance {
+    fn decide(&self, outline: &Outline) -> WindowClass {
         let disc_px2 = outline.area_px2 * (0.5 * core::f64::consts::FRAC_1_PI);
-        let Spot { area_px2, .. } = outline.spot();
+        let WindowMarker { area_px2, .. } = outline.marker();
         let (least_px2, most_px2) = self.size.area_px2;
-        if outline.touches || area_px2 > most_px2 || outline.spread_px2 > MOST_SPREAD * disc_px2 + BLUR_PX2 {
-            Glance::Unclear
+        if outline.touches || area_px2 > most_px2 || outline.spread_px2 > MAX_SPREAD * disc_px2 + BLUR_PX2 {
+            WindowClass::Unclear
         } else if area_px2 < least_px2 {
-            Glance::Nothing
+            WindowClass::Empty
         } else {
-            Glance::Marker(outline.spot())
+            WindowClass::Marker(outline.marker())
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Sums over the rows of a window, its columns side by side: loops of fixed length, which compile to vector code.
 
-use super::size::MOST_SIDE_PX;
+use super::size::MAX_WINDOW_PX;
 
 /// Sums of a window's weights by lane and by row: at most 32 of at most 255.
 pub(super) struct Weights<const L: usize> {
@@ -84,14 +84,14 @@ const fn powers<const L: usize>(exponent: u32) -> [i16; L] {
 
 /// Nothing, and all ones from a lane on.
 pub(super) fn step_up<const L: usize>(lane: usize) -> [u8; L] {
-    const STEP: [u8; 2 * MOST_SIDE_PX] = {
-        let mut step = [0; 2 * MOST_SIDE_PX];
-        let mut at = MOST_SIDE_PX;
+    const STEP: [u8; 2 * MAX_WINDOW_PX] = {
+        let mut step = [0; 2 * MAX_WINDOW_PX];
+        let mut at = MAX_WINDOW_PX;
         while at < step.len() {
             step[at] = u8::MAX;
             at += 1;
         }
         step
     };
-    *STEP[MOST_SIDE_PX - lane..].first_chunk::<L>().unwrap_or(&[0; L])
+    *STEP[MAX_WINDOW_PX - lane..].first_chunk::<L>().unwrap_or(&[0; L])
 }

@@ -1,6 +1,6 @@
 //! The pieces that the mask of a small window falls into, a row in 64 bits.
 
-use super::roi::{MOST_SIDE_PX, Window};
+use super::roi::{MAX_ROI_PX, Window};
 use crate::detect::mask::bit_rows::bits;
 use crate::detect::mask::components::{Blob, Run};
 use alloc::vec::Vec;
@@ -19,10 +19,10 @@ impl Pieces {
     pub fn reserve(&mut self) {
         for rows in [&mut self.rows, &mut self.piece] {
             rows.clear();
-            rows.reserve(MOST_SIDE_PX);
+            rows.reserve(MAX_ROI_PX);
         }
         self.runs.clear();
-        self.runs.reserve(MOST_SIDE_PX * MOST_SIDE_PX / 2);
+        self.runs.reserve(MAX_ROI_PX * MAX_ROI_PX / 2);
     }
 
     /// Starts a window.
@@ -30,7 +30,7 @@ impl Pieces {
         self.rows.clear();
     }
 
-    /// Adds the next row, bytes of 0 or 255, at most [`MOST_SIDE_PX`] of them.
+    /// Adds the next row, bytes of 0 or 255, at most [`MAX_ROI_PX`] of them.
     pub fn push(&mut self, row: &[u8]) {
         let (words, rest) = row.as_chunks::<8>();
         let mut last = [0; 8];

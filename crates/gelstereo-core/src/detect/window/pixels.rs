@@ -13,7 +13,7 @@ pub(super) const BAND: (f64, f64) = (0.2, 0.7);
 pub(super) const BITS: u32 = 3;
 
 /// Steepest gel, 1 / 256 level per pixel.
-const MOST_SLOPE: i32 = 256;
+const MAX_SLOPE: i32 = 256;
 
 /// What is added to levels without carry so that markers are dark.
 pub(in crate::detect) const fn flip(polarity: Polarity) -> u8 {
@@ -172,7 +172,7 @@ impl<const L: usize> Window<'_, L> {
         };
         let ((a, b), (c, d)) = (sums(0), sums(far));
         let per_px =
-            |difference: i32| corners.twice_apart.divide(difference << 8).clamp(-MOST_SLOPE, MOST_SLOPE);
+            |difference: i32| corners.twice_apart.divide(difference << 8).clamp(-MAX_SLOPE, MAX_SLOPE);
         let level = corners.area.divide((a + b + c + d) << (BITS - 2));
         let uneven = corners.area.divide((a.max(b).max(c).max(d) - a.min(b).min(c).min(d)) << BITS);
         let depth = (level - (i32::from(darkest) << BITS)).max(0);
@@ -198,19 +198,19 @@ impl<const L: usize> Window<'_, L> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::detect::window::size::MOST_SIDE_PX;
+    use crate::detect::window::size::MAX_WINDOW_PX;
 
     /// Of every sum that a window's corners may have, with its fractional bits, and so of every slope.
     #[test]
     fn a_divisor_divides_as_the_operator_does() {
-        let largest = (MOST_SIDE_PX / 5) as i32;
+        let largest = (MAX_WINDOW_PX / 5) as i32;
         for corner in 2..=largest {
             let area = corner * corner;
             let most = 255 * area;
             for sum in 0..=8 * most {
                 assert_eq!(Divisor::of(area).divide(sum), sum / area);
             }
-            for far in 1..MOST_SIDE_PX as i32 {
+            for far in 1..MAX_WINDOW_PX as i32 {
                 let divisor = 2 * area * far;
                 for difference in -2 * most..=2 * most {
                     assert_eq!(Divisor::of(divisor).divide(difference << 8), (difference << 8) / divisor);

@@ -3,7 +3,7 @@
 use crate::math::DVec2;
 
 /// Most columns and rows of a window.
-pub const MOST_SIDE_PX: usize = 64;
+pub const MAX_ROI_PX: usize = 64;
 
 /// Part of an image around an expected position: columns and rows from the first to one past the last.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -22,7 +22,7 @@ impl Window {
         if !position_px.is_finite() || !(reach_px >= 0.0) {
             return None;
         }
-        let reach_px = reach_px.min((MOST_SIDE_PX / 2 - 1) as f64);
+        let reach_px = reach_px.min((MAX_ROI_PX / 2 - 1) as f64);
         let side = |at: f64, size: usize| {
             let first = crate::math::ceil(at - reach_px).max(0.0);
             let end = (crate::math::floor(at + reach_px) + 1.0).min(size as f64);

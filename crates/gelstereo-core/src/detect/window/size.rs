@@ -1,7 +1,7 @@
 //! What markers of one size ask of the windows around them.
 
 /// Most rows and columns of a window.
-pub const MOST_SIDE_PX: usize = 32;
+pub const MAX_WINDOW_PX: usize = 32;
 
 /// Gel around a marker, beyond its outline, that takes part in its centre: its blurred edge.
 const EDGE_PX: f64 = 2.5;
@@ -35,7 +35,7 @@ impl MarkerSize {
         let radius_px = crate::math::sqrt(usual_area_px2.max(0.0) * core::f64::consts::FRAC_1_PI);
         let (edge_px, slack_px) = edge_and_slack_px(radius_px);
         let side_px = crate::math::floor(2.0 * (radius_px + edge_px) + slack_px);
-        if !(usual_area_px2 > 0.0 && side_px <= MOST_SIDE_PX as f64) {
+        if !(usual_area_px2 > 0.0 && side_px <= MAX_WINDOW_PX as f64) {
             return None;
         }
         let area = |share: f64| (share * usual_area_px2) as u32;

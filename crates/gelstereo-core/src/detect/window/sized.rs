@@ -1,41 +1,41 @@
-//! One eye for markers of any kind.
+//! One classifier for markers of any kind.
 
-use super::classifier::{Eye, Spot};
+use super::classifier::{WindowClassifier, WindowMarker};
 use super::size::MarkerSize;
 use crate::image::GrayView;
 use crate::math::DVec2;
 use crate::params::Polarity;
 
-/// An eye with as many lanes as windows of its kind need.
+/// An classifier with as many lanes as windows of its kind need.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::detect) enum Eyes {
-    Small(Eye<16>),
-    Large(Eye<32>),
+pub(in crate::detect) enum SizedClassifier {
+    Small(WindowClassifier<16>),
+    Large(WindowClassifier<32>),
 }
 
-impl Eyes {
-    /// As [`Eye::new`].
+impl SizedClassifier {
+    /// As [`WindowClassifier::new`].
     pub fn new(size: MarkerSize, polarity: Polarity) -> Self {
         if size.is_small() {
-            Self::Small(Eye::new(size, polarity))
+            Self::Small(WindowClassifier::new(size, polarity))
         } else {
-            Self::Large(Eye::new(size, polarity))
+            Self::Large(WindowClassifier::new(size, polarity))
         }
     }
 
-    /// As [`Eye::centre`].
-    pub fn centre(&self, image: GrayView<'_>, at_px: DVec2) -> Option<Spot> {
+    /// As [`WindowClassifier::centre`].
+    pub fn centre(&self, image: GrayView<'_>, at_px: DVec2) -> Option<WindowMarker> {
         match self {
-            Self::Small(eye) => eye.centre(image, at_px),
-            Self::Large(eye) => eye.centre(image, at_px),
+            Self::Small(classifier) => classifier.centre(image, at_px),
+            Self::Large(classifier) => classifier.centre(image, at_px),
         }
     }
 
-    /// As [`Eye::single`].
-    pub fn single(&self, image: GrayView<'_>, at_px: DVec2) -> Option<Spot> {
+    /// As [`WindowClassifier::single`].
+    pub fn single(&self, image: GrayView<'_>, at_px: DVec2) -> Option<WindowMarker> {
         match self {
-            Self::Small(eye) => eye.single(image, at_px),
-            Self::Large(eye) => eye.single(image, at_px),
+            Self::Small(classifier) => classifier.single(image, at_px),
+            Self::Large(classifier) => classifier.single(image, at_px),
         }
     }
 }

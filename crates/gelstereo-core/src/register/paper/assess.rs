@@ -7,7 +7,7 @@ use super::problem::{Outcome, Problem, Scratch, check_reach};
 use super::soft::soft_match;
 use crate::math::{centroid, sqrt};
 use crate::params::RegisterMethod;
-use crate::register::error::LEAST_PATCH;
+use crate::register::error::MIN_PATCH;
 use crate::register::observe::{PatchFrame, Sighting, System};
 use crate::register::{Alternatives, FreeDirections, RegisterError, Registration, Verdict};
 use crate::stop::{Stopped, ask_often};
@@ -24,7 +24,7 @@ pub(super) fn registration(
     scratch.place(points_mm, pose);
     let width_mm = width_floor_mm(problem);
     match_inliers(problem, scratch, width_mm)?;
-    if scratch.sources.len() < LEAST_PATCH {
+    if scratch.sources.len() < MIN_PATCH {
         check_reach(problem, &scratch.placed, params.max_distance_mm)?;
     }
     let frame = PatchFrame::new(&scratch.sources, template.spacing_mm());

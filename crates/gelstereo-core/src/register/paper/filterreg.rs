@@ -12,7 +12,7 @@ use super::one_sided::{self, OneSided};
 use super::problem::{Outcome, Problem, Scratch, check_reach, compose};
 use super::soft::soft_match;
 use crate::math::{Pose, exp, ln, sqrt};
-use crate::register::error::LEAST_PATCH;
+use crate::register::error::MIN_PATCH;
 use crate::register::error::RegisterError;
 use crate::register::observe::{PatchFrame, Sighting, System};
 use crate::stop::{Stopped, ask_often};
@@ -95,7 +95,7 @@ fn expect(problem: &Problem<'_>, scratch: &mut Scratch, sigma_mm: f64) -> Result
     }
     // A width far too small for the distances calls every point an outlier, and no step would be left. Then the
     // points count alike: the width will follow from how far they are.
-    if scratch.weights.iter().sum::<f64>() < LEAST_PATCH as f64 {
+    if scratch.weights.iter().sum::<f64>() < MIN_PATCH as f64 {
         scratch.weights.fill(1.0);
     }
     Ok(())

@@ -3,7 +3,7 @@
 use super::soft::SoftMatch;
 use crate::math::{DVec3, Pose, sqrt};
 use crate::params::RegisterParams;
-use crate::register::error::{LEAST_PATCH, RegisterError};
+use crate::register::error::{MIN_PATCH, RegisterError};
 use crate::register::template::Template;
 use crate::stop::{Stop, ask_often};
 use alloc::vec::Vec;
@@ -81,8 +81,8 @@ pub(super) fn check_reach(
             nearest = nearest.min(distance_squared);
         }
     }
-    if within >= LEAST_PATCH {
+    if within >= MIN_PATCH {
         return Ok(());
     }
-    Err(RegisterError::OutOfReach { within, least: LEAST_PATCH, nearest_mm: sqrt(nearest), reach_mm })
+    Err(RegisterError::OutOfReach { within, least: MIN_PATCH, nearest_mm: sqrt(nearest), reach_mm })
 }

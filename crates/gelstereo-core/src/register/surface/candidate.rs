@@ -1,7 +1,7 @@
 //! A pose in the running, and where its refinement ended.
 
-use super::rest::Rest;
-use super::step::Placement;
+use super::gel::rest::Rest;
+use super::normal_system::Placement;
 
 /// A pose in the running.
 #[derive(Clone, Copy, Debug)]

@@ -1,7 +1,7 @@
 //! What was sensed, as the surface rungs see it: points about the patch's centroid, and which of them a coarse look needs.
 
-use super::gel::Gel;
-use super::hanging::Pressures;
+use super::gel::model::Gel;
+use super::gel::unsupported::Pressures;
 use super::point::Sample;
 use crate::math::linalg::{Symmetric, eigen};
 use crate::math::{DVec3, acos, asin, centroid, sqrt};
@@ -78,7 +78,7 @@ impl<'a> Contact<'a> {
         }
         let found = eigen(&spread);
         let along = |k: usize| DVec3::from_array(found.vectors[k]).dot(self.press_direction).abs().min(1.0);
-        let most = MOST_ASIDE_DEG.to_radians();
+        let most = MAX_ASIDE_DEG.to_radians();
         let is_thin = found.values[1] > TOLD * found.values[0];
         let is_long = found.values[2] > TOLD * found.values[1];
         let angle_rad = if is_thin { acos(along(0)) } else { 0.0 };
@@ -88,7 +88,7 @@ impl<'a> Contact<'a> {
         }
         Err(RegisterError::PatchAside {
             angle_deg: angle_rad.to_degrees(),
-            most_deg: MOST_ASIDE_DEG,
+            most_deg: MAX_ASIDE_DEG,
             press_direction: self.press_direction.to_array(),
         })
     }
@@ -96,7 +96,7 @@ impl<'a> Contact<'a> {
 
 /// A patch farther from facing the press than this was not pressed that way. Gel follows slopes of at most about 45 degrees,
 /// and a patch's normal is a mean.
-const MOST_ASIDE_DEG: f64 = 60.0;
+const MAX_ASIDE_DEG: f64 = 60.0;
 /// A direction of the patch is told from the next when it is spread twice as far: its variance is four times as large.
 const TOLD: f64 = 4.0;
 
@@ -171,10 +171,10 @@ pub(super) enum Extent {
 }
 
 /// More salient points than this are not asked for their neighbours, which may take the square of their number.
-const MOST_ASKED: usize = 2000;
+const MAX_ASKED: usize = 2000;
 
 /// With fewer points that do not hang, all are looked at first.
-const LEAST_TOUCHING: usize = 12;
+const MIN_TOUCHING: usize = 12;
 
 /// Standard deviations within which all points are as high.
 const LEVEL: f64 = 8.0;
@@ -285,7 +285,7 @@ impl Samples {
     /// Finds the salient points beside the contact: by the gel's pressure where the gel is known, else by its bend.
     fn find_hanging(&mut self, contact: &Contact<'_>) {
         let count = contact.points_mm.len();
-        if contact.unpressed_mm.is_empty() || count > MOST_ASKED {
+        if contact.unpressed_mm.is_empty() || count > MAX_ASKED {
             return;
         }
         if self.gel.is_known() {
@@ -334,7 +334,7 @@ impl Samples {
     fn find_neighbours(&mut self, press: DVec3) {
         let Self { neighbours, pressed, flat, grid, .. } = self;
         neighbours.clear();
-        if pressed.len() > MOST_ASKED {
+        if pressed.len() > MAX_ASKED {
             return neighbours.resize_with(pressed.len(), || [0; NEIGHBOURS]);
         }
         let (a, b) = press.any_orthonormal_pair();
@@ -352,7 +352,7 @@ impl Samples {
 
     /// How many come first that are looked at first.
     pub fn may_touch(&self) -> usize {
-        if self.may_touch >= LEAST_TOUCHING { self.may_touch } else { self.pressed.len() }
+        if self.may_touch >= MIN_TOUCHING { self.may_touch } else { self.pressed.len() }
     }
 
     /// Brings points that are far from each other to the front (Gonzalez 1985), beginning with the one nearest to the

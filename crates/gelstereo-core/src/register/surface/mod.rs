@@ -1,50 +1,42 @@
 //! Registration on the part's own surface: distances to the triangles of its mesh, many starts screened on a field of
 //! distances, and every marker used, also those that nothing presses.
 //!
-//! A salient point touches the part or hangs beside it, and no marker is within it ([`noise`]). The pose is the most
+//! A salient point touches the part or hangs beside it, and no marker is within it ([`mixture`]). The pose is the most
 //! likely one under that mixture, with the guess as a weak prior that keeps the directions which the contact leaves free
 //! where they were guessed. Where all markers are known, the full search ends on what the gel does between them
-//! ([`settled`]). One start finds it from close by; from farther off many are needed, since threads, teeth
+//! ([`gel::fit`]). One start finds it from close by; from farther off many are needed, since threads, teeth
 //! and edges each have a minimum of their own.
 
+mod assess;
 mod candidate;
-mod close;
+mod coarse;
+mod consistency;
 mod contact;
-mod edges;
-mod evidence;
-mod fit;
+mod distances;
+mod evidence_ratio;
 mod gel;
-mod hanging;
-mod information;
-mod lattice;
-mod linear;
+mod halving;
 mod markers;
-mod misfit;
-mod noise;
-mod odds;
-mod others;
-mod part;
+mod mixture;
+mod modes;
+mod multi_start;
+mod normal_system;
 mod point;
-mod polish;
-mod prediction;
-mod raster;
-mod relief;
-mod rest;
-mod screening;
+mod refine;
+mod scan_order;
 mod search;
-mod settled;
-mod starts;
+mod single_start;
+mod smooth_normals;
 mod state;
-mod step;
 
+pub use consistency::Misfit;
+pub(super) use consistency::UsualResiduals;
 pub use contact::Contact;
+pub use gel::rest::GelDecay;
 pub use markers::{check_among, unpressed, unpressed_for};
-pub use misfit::Misfit;
-pub(super) use misfit::Usual;
-pub(super) use relief::Relief;
-pub use rest::GelDecay;
+pub(super) use smooth_normals::Relief;
 
-use super::error::LEAST_PATCH;
+use super::error::MIN_PATCH;
 use super::{RegisterError, Registration, Template};
 use crate::math::{DVec3, Pose};
 use crate::params::{RegisterMethod, RegisterParams};
@@ -52,12 +44,12 @@ use crate::stop::{NEVER, Stop, ask_often};
 use alloc::vec::Vec;
 use candidate::Candidate;
 use contact::{Extent, Samples};
-use part::{Coarse, Exact};
-use polish::PolishScratch;
-use prediction::SettledScratch;
-use raster::Raster;
+use distances::{Coarse, Exact};
+use gel::prediction::GelFitScratch;
+use normal_system::{Placement, Prior};
+use refine::RefineScratch;
+use scan_order::Raster;
 use state::Search;
-use step::{Placement, Prior};
 
 /// What the surface rungs keep from run to run.
 #[derive(Clone, Debug, Default)]
@@ -66,8 +58,8 @@ pub(super) struct SurfaceScratch {
     samples: Samples,
     candidates: Vec<Candidate>,
     runners_up: Vec<Candidate>,
-    polish: PolishScratch,
-    settled: SettledScratch,
+    polish: RefineScratch,
+    settled: GelFitScratch,
 }
 
 /// Registers by one of the surface rungs.
@@ -108,8 +100,8 @@ pub(super) fn run(
     let read = Candidate { placement, ..candidates[0] };
     let told = search.is_settled.then(|| search.told(&read, end.converged, settled));
     let readings = (&*polish, &*settled, told);
-    let mut found = evidence::registration(params, samples, (candidates, &read), readings, end);
-    found.alternatives = evidence::alternatives(samples, candidates, search.is_cut);
+    let mut found = assess::registration(params, samples, (candidates, &read), readings, end);
+    found.alternatives = assess::alternatives(samples, candidates, search.is_cut);
     found.gel_decay = search.is_settled.then(|| candidates[0].rest.decay(contact.decay_mm));
     Ok(found)
 }
@@ -120,7 +112,7 @@ pub(super) fn misfit(
     params: &RegisterParams,
     (contact, template): (&Contact<'_>, &Template),
     t_sensor_object: &Pose,
-    usual: Option<&Usual>,
+    usual: Option<&UsualResiduals>,
     scratch: &mut SurfaceScratch,
 ) -> Option<Misfit> {
     template.touchable().filter(|(solid, ..)| solid.is_closed())?;
@@ -172,7 +164,7 @@ fn check_reach(
     solid: &crate::surface::Solid,
     params: &RegisterParams,
 ) -> Result<(), RegisterError> {
-    let reach_mm = params.search_radius_mm + starts::REACH * params.start_sigma_mm;
+    let reach_mm = params.search_radius_mm + multi_start::REACH * params.start_sigma_mm;
     let placed = || search.samples.pressed.iter().map(|s| search.prior.guess.object_point(s.p_mm));
     // What the field knows is within its own reach, and a cell.
     let field = search.field.field;
@@ -183,7 +175,7 @@ fn check_reach(
     for (step, x) in placed().enumerate() {
         ask_often(search.stop, step)?;
         found += usize::from(within(x));
-        if found == LEAST_PATCH {
+        if found == MIN_PATCH {
             return Ok(());
         }
     }
@@ -192,5 +184,5 @@ fn check_reach(
         ask_often(search.stop, step)?;
         nearest_mm = nearest_mm.min(solid.closest(x).distance_mm.abs());
     }
-    Err(RegisterError::OutOfReach { within, least: LEAST_PATCH, nearest_mm, reach_mm })
+    Err(RegisterError::OutOfReach { within, least: MIN_PATCH, nearest_mm, reach_mm })
 }

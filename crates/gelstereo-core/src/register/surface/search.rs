@@ -1,15 +1,15 @@
 //! Many starts, successive halving: each round looks at fewer candidates more closely.
 
+use super::assess::Told;
 use super::candidate::{Candidate, End};
-use super::evidence::Told;
-use super::odds::odds;
-use super::others::Others;
-use super::polish::PolishScratch;
-use super::prediction::{KEPT, SettledScratch};
-use super::rest::Rest;
-use super::screening::{FIRST, SECOND, keep};
-use super::settled::Settled;
-use super::starts::start;
+use super::evidence_ratio::odds;
+use super::gel::fit::GelFit;
+use super::gel::prediction::{GelFitScratch, KEPT};
+use super::gel::rest::Rest;
+use super::halving::{FIRST, SECOND, keep};
+use super::modes::Modes;
+use super::multi_start::start;
+use super::refine::RefineScratch;
 use super::state::{HOPELESS, Search, Stage};
 use alloc::vec::Vec;
 
@@ -18,7 +18,7 @@ const FIELD_STEPS: u32 = 4;
 const FINALISTS: usize = 3;
 /// Steps of all of them on the exact surface, and of those that are left.
 const FIRST_STEPS: u32 = 3;
-const MOST_STEPS: u32 = 15;
+const MAX_STEPS: u32 = 15;
 /// With fewer of the markers around the contact explained the gel is another than it is said to be, and is not asked.
 const EXPLAINED: f64 = 0.75;
 /// Widths of the steps that ask the gel on the field, and how many candidates go on from there: of the first few, and of
@@ -47,8 +47,8 @@ impl Search<'_> {
         &mut self,
         candidates: &mut Vec<Candidate>,
         runners_up: &mut Vec<Candidate>,
-        scratch: &mut PolishScratch,
-        settled: &mut SettledScratch,
+        scratch: &mut RefineScratch,
+        settled: &mut GelFitScratch,
     ) -> End {
         candidates.clear();
         for k in 0..self.params.starts {
@@ -66,12 +66,12 @@ impl Search<'_> {
             let end = self.settle_few(candidates, settled);
             let is_spent = self.has_spent();
             let without = before[0].filter(|_| is_spent).map_or(f64::INFINITY, |one| {
-                let (cost, work) = self.polish(self.faces).compare(&one.placement, scratch);
+                let (cost, work) = self.refine(self.faces).compare(&one.placement, scratch);
                 self.work += work;
                 cost
             });
             settled.show(candidates[0].slot);
-            let (with, work) = self.polish(self.faces).compare(&candidates[0].placement, scratch);
+            let (with, work) = self.refine(self.faces).compare(&candidates[0].placement, scratch);
             self.work += work;
             // Steps that were cut short may have left the pose worse than they found it, and nothing is left to mend it.
             self.is_settled = if is_spent { with <= without } else { settled.here.explained() >= EXPLAINED };
@@ -86,7 +86,7 @@ impl Search<'_> {
                 candidates.truncate(k.max(1));
                 break;
             }
-            let polish = self.polish(self.field);
+            let polish = self.refine(self.field);
             let left = self.left();
             let end = polish.run(&mut candidates[k], FIELD_STEPS, left, scratch);
             let (cost, work) = polish.compare(&candidates[k].placement, scratch);
@@ -104,7 +104,7 @@ impl Search<'_> {
         candidates: &mut Vec<Candidate>,
         runners_up: &mut Vec<Candidate>,
         end: End,
-        (scratch, settled): (&mut PolishScratch, &mut SettledScratch),
+        (scratch, settled): (&mut RefineScratch, &mut GelFitScratch),
     ) -> End {
         let before = self.work;
         self.is_cut = self.has_spent();
@@ -122,7 +122,7 @@ impl Search<'_> {
             runners_up.clear();
             self.is_cut = true;
         }
-        let mut others = Others::new(self, (&candidates[0], end), (scratch, settled));
+        let mut others = Modes::new(self, (&candidates[0], end), (scratch, settled));
         if odds.is_law_kept {
             others.hold(&mut candidates[0]);
         }
@@ -136,20 +136,20 @@ impl Search<'_> {
     }
 
     /// Leaves the readings of a pose, and what the gel does there if it is asked, in the scratch.
-    pub fn read(&mut self, best: &mut Candidate, scratch: &mut PolishScratch, settled: &mut SettledScratch) {
+    pub fn read(&mut self, best: &mut Candidate, scratch: &mut RefineScratch, settled: &mut GelFitScratch) {
         if self.is_settled {
             self.work += self.settled(true).begin(best, settled);
             settled.show(best.slot);
         }
-        let (cost, work) = self.polish(self.faces).compare(&best.placement, scratch);
+        let (cost, work) = self.refine(self.faces).compare(&best.placement, scratch);
         self.work += work;
         if !self.is_settled {
             best.cost = cost;
         }
     }
 
-    pub fn settled(&self, is_exact: bool) -> Settled<'_> {
-        Settled {
+    pub fn settled(&self, is_exact: bool) -> GelFit<'_> {
+        GelFit {
             params: self.params,
             samples: self.samples,
             press_direction: self.press_direction,
@@ -162,7 +162,7 @@ impl Search<'_> {
 
     /// What the gel tells of the candidate whose prediction is in `settled`, and whose steps have ended by themselves or
     /// not.
-    pub fn told(&self, best: &Candidate, ended: bool, settled: &mut SettledScratch) -> Told {
+    pub fn told(&self, best: &Candidate, ended: bool, settled: &mut GelFitScratch) -> Told {
         let way = self.settled(true);
         let information = way.information(best, settled);
         let left_mm = if ended { 0.0 } else { way.left_mm(best, settled) };
@@ -170,7 +170,7 @@ impl Search<'_> {
     }
 
     /// The candidates by what the gel would do, best first: the first few, and the others where these do not fit.
-    fn settle_few(&mut self, candidates: &mut Vec<Candidate>, settled: &mut SettledScratch) -> End {
+    fn settle_few(&mut self, candidates: &mut Vec<Candidate>, settled: &mut GelFitScratch) -> End {
         let rest = Rest { plane_mm: self.samples.gel.rest_plane(self.samples.radius_mm), log_decay: 0.0 };
         for (slot, candidate) in candidates.iter_mut().enumerate() {
             (candidate.rest, candidate.slot) = (rest, slot);
@@ -200,7 +200,7 @@ impl Search<'_> {
         if end_on.converged {
             return end_on;
         }
-        let most = self.params.max_iterations.min(MOST_STEPS).saturating_sub(end_on.iterations);
+        let most = self.params.max_iterations.min(MAX_STEPS).saturating_sub(end_on.iterations);
         let last = self.settle_all(&mut candidates[..1], most, settled);
         End { iterations: end_on.iterations + last.iterations, ..last }
     }
@@ -210,7 +210,7 @@ impl Search<'_> {
         &mut self,
         candidates: &mut Vec<Candidate>,
         blurred: &[(f64, usize)],
-        settled: &mut SettledScratch,
+        settled: &mut GelFitScratch,
     ) -> End {
         self.begin_all(false, candidates, settled);
         for &(width_mm, keeps) in blurred {
@@ -220,13 +220,13 @@ impl Search<'_> {
         self.begin_all(true, candidates, settled);
         // Not at rest, none is hopeless: one marker that an edge has yet to pass makes a difference of ten and more.
         self.blurred_all((true, self.params.scaled(SHARP_MM)), candidates, settled);
-        let end = self.settle_all(candidates, self.params.max_iterations.min(MOST_STEPS), settled);
+        let end = self.settle_all(candidates, self.params.max_iterations.min(MAX_STEPS), settled);
         keep(candidates, FINALISTS, 0.0, 0.0);
         end
     }
 
     /// A stage of a pose that comes after the best one, by what the gel would do.
-    pub fn settle_on(&mut self, one: &mut Candidate, stage: Stage, settled: &mut SettledScratch) -> End {
+    pub fn settle_on(&mut self, one: &mut Candidate, stage: Stage, settled: &mut GelFitScratch) -> End {
         let way = self.settled(stage != Stage::Field);
         let mut work = way.begin(one, settled);
         match stage {
@@ -235,12 +235,12 @@ impl Search<'_> {
             Stage::Last => {}
         }
         self.work += work;
-        let most = if stage == Stage::Last { self.params.max_iterations.min(MOST_STEPS) } else { 0 };
+        let most = if stage == Stage::Last { self.params.max_iterations.min(MAX_STEPS) } else { 0 };
         self.settle_all(core::slice::from_mut(one), most, settled)
     }
 
     /// What the gel would do at the candidates as they stand. Those for which no budget is left are dropped.
-    fn begin_all(&mut self, is_exact: bool, candidates: &mut Vec<Candidate>, settled: &mut SettledScratch) {
+    fn begin_all(&mut self, is_exact: bool, candidates: &mut Vec<Candidate>, settled: &mut GelFitScratch) {
         for k in 0..candidates.len() {
             if k > 0 && self.has_spent() {
                 return candidates.truncate(k);
@@ -253,7 +253,7 @@ impl Search<'_> {
         &mut self,
         (is_exact, width_mm): (bool, f64),
         candidates: &mut [Candidate],
-        settled: &mut SettledScratch,
+        settled: &mut GelFitScratch,
     ) {
         for candidate in candidates {
             if !self.has_spent() {
@@ -263,7 +263,7 @@ impl Search<'_> {
     }
 
     /// How the best one ended.
-    fn settle_all(&mut self, candidates: &mut [Candidate], most: u32, settled: &mut SettledScratch) -> End {
+    fn settle_all(&mut self, candidates: &mut [Candidate], most: u32, settled: &mut GelFitScratch) -> End {
         let mut best = (f64::INFINITY, End { converged: false, iterations: 0, work: 0 });
         for k in 0..candidates.len() {
             if k > 0 && self.has_spent() {
@@ -280,39 +280,39 @@ impl Search<'_> {
     }
 
     /// The finalists on the exact surface, best first. How the best one ended; its readings are in the scratch.
-    fn finish(&mut self, candidates: &mut Vec<Candidate>, scratch: &mut PolishScratch) -> End {
+    fn finish(&mut self, candidates: &mut Vec<Candidate>, scratch: &mut RefineScratch) -> End {
         if candidates.len() > 1 {
-            self.polish_all(candidates, FIRST_STEPS, scratch);
+            self.refine_all(candidates, FIRST_STEPS, scratch);
             keep(candidates, FINALISTS, 0.0, 0.0);
             let hopeless = candidates[0].cost + HOPELESS;
             let near = candidates.iter().take_while(|c| c.cost < hopeless).count();
             candidates.truncate(near.max(1));
         }
-        let end = self.polish_all(candidates, self.params.max_iterations.min(MOST_STEPS), scratch);
+        let end = self.refine_all(candidates, self.params.max_iterations.min(MAX_STEPS), scratch);
         keep(candidates, FINALISTS, 0.0, 0.0);
-        let (_, work) = self.polish(self.faces).compare(&candidates[0].placement, scratch);
+        let (_, work) = self.refine(self.faces).compare(&candidates[0].placement, scratch);
         self.work += work;
         end
     }
 
     /// A stage of a pose that comes after the best one.
-    pub fn finish_on(&mut self, one: &mut Candidate, stage: Stage, scratch: &mut PolishScratch) -> End {
+    pub fn finish_on(&mut self, one: &mut Candidate, stage: Stage, scratch: &mut RefineScratch) -> End {
         match stage {
             Stage::Field => {
                 let left = self.left();
-                let end = self.polish(self.field).run(one, FIELD_STEPS, left, scratch);
+                let end = self.refine(self.field).run(one, FIELD_STEPS, left, scratch);
                 self.work += end.work;
                 end
             }
-            Stage::First => self.polish_one(one, FIRST_STEPS, scratch),
-            Stage::Last => self.polish_one(one, self.params.max_iterations.min(MOST_STEPS), scratch),
+            Stage::First => self.refine_one(one, FIRST_STEPS, scratch),
+            Stage::Last => self.refine_one(one, self.params.max_iterations.min(MAX_STEPS), scratch),
         }
     }
 
     /// How it ended.
-    fn polish_one(&mut self, candidate: &mut Candidate, most: u32, scratch: &mut PolishScratch) -> End {
+    fn refine_one(&mut self, candidate: &mut Candidate, most: u32, scratch: &mut RefineScratch) -> End {
         let left = self.left();
-        let polish = self.polish(self.faces);
+        let polish = self.refine(self.faces);
         let end = polish.run(candidate, most, left, scratch);
         let (cost, work) = polish.compare(&candidate.placement, scratch);
         candidate.cost = cost;
@@ -321,14 +321,14 @@ impl Search<'_> {
     }
 
     /// How the best one ended.
-    fn polish_all(&mut self, candidates: &mut Vec<Candidate>, most: u32, scratch: &mut PolishScratch) -> End {
+    fn refine_all(&mut self, candidates: &mut Vec<Candidate>, most: u32, scratch: &mut RefineScratch) -> End {
         let mut best = (f64::INFINITY, End { converged: false, iterations: 0, work: 0 });
         for k in 0..candidates.len() {
             if k > 0 && self.has_spent() {
                 candidates.truncate(k);
                 break;
             }
-            let end = self.polish_one(&mut candidates[k], most, scratch);
+            let end = self.refine_one(&mut candidates[k], most, scratch);
             if candidates[k].cost < best.0 {
                 best = (candidates[k].cost, end);
             }

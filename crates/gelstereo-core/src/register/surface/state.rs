@@ -1,10 +1,10 @@
 //! What a search works with, and what it has spent.
 
+use super::coarse::View;
 use super::contact::Samples;
-use super::fit::View;
-use super::part::{Coarse, Distances, Exact};
-use super::polish::{OUT_OF_REACH_MM, Polish};
-use super::step::{Placement, Prior};
+use super::distances::{Coarse, Distances, Exact};
+use super::normal_system::{Placement, Prior};
+use super::refine::{OUT_OF_REACH_MM, Refinement};
 use crate::math::DVec3;
 use crate::params::RegisterParams;
 use crate::register::Symmetry;
@@ -61,8 +61,8 @@ impl Search<'_> {
         if (self.stop)() { 0 } else { self.limit.saturating_sub(self.work) }
     }
 
-    pub fn polish<D: Distances>(&self, part: D) -> Polish<'_, D> {
-        Polish {
+    pub fn refine<D: Distances>(&self, part: D) -> Refinement<'_, D> {
+        Refinement {
             params: self.params,
             samples: self.samples,
             view: self.whole(),

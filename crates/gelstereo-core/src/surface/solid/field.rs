@@ -18,9 +18,9 @@ const NONE: u32 = u32::MAX;
 /// A node out of reach, or one beside a hole, where the sign changes without the surface being near.
 const UNKNOWN: i16 = i16::MIN;
 /// Most blocks in the box around the part.
-const MOST_PLACES: f64 = 131_072.0;
+const MAX_PLACES: f64 = 131_072.0;
 /// Most nodes; with them it is built in about a second.
-const MOST_NODES: usize = 2_000_000;
+const MAX_NODES: usize = 2_000_000;
 /// How much wider cells are made when there are too many.
 const WIDER: f64 = 1.125;
 
@@ -148,7 +148,7 @@ impl Field {
         let (low_mm, high_mm) = (low_mm - reach_mm, high_mm + reach_mm);
         let side_mm = CELLS as f64 * cell_mm;
         let sides = ((high_mm - low_mm) / side_mm).to_array().map(|n| ceil(n).max(1.0));
-        if sides.iter().product::<f64>() > MOST_PLACES {
+        if sides.iter().product::<f64>() > MAX_PLACES {
             return Ok(None);
         }
         let sides = sides.map(|n| n as usize);
@@ -163,7 +163,7 @@ impl Field {
                 near = Some(found.triangle);
                 *block = count as u32;
                 count += 1;
-                if count * BLOCK > MOST_NODES {
+                if count * BLOCK > MAX_NODES {
                     return Ok(None);
                 }
             }

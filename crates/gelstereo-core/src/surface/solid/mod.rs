@@ -9,7 +9,7 @@ mod turn;
 mod weld;
 
 pub use field::Field;
-pub use report::{MOST_TRIANGLES, REACH_MM, SolidError, SolidReport};
+pub use report::{MAX_TRIANGLES, REACH_MM, SolidError, SolidReport};
 pub use turn::Turned;
 
 use super::TriangleMesh;
@@ -100,7 +100,7 @@ impl Solid {
     /// # Errors
     /// [`SolidError`].
     pub fn new_unless(mesh: &TriangleMesh, stop: Stop<'_>) -> Result<Self, SolidError> {
-        if mesh.triangles().len() > MOST_TRIANGLES {
+        if mesh.triangles().len() > MAX_TRIANGLES {
             return Err(SolidError::TooMany { found: mesh.triangles().len() });
         }
         let too_far = |v: &DVec3| v.abs().max_element() > REACH_MM;

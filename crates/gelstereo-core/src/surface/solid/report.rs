@@ -3,7 +3,7 @@
 use crate::stop::Stopped;
 
 /// Most triangles that are held.
-pub const MOST_TRIANGLES: usize = 4_000_000;
+pub const MAX_TRIANGLES: usize = 4_000_000;
 
 /// Coordinates beyond this, a million kilometres, are taken for a mistake.
 pub const REACH_MM: f64 = 1e12;
@@ -74,7 +74,7 @@ impl core::fmt::Display for SolidError {
                 REACH_MM
             ),
             Self::TooMany { found } => {
-                write!(f, "the mesh has {found} triangles; at most {} are held: simplify it", MOST_TRIANGLES)
+                write!(f, "the mesh has {found} triangles; at most {} are held: simplify it", MAX_TRIANGLES)
             }
             Self::Stopped => Stopped.fmt(f),
         }

@@ -15,9 +15,9 @@ const LEAF: usize = 2;
 /// Bits of a child's name that say which node it is, or which triangle is the first of a leaf.
 const NAME_BITS: u32 = 28;
 /// Levels for 2²⁸ triangles and more: each divides them by eight.
-const MOST_LEVELS: usize = 10;
+const MAX_LEVELS: usize = 10;
 /// Open children at any time, at most, and room to write one that is not kept.
-const MOST_OPEN: usize = (WAYS - 1) * MOST_LEVELS + 2;
+const MAX_OPEN: usize = (WAYS - 1) * MAX_LEVELS + 2;
 /// How much larger boxes are taken than they are, as a share of the largest coordinate of box and point: four times
 /// what rounding either of them to single precision may be wrong by.
 const MARGIN: f64 = 1.0 / (1 << 22) as f64;
@@ -26,7 +26,7 @@ const ROUNDING: f64 = 1e-6;
 /// Of larger coordinates single precision has no sum of squares.
 const FAR_MM: f64 = 1e18;
 /// Squares below this, of a distance of 1e-18 mm, are too small for single precision.
-const LEAST_MM2: f64 = 1e-36;
+const MIN_MM2: f64 = 1e-36;
 
 #[derive(Clone, Debug)]
 struct Node {
@@ -78,7 +78,7 @@ impl Boxes {
         let to = (q_mm + margin_mm).to_array().map(|x| if x < -FAR_MM { -FAR_MM } else { x } as f32);
         let query = (from, to);
         let mut within = single_limit(limit_mm2);
-        let mut open = [(0.0_f32, 0_u32); MOST_OPEN];
+        let mut open = [(0.0_f32, 0_u32); MAX_OPEN];
         let mut count = 1;
         while count > 0 {
             count -= 1;
@@ -139,7 +139,7 @@ impl Node {
         &self,
         query: ([f32; 3], [f32; 3]),
         within: f32,
-        open: &mut [(f32, u32); MOST_OPEN],
+        open: &mut [(f32, u32); MAX_OPEN],
         count: usize,
     ) -> usize {
         let squared = self.squared(query);
@@ -193,7 +193,7 @@ fn single(v: DVec3) -> [f32; 3] {
 /// The square that a box within this squared distance does not exceed in single precision.
 #[inline]
 fn single_limit(squared_mm2: f64) -> f32 {
-    ((squared_mm2 * (1.0 + ROUNDING) + LEAST_MM2) as f32).min(f32::MAX)
+    ((squared_mm2 * (1.0 + ROUNDING) + MIN_MM2) as f32).min(f32::MAX)
 }
 
 /// Splits at the median, and the halves and quarters again.

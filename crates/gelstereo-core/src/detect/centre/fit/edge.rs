@@ -32,11 +32,11 @@ const STRAIGHT: f64 = 24.0;
 /// Distances over blur beyond twice the radius at which the sum may repeat itself.
 const PERIOD: f64 = 44.0;
 /// Frequencies for the straightest edge.
-const MOST_FREQUENCIES: usize = (HIGHEST * (2.0 * STRAIGHT + PERIOD) / TAU) as usize + 1;
+const MAX_FREQUENCIES: usize = (HIGHEST * (2.0 * STRAIGHT + PERIOD) / TAU) as usize + 1;
 
 /// Noise that is assumed at all frequencies, over that at the lowest: in grain alone the weights would swing ever more
 /// between neighbouring pixels, and the fit would not settle.
-const LEAST_SHARE: f64 = 0.03;
+const MIN_SHARE: f64 = 0.03;
 
 /// What an edge does at one distance z (in units of the blur, positive outside): Φ(-z), the share of the dot's contrast;
 /// φ(z), how fast that falls with z; the weight of a residual in the sum that moves the edge, 1 / levels² / px. The
@@ -81,11 +81,11 @@ impl Edge {
     pub fn weigh(&mut self, blur_px: f64, radius_px: f64, noise: &Noise) {
         let radius = (radius_px / blur_px).clamp(1.0, STRAIGHT);
         let count =
-            FREQUENCIES.max(ceil(HIGHEST * (2.0 * radius + PERIOD) / TAU) as usize).min(MOST_FREQUENCIES);
+            FREQUENCIES.max(ceil(HIGHEST * (2.0 * radius + PERIOD) / TAU) as usize).min(MAX_FREQUENCIES);
         let step = HIGHEST / count as f64;
-        let least = LEAST_SHARE * noise.spectrum(0.0);
+        let least = MIN_SHARE * noise.spectrum(0.0);
         // Weight of every frequency, of its square in the slope, and how much sharper it makes the edge.
-        let mut heights = [0.0; MOST_FREQUENCIES];
+        let mut heights = [0.0; MAX_FREQUENCIES];
         let (mut slopes, mut bends) = (0.0, 0.0);
         for (n, height) in (1..=count).zip(&mut heights) {
             let k = n as f64 * step;

@@ -17,9 +17,9 @@ use core::f64::consts::FRAC_1_PI;
 /// Gel around the outline that takes part: farther pixels say nothing of the edge and little of the light.
 pub(super) const REACH_PX: f64 = 3.5;
 /// The least of it: the edge's outer half.
-const LEAST_REACH_PX: f64 = 1.0;
+const MIN_REACH_PX: f64 = 1.0;
 /// Steps at most; two are the rule.
-const MOST_STEPS: usize = 8;
+const MAX_STEPS: usize = 8;
 /// Where the search begins: a pixel's own width and a little defocus.
 pub(super) const FIRST_BLUR_PX: f64 = 0.8;
 /// Residuals larger than this times what the noise explains widen the covariance: below, it is chance and the profile's
@@ -29,8 +29,8 @@ const CHANCE: f64 = 3.0;
 /// images for work 3 doubts more that are right to 0.02 px; 12 and 30 do as well.
 const NOT_A_DISC: f64 = 30.0;
 /// Shares of the covariance that are believed.
-const LEAST_INFLATION: f64 = 0.5;
-const MOST_INFLATION: f64 = 10.0;
+const MIN_INFLATION: f64 = 0.5;
+const MAX_INFLATION: f64 = 10.0;
 /// A step of the outline that is shorter leaves the model's slopes as they are.
 const SAME_SLOPES_PX: f64 = 0.25;
 /// A step that moves the outline by less leaves its shape as it is.
@@ -96,7 +96,7 @@ impl Fitter {
         let (pixels, mut outline) = self.begin(image, start)?;
         let offset = start.centre_px - self.window.origin;
         let mut last = None;
-        for steps in 1..=MOST_STEPS {
+        for steps in 1..=MAX_STEPS {
             self.window.draw(&outline, self.blur_px, &self.edge);
             let (levels, follow) = self.window.levels()?;
             // A matrix serves until the outline has moved much (chord method): it decides how fast the steps end, not
@@ -154,7 +154,7 @@ impl Fitter {
         let Noise { white_levels2, grain_levels2, .. } = self.noise;
         let grain_levels2 = grain_levels2 * self.noise.grain_share(levels.ground);
         let Variances { white, grain } = self.sandwich;
-        (white * white_levels2 + grain * grain_levels2).clamp(LEAST_INFLATION, MOST_INFLATION)
+        (white * white_levels2 + grain * grain_levels2).clamp(MIN_INFLATION, MAX_INFLATION)
     }
 
     /// The covariance with what the noise adds to it in second order, and with what sampling adds.
@@ -219,7 +219,7 @@ impl Fitter {
         let longest = sqrt(mean + sqrt((mean * mean - (xx * yy - xy * xy)).max(0.0)));
         // A neighbour of the same size begins at its radius, with its own blur around.
         let gap = start.neighbour_px - 2.0 * longest - 1.5 * self.blur_px;
-        let reach = (REACH_PX + self.blur_px - FIRST_BLUR_PX).max(REACH_PX).min(gap).max(LEAST_REACH_PX);
+        let reach = (REACH_PX + self.blur_px - FIRST_BLUR_PX).max(REACH_PX).min(gap).max(MIN_REACH_PX);
         // Markers alike share one window's places.
         round(2.0 * (longest + reach)) * 0.5
     }

@@ -5,7 +5,7 @@ use super::disc::{Answers, Matrix, Outline};
 use super::fitter::{FIRST_BLUR_PX, Fitter};
 use super::lanes::WIDTH;
 use super::step::{Start, apply, covariance, plausible, step};
-use crate::detect::centre::influence::{Influence, MOST_PIXELS, Variances};
+use crate::detect::centre::influence::{Influence, MAX_PIXELS, Variances};
 use crate::detect::centre::middle::Middle;
 use crate::detect::centre::noise::{ENOUGH_ROWS, NoiseMeter};
 use crate::detect::centre::sampling;
@@ -81,7 +81,7 @@ impl Learner {
         fit.radius_off_px = 0.0;
         self.take_samples(fit, starts, SAMPLES);
         self.answers.clear();
-        self.answers.reserve(MOST_PIXELS.div_ceil(WIDTH));
+        self.answers.reserve(MAX_PIXELS.div_ceil(WIDTH));
         // Least squares will do for what is common to all.
         let radius_px = self.median_of(|sample| Some(sample.start.radius_px()));
         fit.edge.weigh_alike(fit.blur_px);
@@ -224,7 +224,7 @@ impl Learner {
         if !alive {
             return None;
         }
-        fit.load(image, &start).filter(|&pixels| pixels <= MOST_PIXELS)?;
+        fit.load(image, &start).filter(|&pixels| pixels <= MAX_PIXELS)?;
         outline.centre += start.centre_px - fit.window.origin;
         fit.window.draw(&outline, fit.blur_px, &fit.edge);
         let (levels, follow) = fit.window.levels()?;

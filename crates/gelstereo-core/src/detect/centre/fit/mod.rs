@@ -24,7 +24,7 @@ use super::weighted::WeightedCentroid;
 use super::{CentreRung, Components, MaskedMarkers};
 use crate::detect::markers::Markers;
 use crate::detect::mask::components::{Blob, Most, Run};
-use crate::detect::mask::segmentation::LEAST_NEIGHBOUR_PX2;
+use crate::detect::mask::segmentation::MIN_NEIGHBOUR_PX2;
 use crate::image::GrayView;
 use crate::math::DVec2;
 use crate::math::linalg::Symmetric;
@@ -35,7 +35,7 @@ use fitter::{FIRST_BLUR_PX, Fitter, REACH_PX};
 use learn::Learner;
 
 /// Least search radius for neighbours.
-const LEAST_FAR_PX: f64 = 2.0 + REACH_PX + 4.0 * FIRST_BLUR_PX;
+const MIN_FAR_PX: f64 = 2.0 + REACH_PX + 4.0 * FIRST_BLUR_PX;
 /// Standard deviation of a grey centroid over the bound, where the fit did not settle.
 const UNFITTED: f64 = 4.0;
 
@@ -147,7 +147,7 @@ impl DiscFit {
         let most = Most::of(image.width(), image.height()).kept;
         centres_px.reserve(most);
         centres_px.extend(others_px);
-        grid.reserve(most, (image.width(), image.height()), LEAST_FAR_PX);
+        grid.reserve(most, (image.width(), image.height()), MIN_FAR_PX);
         grid.build(centres_px, far_px);
         for start in starts {
             let (at, own_px) = (start.centre_px, 0.5 * start.radius_px());
@@ -165,7 +165,7 @@ impl CentreRung for DiscFit {
         let (components, mask) = found.segmentation.draw();
         let whole = || components.blobs().iter().filter(|blob| filter.passes_whole(blob));
         whole().for_each(|blob| self.add(blob.mean_px(), blob.spread_px2(components.runs(blob))));
-        let others = components.blobs().iter().filter(|blob| blob.area_px2 >= LEAST_NEIGHBOUR_PX2);
+        let others = components.blobs().iter().filter(|blob| blob.area_px2 >= MIN_NEIGHBOUR_PX2);
         self.finish(image, mask, others.map(Blob::mean_px), out);
         self.weighted.reserve(image.height());
         let mut unfitted = self.unfitted.iter().map(|&k| k as usize).peekable();

@@ -5,7 +5,7 @@ use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, Factor, sqrt};
 
 /// Longest step.
-const MOST_PX: f64 = 0.6;
+const MAX_PX: f64 = 0.6;
 
 /// Where a fit begins.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,7 +57,7 @@ pub(super) fn apply(outline: &mut Outline, step: &[f64; 5]) -> f64 {
     let changed = sqrt(changed_xx * changed_xx + 2.0 * changed_xy * changed_xy + changed_yy * changed_yy);
     let part = changed / sqrt(xx * xx + 2.0 * xy * xy + yy * yy);
     let moved_px = sqrt(x * x + y * y) + 0.5 * part * sqrt(2.0 / (xx + yy));
-    let share = (MOST_PX / moved_px).min(1.0);
+    let share = (MAX_PX / moved_px).min(1.0);
     outline.centre += DVec2::new(x, y) * share;
     for (entry, change) in outline.form.iter_mut().zip(form) {
         *entry += change * share;

@@ -16,10 +16,10 @@ use alloc::vec::Vec;
 /// Places within a pixel, per axis.
 const PLACES: usize = 4;
 /// Larger windows, pixels, have no template: their markers are few.
-const MOST_PIXELS: usize = 512;
-const MOST_CELLS: usize = MOST_PIXELS / WIDTH;
+const MAX_PIXELS: usize = 512;
+const MAX_CELLS: usize = MAX_PIXELS / WIDTH;
 /// Levels of contrast that are one.
-const LEAST_CONTRAST: f64 = 1.0;
+const MIN_CONTRAST: f64 = 1.0;
 
 /// The usual marker of an image.
 #[derive(Clone, Debug)]
@@ -57,9 +57,9 @@ impl Template {
     ) {
         self.forget();
         self.answers.clear();
-        self.answers.reserve(PLACES * PLACES * MOST_CELLS);
+        self.answers.reserve(PLACES * PLACES * MAX_CELLS);
         let pixels = window.lay(radius_px);
-        if pixels > MOST_PIXELS {
+        if pixels > MAX_PIXELS {
             return;
         }
         for place in 0..PLACES * PLACES {
@@ -82,7 +82,7 @@ impl Template {
         let place = nearest_place(at);
         let sums = window.sum_answers(&self.answers[place * self.cells..][..self.cells]);
         let contrast = sums[ANSWERS - 1];
-        if !(contrast * contrast > LEAST_CONTRAST * LEAST_CONTRAST) {
+        if !(contrast * contrast > MIN_CONTRAST * MIN_CONTRAST) {
             return None;
         }
         let mut outline = Outline { centre: place_of(place), form: self.form };

@@ -1,7 +1,7 @@
 //! Sums of products of levels with weights, in whole numbers. Plain loops, of the kind that compilers turn into vector
 //! instructions.
 
-use super::design::MOST_SIDE_PX;
+use super::design::MAX_SUPPORT_PX;
 use crate::image::GrayView;
 
 /// The share of a disc is stored with so many fractional bits: its product with a contrast of 255 fits 16 bits.
@@ -10,7 +10,7 @@ pub(super) const SHARE_BITS: u32 = 7;
 /// Numbers that are multiplied at once.
 const BLOCK: usize = 32;
 /// Most numbers of a patch.
-const MOST: usize = (MOST_SIDE_PX + 1) * BLOCK;
+const MOST: usize = (MAX_SUPPORT_PX + 1) * BLOCK;
 
 /// Columns of a patch of this side, with those that fill rows up to whole eights.
 pub(super) const fn columns(side: usize) -> usize {

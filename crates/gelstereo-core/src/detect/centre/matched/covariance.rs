@@ -14,7 +14,7 @@ use core::f64::consts::FRAC_1_SQRT_2;
 
 /// White noise that is assumed over that at the lowest frequency: in grain alone the weights would swing ever more between
 /// neighbouring pixels.
-const LEAST_SHARE: f64 = 0.03;
+const MIN_SHARE: f64 = 0.03;
 /// Columns that are summed at a time.
 const LANES: usize = 8;
 
@@ -63,7 +63,7 @@ impl Covariance {
 
     /// Factors the covariance of this noise per variance of a pixel, with enough white noise for well-behaved weights.
     pub fn factor(&mut self, support: Support, noise: &Noise) {
-        let white = noise.white_levels2.max(LEAST_SHARE * noise.spectrum(0.0));
+        let white = noise.white_levels2.max(MIN_SHARE * noise.spectrum(0.0));
         let all = white + noise.grain_levels2;
         let (white, grain) = (white / all, noise.grain_levels2 / all);
         self.side = support.side;
@@ -222,7 +222,7 @@ mod tests {
                     solution[place].iter_mut().zip(x).for_each(|(sum, x)| *sum += x);
                 });
             }
-            let white = f64::max(1.0, LEAST_SHARE * noise.spectrum(0.0));
+            let white = f64::max(1.0, MIN_SHARE * noise.spectrum(0.0));
             let places: Vec<DVec2> = support.places().collect();
             let between = |a: usize, b: usize| {
                 let grain = grain_levels2 * exp(-0.25 * places[a].distance_squared(places[b]) / (1.3 * 1.3));

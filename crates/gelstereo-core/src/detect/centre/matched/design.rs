@@ -20,7 +20,7 @@ const PRIORS_PX: [f64; 2] = [1.0, 0.15];
 /// Noise over contrast that goes with it.
 const NOISE_SHARE: f64 = 1.0 / 40.0;
 /// Most columns and rows of a support.
-pub(super) const MOST_SIDE_PX: usize = 31;
+pub(super) const MAX_SUPPORT_PX: usize = 31;
 /// Weights that are wanted: displacement, contrast, radius and blur.
 const WANTED: usize = 5;
 /// Displacement at which the response's bend is measured.

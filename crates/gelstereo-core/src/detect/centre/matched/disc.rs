@@ -24,8 +24,8 @@ pub(super) struct Share {
 }
 
 /// Most nodes, and angles of half a turn, for the radii and blurs that are looked at.
-const MOST_NODES: usize = 1408;
-const MOST_ANGLES: usize = 160;
+const MAX_NODES: usize = 1408;
+const MAX_ANGLES: usize = 160;
 
 /// A table of [`Share`] over the distance.
 #[derive(Clone, Debug, Default)]
@@ -44,18 +44,18 @@ impl Disc {
     /// dS/db = b ∇²S.
     pub fn draw(&mut self, radius_px: f64, blur_px: f64) {
         let step_px = blur_px / PER_BLUR;
-        let count = (ceil((radius_px + REACH * blur_px) / step_px) as usize + 2).min(MOST_NODES);
+        let count = (ceil((radius_px + REACH * blur_px) / step_px) as usize + 2).min(MAX_NODES);
         // Half a turn: the other half is its mirror image.
-        let angles = (ceil(4.0 * radius_px / blur_px) as usize + 8).min(MOST_ANGLES);
+        let angles = (ceil(4.0 * radius_px / blur_px) as usize + 8).min(MAX_ANGLES);
         let per_blur2 = 1.0 / (blur_px * blur_px);
         let scale = radius_px * per_blur2 / angles as f64;
         let too_far2 = (TOO_FAR * blur_px) * (TOO_FAR * blur_px);
         self.step_px = step_px;
         self.cosines.clear();
-        self.cosines.reserve(MOST_ANGLES);
+        self.cosines.reserve(MAX_ANGLES);
         self.cosines.extend((0..angles).map(|k| cos(PI * (k as f64 + 0.5) / angles as f64)));
         self.nodes.clear();
-        self.nodes.reserve(MOST_NODES);
+        self.nodes.reserve(MAX_NODES);
         for k in 0..count {
             let d = k as f64 * step_px;
             let (mut even, mut odd) = (0.0, 0.0);

@@ -14,7 +14,7 @@ pub(super) const FIRST_BLUR_PX: f64 = 0.8;
 pub(super) const DARK_PER_GROUND: f64 = -0.7;
 pub(super) const BRIGHT_PER_GROUND: f64 = 2.3;
 /// Steps at most. A binary centroid needs one, a prediction two to four.
-const MOST_STEPS: usize = 6;
+const MAX_STEPS: usize = 6;
 /// A displacement from the weights' own place over the blur, below which a step is the last: what is left of it is
 /// below 0.005 px.
 const SETTLED: f64 = 0.27;
@@ -25,9 +25,9 @@ const CHANCE: f64 = 3.0;
 /// Longest step.
 const LONGEST_PX: f64 = 1.0;
 /// Least contrast over the standard deviation of a pixel.
-const LEAST_CONTRAST: f64 = 1.0;
+const MIN_CONTRAST: f64 = 1.0;
 /// Rms of what noise and model leave over the contrast, above which the patch is no single whole disc.
-pub const MOST_MISFIT: f64 = 0.12;
+pub const MAX_MISFIT: f64 = 0.12;
 
 /// A marker's centre by a matched step.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,7 +38,7 @@ pub struct Refined {
     pub covariance_px2: Symmetric<2>,
     /// Level of the dot less that of the gel, grey levels.
     pub contrast_levels: f64,
-    /// Rms of what the disc leaves of the levels, noise and grain taken off, over the contrast. Below [`MOST_MISFIT`]
+    /// Rms of what the disc leaves of the levels, noise and grain taken off, over the contrast. Below [`MAX_MISFIT`]
     /// for one whole marker; neighbours within the support, merged pairs, covered halves and smears have more.
     pub misfit: f64,
 }
@@ -141,7 +141,7 @@ impl MatchedFilter {
     #[inline]
     pub fn refine(&mut self, image: GrayView<'_>, near_px: DVec2, radius_px: f64) -> Option<Refined> {
         let (mut near, mut settled_px) = (near_px, SETTLED * self.tables.blur_px());
-        for _ in 0..MOST_STEPS {
+        for _ in 0..MAX_STEPS {
             let step = self.step(image, near, radius_px)?;
             near = step.at_px + step.moved_px;
             if step.moved_px.length_squared() <= settled_px * settled_px {
@@ -161,9 +161,7 @@ impl MatchedFilter {
         let sum = |kind| f64::from(self.patch.correlate(self.tables.kernel(set, place, kind)));
         let contrast = sum(Kind::Contrast) * set.contrast_per_unit;
         let toward = if self.bright { contrast } else { -contrast };
-        if !(toward > 0.0
-            && toward * toward > LEAST_CONTRAST * LEAST_CONTRAST * self.noise.variance_levels2())
-        {
+        if !(toward > 0.0 && toward * toward > MIN_CONTRAST * MIN_CONTRAST * self.noise.variance_levels2()) {
             return None;
         }
         let px_per_unit = set.px_per_unit / (contrast * self.response.mean);

@@ -1,6 +1,6 @@
 //! What an image's discs have in common, from some of them.
 
-use super::filter::{MOST_MISFIT, MatchedFilter, Refined, Response, component_px, locate};
+use super::filter::{MAX_MISFIT, MatchedFilter, Refined, Response, component_px, locate};
 use super::tables::{Conditions, Kind, PLACES, REACH_PX};
 use crate::detect::centre::middle::Middle;
 use crate::detect::centre::sampling;
@@ -23,7 +23,7 @@ const SAME_RADIUS_PX: f64 = 0.1;
 /// The same for how radii follow those of components, which differ by a third of a pixel where much.
 const SAME_PER_PX: f64 = 0.3;
 /// Radius of a disc beyond that of its component, at most.
-const MOST_OFF_PX: f64 = 1.5;
+const MAX_OFF_PX: f64 = 1.5;
 /// Radii of components that differ by less say nothing of those of discs.
 const ALIKE_PX: f64 = 0.03;
 /// Blurs that are believed.
@@ -140,7 +140,7 @@ impl MatchedFilter {
         let start = self.step(image, near_px, radius_px)?;
         let here = self.step(image, start.at_px + start.moved_px, radius_px)?;
         let Refined { misfit, covariance_px2: [[xx, _], [_, yy]], .. } = self.judge(&here);
-        if misfit > MOST_MISFIT {
+        if misfit > MAX_MISFIT {
             return None;
         }
         let mut along = |axis: DVec2| {
@@ -163,7 +163,7 @@ impl MatchedFilter {
         };
         if !keeps || crate::math::abs(wider_px) > SAME_RADIUS_PX {
             let off_px = self.radius_off_px + wider_px.clamp(-0.5, 0.5);
-            self.radius_off_px = off_px.clamp(-MOST_OFF_PX, MOST_OFF_PX);
+            self.radius_off_px = off_px.clamp(-MAX_OFF_PX, MAX_OFF_PX);
         }
         let radius_per_px = samples.radius_per_px();
         if !keeps || crate::math::abs(radius_per_px - self.radius_per_px) > SAME_PER_PX {
@@ -219,7 +219,7 @@ impl Samples {
         let (mut product, mut square) = (known, known);
         for [component, disc] in &self.radii {
             let (larger, disc) = (component - component_px, disc - disc_px);
-            if crate::math::abs(disc) <= MOST_OFF_PX {
+            if crate::math::abs(disc) <= MAX_OFF_PX {
                 product += larger * disc;
                 square += larger * larger;
             }

@@ -17,14 +17,14 @@ mod learn;
 mod support;
 mod tables;
 
-pub use filter::{MOST_MISFIT, Refined};
+pub use filter::{MAX_MISFIT, Refined};
 
 use super::covered;
 use super::noise::{CLEARANCE_PX, ENOUGH_ROWS, Noise, NoiseMeter, every_row_of};
 use super::weighted::WeightedCentroid;
 use super::{CentreRung, Components, MaskedMarkers};
 use crate::detect::markers::Markers;
-use crate::detect::mask::bit_rows::RowBits;
+use crate::detect::mask::bit_rows::BitRow;
 use crate::detect::mask::components::{Blob, Run};
 use crate::detect::window::size::MarkerSize;
 use crate::image::GrayView;
@@ -96,7 +96,7 @@ impl Matched {
     ) -> bool {
         let (near_px, radius_px) = (markers.centres_px[index], self.filter.radius_px(area_px2));
         let found =
-            self.filter.refine(image, near_px, radius_px).filter(|refined| refined.misfit <= MOST_MISFIT);
+            self.filter.refine(image, near_px, radius_px).filter(|refined| refined.misfit <= MAX_MISFIT);
         match found {
             Some(refined) => {
                 markers.centres_px[index] = refined.centre_px;
@@ -126,7 +126,7 @@ impl CentreRung for Matched {
         found.push_means(self.variance_px2, out);
         let (image, components) = (found.image, &found.segmentation.components);
         let every = every_row_of(image.height(), ENOUGH_ROWS);
-        let cover = |rows, near: &mut RowBits| components.cover(rows, 1, near);
+        let cover = |rows, near: &mut BitRow| components.cover(rows, 1, near);
         let noise = self.meter.run_rows(image, &out.centres_px, (every, CLEARANCE_PX), cover);
         self.prepare(image, noise.unwrap_or_default(), out);
         self.weighted.reserve(image.height());

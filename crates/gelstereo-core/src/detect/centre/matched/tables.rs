@@ -1,7 +1,7 @@
 //! Weights as whole numbers for every disc and place within a pixel that an image has needed so far.
 
 use super::correlate::{SHARE_BITS, columns, numbers};
-use super::design::{Design, MOST_SIDE_PX, Weights};
+use super::design::{Design, MAX_SUPPORT_PX, Weights};
 use super::disc::Disc;
 use super::support::Support;
 use crate::detect::centre::noise::Noise;
@@ -22,11 +22,11 @@ pub(super) enum Kind {
 }
 const KINDS: usize = 6;
 /// Largest weight: its products with levels fill 31 bits only for sums of more than 1000 pixels.
-const MOST_WEIGHT: i32 = 8191;
+const MAX_WEIGHT: i32 = 8191;
 /// Numbers beside it are whole: adding it rounds.
 const LIFT: f64 = 1.5 * (1_u64 << 52) as f64;
 /// Sets there is room for, of discs as large as those of the first image. The markers of an image need two or three.
-const MOST_SETS: usize = 12;
+const MAX_SETS: usize = 12;
 /// Larger discs than in the first image that are served: pixels more on a side of their support.
 const WIDER_PX: usize = 4;
 /// Sizes of grain over that of the design for which the variance is known.
@@ -53,7 +53,7 @@ impl Conditions {
         let share = noise.grain_levels2 / noise.white_levels2;
         let grain = if share < 0.03 { 0 } else { 1 + step(share, 0.125, 2.0, 6.0) };
         Self {
-            blur: step(blur_px, LEAST_BLUR_PX, BLUR_STEP, 40.0),
+            blur: step(blur_px, MIN_BLUR_PX, BLUR_STEP, 40.0),
             half_way: floor(4.0 * half_way_px) as u8,
             grain,
             grain_size: if grain == 0 { 2 } else { step(noise.grain_size_px, 0.7, 1.5, 5.0) },
@@ -80,11 +80,11 @@ impl Conditions {
     /// Radius of the support of a disc: to the middle between neighbours at most, `None` if they are too near.
     fn reach_px(self, radius_px: f64) -> Option<f64> {
         let half_way = if self.half_way == u8::MAX { f64::INFINITY } else { 0.25 * f64::from(self.half_way) };
-        (half_way >= radius_px + LEAST_REACH_PX).then(|| half_way.min(radius_px + REACH_PX))
+        (half_way >= radius_px + MIN_REACH_PX).then(|| half_way.min(radius_px + REACH_PX))
     }
 
     pub fn blur_px(self) -> f64 {
-        LEAST_BLUR_PX * exp(f64::from(self.blur) * ln(BLUR_STEP))
+        MIN_BLUR_PX * exp(f64::from(self.blur) * ln(BLUR_STEP))
     }
 
     fn noise(self) -> Noise {
@@ -97,8 +97,8 @@ impl Conditions {
 
 /// Gel around the outline that takes part, at most and at least: farther pixels say little of the light.
 pub(super) const REACH_PX: f64 = 3.0;
-const LEAST_REACH_PX: f64 = 1.0;
-const LEAST_BLUR_PX: f64 = 0.4;
+const MIN_REACH_PX: f64 = 1.0;
+const MIN_BLUR_PX: f64 = 0.4;
 const BLUR_STEP: f64 = 1.12;
 
 /// Steps of the radius, and their number.
@@ -185,11 +185,11 @@ impl Tables {
     /// Chooses the conditions that hold from now on, and the noise of which variances follow. Weights for other conditions
     /// are forgotten. Room is taken for discs of about this radius, anew only for much larger ones.
     pub fn choose(&mut self, conditions: Conditions, noise: &Noise, usual_px: f64) {
-        let widest = Support::new((usual_px + REACH_PX).clamp(4.0, 0.5 * MOST_SIDE_PX as f64));
+        let widest = Support::new((usual_px + REACH_PX).clamp(4.0, 0.5 * MAX_SUPPORT_PX as f64));
         let wider = widest.side > self.most_side;
         if wider {
-            self.most_side = (widest.side + WIDER_PX).min(MOST_SIDE_PX);
-            self.room = MOST_SETS * needed(widest.side);
+            self.most_side = (widest.side + WIDER_PX).min(MAX_SUPPORT_PX);
+            self.room = MAX_SETS * needed(widest.side);
             self.design.reserve(self.most_side);
             self.by_radius.resize(RADII, Known::Nothing);
         }
@@ -198,7 +198,7 @@ impl Tables {
             self.sets.clear();
             self.numbers.clear();
             self.numbers.reserve(self.room);
-            self.sets.reserve(MOST_SETS);
+            self.sets.reserve(MAX_SETS);
         }
         self.by_radius.fill(Known::Nothing);
         (self.chosen, self.conditions, self.noise) = (true, conditions, *noise);
@@ -271,7 +271,7 @@ impl Tables {
         let radius_px = RADIUS_STEP_PX * step as f64;
         let support = Support::new(self.conditions.reach_px(radius_px)?);
         let needed = needed(support.side);
-        let room = self.sets.len() < MOST_SETS && self.numbers.len() + needed <= self.room;
+        let room = self.sets.len() < MAX_SETS && self.numbers.len() + needed <= self.room;
         if !(radius_px >= 0.75 && support.side <= self.most_side && room) {
             return None;
         }
@@ -348,7 +348,7 @@ impl Tables {
                     // Others differ little; 1/2 leaves room.
                     let unit = |list: &[f64]| {
                         list.iter().fold(0.0, |most: f64, &w| most.max(abs(w)))
-                            / (0.5 * f64::from(MOST_WEIGHT))
+                            / (0.5 * f64::from(MAX_WEIGHT))
                     };
                     units = [
                         unit(&weights.x).max(unit(&weights.y)),
@@ -412,7 +412,7 @@ fn write(kernels: &mut [i16], weights: &Weights, units: &[f64; 3], side: usize, 
                     // Its last bits are the whole number, which fits 31 of them by far.
                     let lifted = exact + left_over + LIFT;
                     left_over += exact - (lifted - LIFT);
-                    *kernel = (lifted.to_bits() as i32).clamp(-MOST_WEIGHT, MOST_WEIGHT) as i16;
+                    *kernel = (lifted.to_bits() as i32).clamp(-MAX_WEIGHT, MAX_WEIGHT) as i16;
                 }
             }
         }

@@ -1,13 +1,13 @@
 //! Differences between pixels of a row of gel, from which its noise is known.
 
-use crate::detect::mask::bit_rows::RowBits;
+use crate::detect::mask::bit_rows::BitRow;
 use core::ops::Range;
 
 /// Differences from which the slope of the light is taken: few enough that it is the same for all of them, and enough that
 /// the noise of their mean, of which a share of 4 stretches / differences² is lost with it, is below a percent.
 pub(super) const SLOPE_DIFFERENCES: usize = 20;
 /// Fewer say nothing.
-pub(super) const LEAST_DIFFERENCES: usize = 16;
+pub(super) const MIN_DIFFERENCES: usize = 16;
 /// Distances at which pixels are compared.
 const LAGS: [usize; 3] = [1, 2, 4];
 /// Half of the farthest.
@@ -17,7 +17,7 @@ pub(super) const HALF_LAG_PX: usize = LAGS[2] / 2;
 /// pieces in which the slope of the light is one. Too short ones are left out.
 pub(super) fn each_piece(
     levels: &[u8],
-    near: &RowBits,
+    near: &BitRow,
     clearance_px: usize,
     mut tell: impl FnMut(&Differences),
 ) {
@@ -36,7 +36,7 @@ pub(super) fn each_piece(
             }
         }
     }
-    if piece.count >= LEAST_DIFFERENCES {
+    if piece.count >= MIN_DIFFERENCES {
         tell(&piece);
     }
 }
@@ -126,15 +126,15 @@ fn sum_of_levels(pixels: &[u8; SPAN], mask: &[u8; LANES]) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::{Differences, HALF_LAG_PX, LAGS, LANES, each_piece};
-    use crate::detect::mask::bit_rows::RowBits;
+    use crate::detect::mask::bit_rows::BitRow;
     use crate::math::abs;
     use alloc::vec::Vec;
     use proptest::prelude::*;
 
     /// A row of gel in stretches of these lengths, with a marker of this width after each: how long it is, and what is near
     /// to markers.
-    fn masked(gel: &[usize], marker: usize, clearance: usize) -> (usize, RowBits) {
-        let mut near = RowBits::default();
+    fn masked(gel: &[usize], marker: usize, clearance: usize) -> (usize, BitRow) {
+        let mut near = BitRow::default();
         let length = gel.iter().sum::<usize>() + gel.len() * marker;
         near.start(length);
         let mut end = 0;
@@ -147,7 +147,7 @@ mod tests {
     }
 
     /// Sums over the pieces of a row: differences, and their squares at every lag.
-    fn spread_of(levels: &[u8], near: &RowBits, clearance: usize) -> (usize, [f64; 3]) {
+    fn spread_of(levels: &[u8], near: &BitRow, clearance: usize) -> (usize, [f64; 3]) {
         let mut all = (0, [0.0; 3]);
         each_piece(levels, near, clearance, |piece| {
             all.0 += piece.count;

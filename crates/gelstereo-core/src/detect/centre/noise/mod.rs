@@ -4,13 +4,13 @@ mod differences;
 
 use crate::detect::centre::covered::GLARE_LEVEL;
 use crate::detect::centre::region::Region;
-use crate::detect::mask::bit_rows::RowBits;
+use crate::detect::mask::bit_rows::BitRow;
 use crate::image::GrayView;
 use crate::math::{DVec2, abs, exp, median, sqrt};
 use alloc::vec::Vec;
 use core::f64::consts::PI;
 use core::ops::{Range, RangeInclusive};
-use differences::{Differences, HALF_LAG_PX, LEAST_DIFFERENCES, SLOPE_DIFFERENCES, each_piece};
+use differences::{Differences, HALF_LAG_PX, MIN_DIFFERENCES, SLOPE_DIFFERENCES, each_piece};
 
 /// Variance of rounding to whole grey levels: no image has less noise.
 const ROUNDING_LEVELS2: f64 = 1.0 / 12.0;
@@ -18,7 +18,7 @@ const ROUNDING_LEVELS2: f64 = 1.0 / 12.0;
 pub(in crate::detect) const CLEARANCE_PX: usize = 4;
 /// The least of it where markers stand close: 3 px from the outline behind a blur of 0.8 px, 0.01 % of a marker's contrast
 /// is left.
-const LEAST_CLEARANCE_PX: usize = 3;
+const MIN_CLEARANCE_PX: usize = 3;
 /// Pairs of pixels between the markers from which the noise is known to 5 %, twice as well as it must be, and from which faint
 /// grain is too; with fewer all gel of the image counts.
 const ENOUGH_PAIRS: u64 = 1000;
@@ -29,11 +29,11 @@ const SPREAD_OF_SIZES: f64 = 0.4;
 /// Logarithm of the largest size over the usual one: 4.3 px and 0.4 px. Coarser grain is light, finer grain is white.
 const LARGEST_LOG_SIZE: f64 = 1.2;
 /// Grain is believed to differ by at most this factor from that of the gel on which it was measured.
-const MOST_SHARE: f64 = 16.0;
+const MAX_SHARE: f64 = 16.0;
 /// Rows in which even faint grain shows.
 pub(in crate::detect) const ENOUGH_ROWS: usize = 240;
 /// Pieces that are farther from the median than this many times the median distance from it show something else than gel.
-const MOST_OFF: f64 = 7.0;
+const MAX_OFF: f64 = 7.0;
 
 /// White noise, and grain whose neighbouring pixels are alike: variances in squared grey levels.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -72,7 +72,7 @@ impl Noise {
     /// Variance of the grain over `grain_levels2`, where the gel has another level.
     pub(in crate::detect) fn grain_share(&self, gel_level: f64) -> f64 {
         let share = if self.gel_level > 0.0 { gel_level / self.gel_level } else { 1.0 };
-        (share * share).clamp(1.0 / MOST_SHARE, MOST_SHARE)
+        (share * share).clamp(1.0 / MAX_SHARE, MAX_SHARE)
     }
 
     /// The same noise where the gel has another level.
@@ -144,7 +144,7 @@ pub(in crate::detect) const fn every_row_of(height: usize, rows: usize) -> usize
 #[derive(Clone, Debug, Default)]
 pub(in crate::detect) struct NoiseMeter {
     /// Set where a row's pixel is near a marker.
-    near: RowBits,
+    near: BitRow,
     pieces: Vec<Piece>,
     scratch: Vec<f64>,
 }
@@ -203,16 +203,16 @@ impl NoiseMeter {
         image: GrayView<'_>,
         centres_px: &[DVec2],
         (every, clearance_px): (usize, usize),
-        mut cover: impl FnMut(RangeInclusive<usize>, &mut RowBits),
+        mut cover: impl FnMut(RangeInclusive<usize>, &mut BitRow),
     ) -> Option<Noise> {
         self.pieces.clear();
         // More rows among the markers are only looked at where these have too few pairs.
         let rows_px = (image.height() / every + 1) * (image.width() / SLOPE_DIFFERENCES + 1);
-        self.pieces.reserve(rows_px.max(every * PLENTY_PAIRS as usize / LEAST_DIFFERENCES));
+        self.pieces.reserve(rows_px.max(every * PLENTY_PAIRS as usize / MIN_DIFFERENCES));
         self.scratch.clear();
         self.scratch.reserve(self.pieces.capacity().max(centres_px.len()));
         let glares = image.reaches(GLARE_LEVEL);
-        let mut cover = |rows: RangeInclusive<usize>, near: &mut RowBits| {
+        let mut cover = |rows: RangeInclusive<usize>, near: &mut BitRow| {
             cover(rows.clone(), near);
             // A light's reflection is no gel, and hides markers: it is clear of their mask.
             if glares {
@@ -220,7 +220,7 @@ impl NoiseMeter {
             }
         };
         if let Some(region) = Region::around(centres_px, &mut self.scratch) {
-            let least_px = clearance_px.min(LEAST_CLEARANCE_PX);
+            let least_px = clearance_px.min(MIN_CLEARANCE_PX);
             let columns = |y| region.columns(y, image.width());
             let some = self.take_rows(image, columns, (every, clearance_px), &mut cover);
             if some.pairs >= PLENTY_PAIRS {
@@ -249,7 +249,7 @@ impl NoiseMeter {
         image: GrayView<'_>,
         columns: impl Fn(usize) -> Range<usize>,
         (every, clearance_px): (usize, usize),
-        cover: &mut impl FnMut(RangeInclusive<usize>, &mut RowBits),
+        cover: &mut impl FnMut(RangeInclusive<usize>, &mut BitRow),
     ) -> Total {
         let (width, height) = (image.width(), image.height());
         let mut total = Total::default();
@@ -295,7 +295,7 @@ impl NoiseMeter {
         };
         let usual = middle(&|piece| f64::from(piece.entries[entry]))?;
         let off = |piece: &Piece| abs(f64::from(piece.entries[entry]) - usual);
-        let most = MOST_OFF * middle(&off)?;
+        let most = MAX_OFF * middle(&off)?;
         let (mut sum, mut pairs) = (0.0, 0.0);
         for piece in pieces.iter().filter(|piece| off(piece) <= most) {
             sum += f64::from(piece.pairs) * f64::from(piece.entries[entry]);

@@ -12,11 +12,11 @@ use super::noise::{CLEARANCE_PX, Noise, NoiseMeter, every_row_of};
 use super::weighted::WeightedCentroid;
 use super::{CentreRung, Components as Found};
 use crate::detect::markers::Markers;
-use crate::detect::mask::bit_rows::RowBits;
+use crate::detect::mask::bit_rows::BitRow;
 use crate::detect::mask::components::{Blob, Components, Run};
-use crate::detect::window::classifier::{Eye, Spot};
+use crate::detect::window::classifier::{WindowClassifier, WindowMarker};
 use crate::detect::window::size::MarkerSize;
-use crate::detect::window::sized::Eyes;
+use crate::detect::window::sized::SizedClassifier;
 use crate::image::GrayView;
 use crate::math::DVec2;
 use crate::params::{DetectParams, Polarity};
@@ -84,26 +84,33 @@ impl BandNoise {
     }
 
     /// Learns from some of these markers, and from the bands of all, in an image of this noise.
-    fn learn(&mut self, image: GrayView<'_>, eyes: &Eyes, noise: &Noise, centres_px: &[DVec2], bands: &[u8]) {
-        match eyes {
-            Eyes::Small(eye) => self.learn_by(image, eye, noise, centres_px, bands),
-            Eyes::Large(eye) => self.learn_by(image, eye, noise, centres_px, bands),
+    fn learn(
+        &mut self,
+        image: GrayView<'_>,
+        classifier: &SizedClassifier,
+        noise: &Noise,
+        centres_px: &[DVec2],
+        bands: &[u8],
+    ) {
+        match classifier {
+            SizedClassifier::Small(classifier) => self.learn_by(image, classifier, noise, centres_px, bands),
+            SizedClassifier::Large(classifier) => self.learn_by(image, classifier, noise, centres_px, bands),
         }
     }
 
     fn learn_by<const L: usize>(
         &mut self,
         image: GrayView<'_>,
-        eye: &Eye<L>,
+        classifier: &WindowClassifier<L>,
         noise: &Noise,
         centres_px: &[DVec2],
         bands: &[u8],
     ) {
-        let mut profile = Profile::new(eye.size().radius_px);
+        let mut profile = Profile::new(classifier.size().radius_px);
         let samples = SAMPLES.min(centres_px.len());
         for at_px in (0..samples).map(|k| centres_px[(2 * k + 1) * centres_px.len() / (2 * samples)]) {
             if let Some(frame) =
-                eye.shares(image, at_px, |distance_px2, share| profile.add(distance_px2, share))
+                classifier.shares(image, at_px, |distance_px2, share| profile.add(distance_px2, share))
             {
                 profile.close(frame);
             }
@@ -141,7 +148,7 @@ pub(in crate::detect) struct SoftThreshold {
     weighted: WeightedCentroid,
     meter: NoiseMeter,
     noise: BandNoise,
-    /// Of each marker that a window showed, [`Spot::band`]; else 0.
+    /// Of each marker that a window showed, [`WindowMarker::band`]; else 0.
     bands: Vec<u8>,
 }
 
@@ -166,9 +173,9 @@ impl SoftThreshold {
     }
 
     /// Lists a marker that a window showed. Its variance is not known before [`Self::state_variances`].
-    pub fn push(&mut self, spot: &Spot, out: &mut Markers) {
-        self.bands.push(spot.band);
-        out.push(spot.centre_px, self.variance_px2, spot.area_px2);
+    pub fn push(&mut self, marker: &WindowMarker, out: &mut Markers) {
+        self.bands.push(marker.band);
+        out.push(marker.centre_px, self.variance_px2, marker.area_px2);
     }
 
     /// Learns how well the listed markers of one size are known, and states it. The image's components are those of one
@@ -181,11 +188,12 @@ impl SoftThreshold {
         out: &mut Markers,
     ) {
         let Self { polarity, variance_px2, meter, noise, bands, .. } = self;
-        let (eyes, every) = (Eyes::new(*size, *polarity), every_row_of(image.height(), NOISE_ROWS));
-        let cover = |rows, near: &mut RowBits| components.cover(rows, scale, near);
+        let (classifier, every) =
+            (SizedClassifier::new(*size, *polarity), every_row_of(image.height(), NOISE_ROWS));
+        let cover = |rows, near: &mut BitRow| components.cover(rows, scale, near);
         let measured =
             meter.run_rows(image, &out.centres_px, (every, CLEARANCE_PX), cover).unwrap_or_default();
-        noise.learn(image, &eyes, &measured, &out.centres_px, bands);
+        noise.learn(image, &classifier, &measured, &out.centres_px, bands);
         let markers = out.covariance_px2.iter_mut().zip(bands).zip(out.centres_px.iter().zip(&out.area_px2));
         for ((covariance, &mut band), (&centre_px, &area_px2)) in markers {
             let areas_px2 = (area_px2, size.usual_area_px2());
@@ -200,16 +208,17 @@ impl CentreRung for SoftThreshold {
     /// By windows where these show whole markers, else by the intensity of the component.
     fn centre_components(&mut self, found: &mut Found<'_>, out: &mut Markers) {
         let size = MarkerSize::of(found.filter.usual_px2);
-        let eyes = size.map(|size| Eyes::new(size, self.polarity));
+        let classifier = size.map(|size| SizedClassifier::new(size, self.polarity));
         self.start(found.image, found.max_markers);
         for blob in found.markers() {
-            let spot = eyes.as_ref().and_then(|eyes| eyes.centre(found.image, blob.mean_px()));
-            let spot = spot.unwrap_or_else(|| Spot {
+            let marker =
+                classifier.as_ref().and_then(|classifier| classifier.centre(found.image, blob.mean_px()));
+            let marker = marker.unwrap_or_else(|| WindowMarker {
                 centre_px: self.weighted.run(found.image, blob, found.runs(blob)),
                 area_px2: 0,
                 band: 0,
             });
-            self.push(&Spot { area_px2: blob.area_px2, ..spot }, out);
+            self.push(&WindowMarker { area_px2: blob.area_px2, ..marker }, out);
         }
         if let Some(size) = size {
             self.state_variances(found.image, &size, (&found.segmentation.components, 1), out);

@@ -13,12 +13,12 @@ const ROUNDING_LEVELS2: f64 = 1.0 / 12.0;
 /// Grain that is less alike than e to the minus this is not counted.
 const UNLIKE: f64 = 8.0;
 /// Nor are rings whose pixels answer by less: a ten-thousandth of what those of the edge do.
-const LEAST_ANSWER: f64 = 1e-4;
+const MIN_ANSWER: f64 = 1e-4;
 
 /// Places along a quarter of a pixel, which has all that others do by symmetry.
 const PLACES: usize = 3;
 /// Least deviation of a share for which its mean is taken.
-const LEAST_DEVIATION: f64 = 1e-3;
+const MIN_DEVIATION: f64 = 1e-3;
 
 #[derive(Clone, Copy, Debug, Default)]
 struct Ring {
@@ -172,7 +172,7 @@ impl Profile {
     /// That is the mean of (Σ w p / Σ w)² over places of the centre within a pixel, for weights by the distance alone, as
     /// noise of this deviation rounds them off.
     pub fn grid_error_px2(&self, noise_share: f64) -> f64 {
-        let deviation = noise_share.max(LEAST_DEVIATION);
+        let deviation = noise_share.max(MIN_DEVIATION);
         let weights: [f64; RINGS] = core::array::from_fn(|ring| Kept::of(self.share(ring), deviation).mean);
         // Rings are of equal area; between their middles weights are taken as straight.
         let weight_at = |distance_px2: f64| {
@@ -257,7 +257,7 @@ fn alike(r: f64, s: f64, grain_size_px: f64) -> Option<f64> {
 
 /// Rings of these answers that have any, with their radii.
 fn felt(answers: &[(f64, f64)]) -> impl Iterator<Item = (usize, (f64, f64))> {
-    answers.iter().copied().enumerate().filter(|(_, (answer, _))| *answer > LEAST_ANSWER)
+    answers.iter().copied().enumerate().filter(|(_, (answer, _))| *answer > MIN_ANSWER)
 }
 
 /// Variance of a coordinate of Σ P p / Σ w in grain of variance 1: half the sum over all pairs of rings.

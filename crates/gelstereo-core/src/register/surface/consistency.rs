@@ -1,0 +1,166 @@
+//! Whether a pose that was followed is still the part's: what the gel does there, against what was measured
+//! everywhere.
+//!
+//! A pose that is wrong can touch most of the patch. The gel beside it then stands too high or too low, and over all
+//! markers that shows in their squared deviations.
+
+use super::candidate::Candidate;
+use super::gel::prediction::{GelFitScratch, LIFTED, MAX_SQUARE, Prediction};
+use super::gel::rest::Rest;
+use super::state::Search;
+use crate::math::sqrt;
+
+/// Steps from a pose that comes from a rung without the gel: it is off by several standard deviations of theirs.
+const STEPS: u32 = 3;
+/// A right pose at its peak is doubted once in e^14, 1.2 million, frames, were its markers independent. What is wrong
+/// of the gel's law is shared by neighbours; what is usual holds that.
+const ALARM_LOG: f64 = 14.0;
+/// Of so many frames in which it is known what is usual, one is looked at to the end and learned from, whatever it shows.
+const LEARNED_OF: u32 = 8;
+/// Markers that are remembered, of some ten frames, and those that what is known before stands for.
+const REMEMBERED: f64 = 4000.0;
+const BEFORE: f64 = 100.0;
+
+/// How far the markers that the part lifts, by the pose or by what was measured, are from where the gel would be:
+/// squares of their distances in standard deviations, each up to 16.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Misfit {
+    /// How many are lifted.
+    pub markers: usize,
+    /// Mean of the squares; about 1 at a right pose.
+    pub mean: f64,
+    /// Mean of the squares' squares.
+    pub mean_square: f64,
+}
+
+impl Misfit {
+    fn of(here: &Prediction) -> Self {
+        let (mut markers, mut sum, mut sum_squares) = (0_usize, 0.0, 0.0);
+        for (sight, &height_mm) in here.sights.iter().zip(&here.heights_mm) {
+            let square = (sight.residual_mm * sight.residual_mm / sight.variance_mm2).min(MAX_SQUARE);
+            let is_lifted = height_mm * height_mm > LIFTED * LIFTED * sight.variance_mm2;
+            if sight.touches || is_lifted || square == MAX_SQUARE {
+                markers += 1;
+                sum += square;
+                sum_squares += square * square;
+            }
+        }
+        let per_marker = 1.0 / markers.max(1) as f64;
+        Self { markers, mean: sum * per_marker, mean_square: sum_squares * per_marker }
+    }
+}
+
+/// The squares at poses that were believed, each at its peak.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::register) struct UsualResiduals {
+    mean: f64,
+    mean_square: f64,
+    markers: f64,
+    /// Frames since the last one that was learned from.
+    since: u32,
+}
+
+impl UsualResiduals {
+    /// Before any: of normal deviations, and of outliers.
+    pub fn new(outlier_share: f64) -> Self {
+        let good = 1.0 - outlier_share;
+        Self {
+            mean: good + outlier_share * MAX_SQUARE,
+            mean_square: 3.0 * good + outlier_share * MAX_SQUARE * MAX_SQUARE,
+            markers: BEFORE,
+            since: 0,
+        }
+    }
+
+    /// Whether a frame need not be looked at to the end: so many markers are remembered that it is known what is usual, and
+    /// this is not the one of several that is learned from.
+    pub fn is_enough(&mut self) -> bool {
+        self.since += 1;
+        self.markers >= REMEMBERED && self.since < LEARNED_OF
+    }
+
+    /// The older ones count less. Of frames that were looked at to the end whatever they showed: of those that stop as soon
+    /// as they are usual the ones that do not would raise it, and with it what is usual, for ever.
+    pub fn learn(&mut self, one: &Misfit) {
+        let count = one.markers as f64;
+        let share = count / (self.markers + count);
+        self.mean += share * (one.mean - self.mean);
+        self.mean_square += share * (one.mean_square - self.mean_square);
+        self.markers = (self.markers + count).min(REMEMBERED);
+        self.since = 0;
+    }
+
+    /// Whether markers that deviate as usual deviate as much with a probability below e^-14 (Bernstein 1924): n squares
+    /// below b, of variance v, exceed their mean by t in all with less than e^(-t² / 2 (n v + b t / 3)).
+    pub fn is_exceeded(&self, by: &Misfit) -> bool {
+        let count = by.markers as f64;
+        let variance = (self.mean_square - self.mean * self.mean).max(0.0);
+        let b = ALARM_LOG * MAX_SQUARE / 3.0;
+        let most = b + sqrt(b * b + 2.0 * ALARM_LOG * count * variance);
+        count * (by.mean - self.mean) > most
+    }
+}
+
+impl Search<'_> {
+    /// At the guess, after as few steps as make it usual, or else after all.
+    pub fn misfit(&self, usual: Option<&UsualResiduals>, settled: &mut GelFitScratch) -> Misfit {
+        let mut one = Candidate::at(self.prior.guess);
+        one.rest = Rest { plane_mm: self.samples.gel.rest_plane(self.samples.radius_mm), log_decay: 0.0 };
+        settled.clear(&self.samples.gel);
+        let way = self.settled(true);
+        way.begin_anew(&mut one, settled);
+        for _ in 0..STEPS {
+            let so_far = Misfit::of(settled.kept(one.slot));
+            if usual.is_some_and(|usual| !usual.is_exceeded(&so_far)) {
+                return so_far;
+            }
+            if way.run(&mut one, (1, self.limit), settled).converged {
+                break;
+            }
+        }
+        Misfit::of(settled.kept(one.slot))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn misfit(markers: usize, mean: f64) -> Misfit {
+        Misfit { markers, mean, mean_square: 3.0 * mean * mean }
+    }
+
+    #[test]
+    fn what_deviates_more_than_chance_explains_exceeds_the_usual() {
+        let mut usual = UsualResiduals { mean: 1.0, mean_square: 3.0, markers: REMEMBERED, since: 0 };
+        // b = 74.67; of 400 squares of variance 2 the excess is 74.67 + √(74.67² + 28 · 800) = 242.0, 0.605 each.
+        assert!(!usual.is_exceeded(&misfit(400, 1.604)) && usual.is_exceeded(&misfit(400, 1.606)));
+        assert!(!usual.is_exceeded(&misfit(0, 0.0)) && !usual.is_exceeded(&misfit(5, 16.0)));
+        assert!(usual.is_exceeded(&misfit(30, 16.0)));
+        // A tenth of outliers is no surprise where it is said to be; markers that tell of none make it one.
+        usual = UsualResiduals::new(0.1);
+        assert!(!usual.is_exceeded(&misfit(400, 2.5)));
+        for _ in 0..20 {
+            usual.learn(&misfit(400, 1.0));
+        }
+        assert!(usual.is_exceeded(&misfit(400, 2.5)) && !usual.is_exceeded(&misfit(400, 1.5)));
+    }
+
+    /// One frame of several is looked at to the end, from when enough are remembered.
+    #[test]
+    fn what_is_learned_from_is_not_chosen_by_what_it_shows() {
+        let mut usual = UsualResiduals::new(0.1);
+        assert!((0..20).all(|_| !usual.is_enough()), "nothing is known yet");
+        for _ in 0..10 {
+            usual.learn(&misfit(400, 1.0));
+        }
+        let mut learned = 0;
+        for _ in 0..80 {
+            if !usual.is_enough() {
+                usual.learn(&misfit(400, 1.0));
+                learned += 1;
+            }
+        }
+        assert_eq!(learned, 10);
+    }
+}

@@ -1,0 +1,342 @@
+//! How far points are from the part: on the exact triangles, and on the field that is a sum away.
+
+use super::normal_system::Placement;
+use super::smooth_normals::Relief;
+use crate::math::{DVec3, abs, sqrt};
+use crate::surface::{Facing, Feature, Field, Solid};
+
+/// A face that looks away from the gel by more than this cosine cannot be touched. Noise and a guess's tilt get it.
+const MIN_COSINE: f64 = -0.1;
+/// Lookups on the way through the part to the face that can be touched.
+const MAX_LOOKUPS: usize = 8;
+
+/// The distance to the part and the outward normal where it is nearest, object frame.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Near {
+    pub distance_mm: f64,
+    pub normal: DVec3,
+    /// How fast the normal turns along the surface; 0 where that is not known.
+    pub curvature_per_mm: f64,
+}
+
+/// Something that knows distances to a part.
+pub(super) trait Distances {
+    /// `press` is the way from the part into the gel, object frame; distances out of `range` need not be exact.
+    fn at(&self, x_mm: DVec3, press: DVec3, range: Range, last: &mut Last) -> Near;
+}
+
+/// From which to which distance a point matters, mm.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Range {
+    pub from_mm: f64,
+    pub to_mm: f64,
+}
+
+/// What is kept of a point from lookup to lookup.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Last {
+    /// The triangle that was nearest.
+    pub triangle: u32,
+    /// What lookups have cost, in lookups of the field.
+    pub work: u64,
+}
+
+/// Where the part lies under a marker, along the press.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Foot {
+    /// How far the marker is over it; negative within the part.
+    pub over_mm: f64,
+    /// Outward there, object frame.
+    pub normal: DVec3,
+    pub curvature_per_mm: f64,
+}
+
+/// How far over and under a marker the part is looked for.
+const OVER_MM: f64 = 2.0;
+pub(super) const UNDER_MM: f64 = 1.5;
+/// Faces that are steeper than this, cosine to the press, are looked for along the line itself, and not by distances.
+const STEEP_COSINE: f64 = 0.2;
+/// What is steeper still, within 2 degrees of the press, is a wall beside which gel hangs.
+const WALL_COSINE: f64 = 0.03;
+/// The field finds a foot on a steep face to this.
+const MET_MM: f64 = 0.4;
+/// Steps of sphere tracing (Hart 1996), and how near to the surface they end, in cells.
+const MAX_STEPS: usize = 12;
+const NEAR: f64 = 0.2;
+/// Steps of Newton on the triangles; a foot this far from them is none.
+const MAX_REFINED: usize = 4;
+const ON_MM: f64 = 2e-3;
+/// Within this a face is as flat as it is here, to a micrometre.
+const CLOSE_MM: f64 = 0.03;
+
+/// Lines that take their steps in turn: each step waits for the one before it on its line, and for none on another.
+const TOGETHER: usize = 4;
+
+/// The line through a marker along the press, and what of it is known.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Line {
+    x_mm: DVec3,
+    /// How far over the marker gel coming against the press is.
+    at_mm: f64,
+    is_done: bool,
+    /// The first of the part that it meets.
+    pub foot: Option<Foot>,
+    /// How near it came to the part.
+    pub clear_mm: f64,
+    /// How far the marker is over the first place where the part is as near as the field may be wrong by.
+    near_over_mm: Option<f64>,
+}
+
+impl Line {
+    /// Through a marker, object frame, from `start_mm` over it on.
+    pub const fn new(x_mm: DVec3, start_mm: f64) -> Self {
+        Self {
+            x_mm,
+            at_mm: start_mm,
+            is_done: false,
+            foot: None,
+            clear_mm: f64::INFINITY,
+            near_over_mm: None,
+        }
+    }
+
+    /// One that is known not to meet it.
+    pub const fn past() -> Self {
+        Self { is_done: true, ..Self::new(DVec3::ZERO, 0.0) }
+    }
+}
+
+impl Coarse<'_> {
+    /// All lines to the part, or past it.
+    pub fn march(&self, lines: &mut [Line], press: DVec3) {
+        for few in lines.chunks_mut(TOGETHER) {
+            for _ in 0..MAX_STEPS {
+                few.iter_mut().filter(|line| !line.is_done).for_each(|line| self.go_on(line, press));
+                if few.iter().all(|line| line.is_done) {
+                    break;
+                }
+            }
+        }
+    }
+
+    /// One step.
+    #[inline(always)]
+    fn go_on(&self, line: &mut Line, press: DVec3) {
+        let step_mm = match self.field.distance(line.x_mm + press * line.at_mm) {
+            Some((distance_mm, gradient)) => self.look(line, (distance_mm, gradient), press),
+            None => self.field.reach_mm(),
+        };
+        line.at_mm -= step_mm;
+        line.is_done |= line.at_mm < -OVER_MM * self.gel_scale;
+    }
+
+    /// What the field says where the line is; how far it can go on.
+    #[inline(always)]
+    fn look(&self, line: &mut Line, (distance_mm, gradient): (f64, DVec3), press: DVec3) -> f64 {
+        let near_mm = NEAR * self.field.cell_mm();
+        line.clear_mm = line.clear_mm.min(distance_mm);
+        if distance_mm < FIELD_ERROR * self.field.cell_mm() && line.near_over_mm.is_none() {
+            line.near_over_mm = Some(-line.at_mm);
+        }
+        if distance_mm < near_mm {
+            let length = sqrt(gradient.length_squared());
+            let normal = if length > 1e-3 { gradient / length } else { press };
+            let cosine = normal.dot(press);
+            let is_on = distance_mm < 0.25 * near_mm;
+            if cosine >= STEEP_COSINE || (is_on && cosine >= WALL_COSINE) {
+                let over_mm = distance_mm / cosine.max(STEEP_COSINE) - line.at_mm;
+                line.foot = Some(Foot { over_mm, normal, curvature_per_mm: 0.0 });
+                line.is_done = true;
+            }
+            line.is_done |= is_on;
+        }
+        distance_mm.max(0.5 * near_mm)
+    }
+}
+
+impl Exact<'_> {
+    /// Of a line that has marched on the field, the first of the part that it meets on the triangles; without one, how near
+    /// it came to the part.
+    pub fn foot(&self, line: &Line, press: DVec3, hint: &mut u32) -> Result<Foot, f64> {
+        let (scale, x_mm) = (self.field.gel_scale, line.x_mm);
+        let mut foot = match (line.foot, line.near_over_mm) {
+            (Some(foot), _) => foot,
+            // An edge that the field cuts off: ask the faces.
+            (None, Some(near_mm)) => {
+                return self.first_met(x_mm, near_mm, press, hint).ok_or(line.clear_mm);
+            }
+            (None, None) => return Err(line.clear_mm),
+        };
+        let coarse_mm = foot.over_mm;
+        let facing = Facing { direction: press, least_cosine: MIN_COSINE };
+        for _ in 0..MAX_REFINED {
+            let at_mm = x_mm - press * foot.over_mm;
+            let found =
+                self.solid.closest_facing(at_mm, &facing, REACH_MM * scale, Some(*hint)).ok_or(0.0)?;
+            *hint = found.triangle;
+            let slope = self.relief.slope(self.solid, &found, (at_mm - found.point_mm, scale));
+            let cosine = slope.normal.dot(press);
+            if cosine < STEEP_COSINE {
+                break;
+            }
+            let step_mm = found.distance_mm / cosine;
+            foot = Foot {
+                over_mm: foot.over_mm + step_mm,
+                normal: slope.normal,
+                curvature_per_mm: slope.curvature_per_mm,
+            };
+            let is_flat = abs(step_mm) < CLOSE_MM * scale && found.feature == Feature::Face;
+            if abs(step_mm) < ON_MM * scale || is_flat {
+                return Ok(foot);
+            }
+        }
+        self.first_met(x_mm, coarse_mm, press, hint).ok_or(0.0)
+    }
+
+    /// On a steep face, or beside an edge, where the nearest face may be another one than the line meets.
+    #[cold]
+    fn first_met(&self, x_mm: DVec3, coarse_mm: f64, press: DVec3, hint: &mut u32) -> Option<Foot> {
+        let facing = Facing { direction: press, least_cosine: WALL_COSINE };
+        let found = self.solid.first_met(x_mm - press * coarse_mm, &facing, MET_MM * self.field.gel_scale)?;
+        *hint = found.triangle;
+        let slope = self.relief.slope(self.solid, &found, (DVec3::ZERO, self.field.gel_scale));
+        let is_seen = slope.normal.dot(press) >= WALL_COSINE;
+        Some(Foot {
+            over_mm: coarse_mm + found.distance_mm,
+            normal: if is_seen { slope.normal } else { found.normal },
+            curvature_per_mm: slope.curvature_per_mm,
+        })
+    }
+}
+
+/// The distance field, trilinear between its nodes.
+#[derive(Clone, Copy)]
+pub(super) struct Coarse<'a> {
+    pub field: &'a Field,
+    /// As [`RegisterParams::gel_scale`](crate::params::RegisterParams::gel_scale).
+    pub gel_scale: f64,
+}
+
+impl Distances for Coarse<'_> {
+    #[inline]
+    fn at(&self, x_mm: DVec3, press: DVec3, _: Range, last: &mut Last) -> Near {
+        last.work += 1;
+        self.near_at(x_mm, press)
+    }
+}
+
+impl Coarse<'_> {
+    /// The distance of a point, and its normal.
+    #[inline(always)]
+    pub fn near_at(&self, x_mm: DVec3, press: DVec3) -> Near {
+        let near = self.lookup(x_mm, press);
+        if near.normal.dot(press) >= MIN_COSINE { near } else { self.through(x_mm, press, near) }
+    }
+
+    /// As [`Self::near_at`]; where that is sure to be outside of the part, which takes no direction, how far: ∞ out of the
+    /// field's reach.
+    #[inline(always)]
+    pub fn within(&self, x_mm: DVec3, press: DVec3) -> Result<Near, f64> {
+        let (distance_mm, gradient) = self.field.distance(x_mm).ok_or(f64::INFINITY)?;
+        if distance_mm >= 0.0 && gradient.dot(press) >= 0.0 {
+            return Err(distance_mm);
+        }
+        let near = Self::near(distance_mm, gradient, press);
+        let is_touched = near.normal.dot(press) >= MIN_COSINE;
+        Ok(if is_touched { near } else { self.through(x_mm, press, near) })
+    }
+
+    /// Out of the field's reach there is no part.
+    #[inline(always)]
+    fn lookup(&self, x_mm: DVec3, press: DVec3) -> Near {
+        let (distance_mm, gradient) = self.field.distance(x_mm).unwrap_or((self.field.reach_mm(), press));
+        Self::near(distance_mm, gradient, press)
+    }
+
+    #[inline]
+    fn near(distance_mm: f64, gradient: DVec3, press: DVec3) -> Near {
+        let length_squared = gradient.length_squared();
+        let normal = if length_squared > 1e-6 { gradient * (1.0 / sqrt(length_squared)) } else { press };
+        Near { distance_mm, normal, curvature_per_mm: 0.0 }
+    }
+
+    /// The nearest face cannot be touched: the back of a thin plate. Goes on along the press until the nearest face can,
+    /// and takes the distance to its plane; a way that leads out of the part says that nothing is there.
+    #[cold]
+    fn through(&self, x_mm: DVec3, press: DVec3, first: Near) -> Near {
+        let least_mm = self.field.cell_mm();
+        let (mut way_mm, mut near) = (0.0, first);
+        for _ in 0..MAX_LOOKUPS {
+            way_mm += abs(near.distance_mm).max(least_mm);
+            let next = self.lookup(x_mm + press * way_mm, press);
+            if next.normal.dot(press) >= MIN_COSINE {
+                let distance_mm = next.distance_mm - way_mm * next.normal.dot(press);
+                // Out of the part and away from it: nothing stands in the way.
+                return if near.distance_mm > 0.0 { first } else { Near { distance_mm, ..next } };
+            }
+            if near.distance_mm > 0.0 && next.distance_mm > near.distance_mm {
+                return first;
+            }
+            near = next;
+        }
+        first
+    }
+}
+
+/// The triangles themselves.
+#[derive(Clone, Copy)]
+pub(super) struct Exact<'a> {
+    pub solid: &'a Solid,
+    pub relief: &'a Relief,
+    pub field: Coarse<'a>,
+}
+
+/// No part is farther away that says anything.
+const REACH_MM: f64 = 20.0;
+/// What a lookup on the triangles costs, in lookups of the field.
+const EXACT_WORK: u64 = 16;
+/// What the field of a closed surface may be wrong by, in cells: √3 / 2.
+const FIELD_ERROR: f64 = 0.867;
+
+impl Distances for Exact<'_> {
+    /// The field tells which points the triangles need not be asked for, and how far it is to them at most.
+    #[inline]
+    fn at(&self, x_mm: DVec3, press: DVec3, range: Range, last: &mut Last) -> Near {
+        last.work += 1;
+        let farthest_mm = REACH_MM * self.field.gel_scale;
+        let mut reach_mm = farthest_mm;
+        if let Some((distance_mm, gradient)) = self.field.field.distance(x_mm) {
+            let near = Coarse::near(distance_mm, gradient, press);
+            let error_mm = FIELD_ERROR * self.field.field.cell_mm();
+            let matters = (range.from_mm - error_mm..range.to_mm + error_mm).contains(&distance_mm);
+            if !matters && near.normal.dot(press) >= MIN_COSINE && self.solid.is_closed() {
+                return near;
+            }
+            reach_mm = abs(distance_mm) + error_mm;
+        }
+        last.work += EXACT_WORK;
+        self.nearest(x_mm, press, reach_mm, last)
+            .or_else(|| self.nearest(x_mm, press, farthest_mm, last))
+            .unwrap_or(Near { distance_mm: farthest_mm, normal: press, curvature_per_mm: 0.0 })
+    }
+}
+
+impl Exact<'_> {
+    #[inline]
+    fn nearest(&self, x_mm: DVec3, press: DVec3, reach_mm: f64, last: &mut Last) -> Option<Near> {
+        let facing = Facing { direction: press, least_cosine: MIN_COSINE };
+        let found = self.solid.closest_facing(x_mm, &facing, reach_mm, Some(last.triangle))?;
+        last.triangle = found.triangle;
+        let slope = self.relief.slope(self.solid, &found, (x_mm - found.point_mm, self.field.gel_scale));
+        Some(Near {
+            distance_mm: found.distance_mm,
+            normal: slope.normal,
+            curvature_per_mm: slope.curvature_per_mm,
+        })
+    }
+}
+
+/// The press in the object's frame.
+pub(super) fn press_in_object(placement: &Placement, press_direction: DVec3) -> DVec3 {
+    placement.object_direction(press_direction)
+}

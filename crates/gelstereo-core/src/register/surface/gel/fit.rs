@@ -1,0 +1,266 @@
+//! The last steps where all markers are known: the heights of the gel that a pose of the part predicts, against those
+//! that were measured.
+//!
+//! What touches and what hangs at a pose is what the gel does there ([`Gel`]). Unknown beside the pose are the gel's plane of
+//! rest and the decay length.
+
+use super::lattice::Node;
+use super::model::Gel;
+use super::prediction::{DECAY, GelFitScratch, PLANE, Prediction, Row, Sight};
+use super::rest::{DECAY_LOGS, Rest};
+use crate::register::surface::candidate::{Candidate, End};
+use crate::register::surface::contact::Samples;
+use crate::register::surface::distances::{Coarse, Exact, Foot, Line, UNDER_MM};
+use crate::register::surface::mixture::{Likelihood, STRAY_MM};
+use crate::register::surface::normal_system::{Normal, Prior};
+
+use crate::math::{DVec3, abs, exp, sqrt};
+use crate::params::RegisterParams;
+use crate::stop::Stop;
+use core::mem::swap;
+
+/// Standard deviation of the logarithm of l²: a third of l.
+pub(in crate::register::surface) const DECAY_SIGMA: f64 = 0.6;
+/// No free height is wrong by more than this share of its gap to the part.
+const GAP_SHARE: f64 = 0.5;
+/// Standard deviation of what lies anywhere between two markers, in pitches: 1 / √12.
+pub(in crate::register::surface) const BETWEEN: f64 = 0.288_675;
+/// There may be outliers even where none are expected.
+const MIN_OUTLIERS: f64 = 1e-3;
+/// Over which differences are taken at the end.
+pub(in crate::register::surface) const LAST_SCALE_MM: f64 = 0.04;
+/// A pose that gains no more, in logarithms of the likelihood, is at rest, however far it still moves along what is free:
+/// from the peak of a normal law that is a quarter of a standard deviation.
+const MIN_GAIN: f64 = 0.03;
+/// Poses of blurred steps are judged by what is half as blurred: not at rest yet, they are told apart by sharp heights
+/// for how far they have come.
+const JUDGED: f64 = 0.5;
+/// Longest step, over the patch, and how often one is tried: as a whole, and where that fails as far as is then likely to
+/// do. A third try is worth less than the next start.
+pub(in crate::register::surface) const LONGEST_MM: f64 = 0.5;
+const TRIES: u32 = 2;
+/// Sweeps over the gel of a prediction.
+const MAX_SWEEPS: u32 = 80;
+/// Work of a sweep over a node, in lookups of the field.
+pub(in crate::register::surface) const SWEEPS_A_LOOKUP: u64 = 8;
+
+/// The way of one candidate to the greatest likelihood.
+pub(in crate::register::surface) struct GelFit<'a> {
+    pub params: &'a RegisterParams,
+    pub samples: &'a Samples,
+    pub press_direction: DVec3,
+    pub field: Coarse<'a>,
+    /// Without it the field alone.
+    pub faces: Option<Exact<'a>>,
+    pub prior: Prior,
+    pub stop: Stop<'a>,
+}
+
+impl GelFit<'_> {
+    pub(in crate::register::surface) fn gel(&self) -> &Gel {
+        &self.samples.gel
+    }
+
+    /// Predicts at a candidate as it stands. On the field what its slot kept before is of another candidate; on the exact
+    /// surface it is this one's, and close.
+    pub fn begin(&self, state: &mut Candidate, scratch: &mut GelFitScratch) -> u64 {
+        if scratch.kept[state.slot].is_known {
+            swap(&mut scratch.kept[state.slot], &mut scratch.here);
+        }
+        if self.faces.is_none() || !scratch.here.is_known {
+            return self.begin_anew(state, scratch);
+        }
+        scratch.there.begin_as(&scratch.here);
+        self.keep(state, 0.0, scratch)
+    }
+
+    /// Predicts, from the heights that were measured.
+    pub fn begin_anew(&self, state: &mut Candidate, scratch: &mut GelFitScratch) -> u64 {
+        let over_rest_mm =
+            self.gel().nodes.iter().map(|node| (node.along_mm - state.rest.plane_mm[0]).max(0.0));
+        scratch.there.heights_mm.clear();
+        scratch.there.heights_mm.extend(over_rest_mm);
+        self.keep(state, 0.0, scratch)
+    }
+
+    /// One step blurred by a width, unchecked.
+    pub fn blurred(&self, state: &mut Candidate, width_mm: f64, scratch: &mut GelFitScratch) -> u64 {
+        scratch.show(state.slot);
+        self.weigh(state, width_mm, &mut scratch.here);
+        let (step, work) = self.step(state, width_mm, scratch);
+        if let Some(step) = step {
+            *state = self.moved(state, &step.row, 1.0);
+        }
+        scratch.there.begin_as(&scratch.here);
+        work + self.keep(state, if self.faces.is_none() { JUDGED * width_mm } else { 0.0 }, scratch)
+    }
+
+    /// Predicts, from the heights that are `there`, into the candidate's slot, and judges it blurred by a width.
+    fn keep(&self, state: &mut Candidate, width_mm: f64, scratch: &mut GelFitScratch) -> u64 {
+        let work = self.predict_heights(state, scratch);
+        self.weigh(state, width_mm, &mut scratch.there);
+        state.cost = scratch.there.cost;
+        swap(&mut scratch.kept[state.slot], &mut scratch.there);
+        work
+    }
+
+    /// At most `most` steps to the end; none once `budget` of work is spent.
+    pub fn run(&self, state: &mut Candidate, (most, budget): (u32, u64), scratch: &mut GelFitScratch) -> End {
+        scratch.show(state.slot);
+        scratch.there.begin_as(&scratch.here);
+        let mut end = End { converged: false, iterations: 0, work: 0 };
+        let sigma_mm = self.params.point_sigma_mm;
+        let tolerance_mm = 10.0 * self.params.step_tolerance * sigma_mm;
+        while end.iterations < most && !end.converged && end.work < budget && !(self.stop)() {
+            end.iterations += 1;
+            let (step, work) = self.step(state, self.params.scaled(LAST_SCALE_MM), scratch);
+            end.work += work;
+            let Some(step) = step else { break };
+            let full_mm = sqrt(step.row[..6].iter().map(|x| x * x).sum());
+            let (mut share, mut accepted, before) = (1.0, false, scratch.here.cost);
+            for _ in 0..TRIES {
+                let next = self.moved(state, &step.row, share);
+                end.work += self.predict(&next, scratch);
+                let rise = scratch.there.cost - before;
+                if rise < 0.0 {
+                    *state = next;
+                    swap(&mut scratch.here, &mut scratch.there);
+                    accepted = true;
+                    break;
+                }
+                let gain;
+                (share, gain) = step.lowest(share, rise);
+                if gain < MIN_GAIN || share * full_mm < tolerance_mm {
+                    break;
+                }
+            }
+            let is_gained = before - scratch.here.cost > MIN_GAIN;
+            end.converged = !accepted || !is_gained || share * full_mm < tolerance_mm;
+        }
+        state.cost = scratch.here.cost;
+        swap(&mut scratch.kept[state.slot], &mut scratch.here);
+        end
+    }
+
+    pub(in crate::register::surface) fn moved(&self, state: &Candidate, step: &Row, share: f64) -> Candidate {
+        let z = step.map(|x| share * x);
+        let omega = DVec3::new(z[0], z[1], z[2]) / self.samples.radius_mm;
+        Candidate {
+            placement: state.placement.moved(omega, DVec3::new(z[3], z[4], z[5])),
+            rest: Rest {
+                plane_mm: core::array::from_fn(|i| state.rest.plane_mm[i] + z[PLANE + i]),
+                log_decay: (state.rest.log_decay + z[DECAY]).clamp(*DECAY_LOGS.start(), *DECAY_LOGS.end()),
+            },
+            slot: state.slot,
+            cost: f64::INFINITY,
+        }
+    }
+
+    /// What a state predicts, into `there`: where the part is, and the heights of the gel.
+    fn predict_heights(&self, state: &Candidate, scratch: &mut GelFitScratch) -> u64 {
+        let GelFitScratch { there, obstacle_mm, hints, lines, sweeps, .. } = scratch;
+        let (placement, gel) = (&state.placement, self.gel());
+        let press = placement.object_direction(self.press_direction);
+        let per_radius = 1.0 / self.samples.radius_mm;
+        let mut work = 0;
+        obstacle_mm.clear();
+        there.is_known = true;
+        there.sights.clear();
+        let start_mm = self.params.scaled(UNDER_MM);
+        let line = |node: &Node| Line::new(placement.object_point(node.sample.p_mm), start_mm);
+        lines.clear();
+        lines.extend(gel.nodes.iter().map(line));
+        self.field.march(lines, press);
+        for ((node, line), hint) in gel.nodes.iter().zip(&*lines).zip(hints) {
+            let foot = match &self.faces {
+                Some(faces) => faces.foot(line, press, hint),
+                None => line.foot.ok_or(line.clear_mm),
+            };
+            work += if self.faces.is_some() && foot.is_ok() { 16 } else { 3 };
+            let (foot, clear_mm) = foot.map_or_else(|clear_mm| (None, clear_mm), |foot| (Some(foot), 0.0));
+            let over_plane_mm = node.along_mm - state.rest.at(node.across_mm * per_radius);
+            obstacle_mm.push(foot.map_or(f64::NEG_INFINITY, |foot| over_plane_mm - foot.over_mm));
+            let residual_mm = over_plane_mm;
+            there.sights.push(Sight {
+                foot,
+                clear_mm,
+                touches: false,
+                residual_mm,
+                gap_mm: 0.0,
+                variance_mm2: 1.0,
+                weight: 0.0,
+            });
+        }
+        let stiffness = gel.stiffness(state.rest.log_decay);
+        let sweeps = gel.settle((stiffness, MAX_SWEEPS), obstacle_mm, &mut there.heights_mm, sweeps);
+        for ((sight, height_mm), obstacle_mm) in
+            there.sights.iter_mut().zip(&there.heights_mm).zip(&*obstacle_mm)
+        {
+            sight.residual_mm -= height_mm;
+            sight.gap_mm = height_mm - obstacle_mm;
+            sight.touches = height_mm <= obstacle_mm;
+        }
+        work + u64::from(sweeps) * gel.nodes.len() as u64 / SWEEPS_A_LOOKUP
+    }
+
+    /// What a state predicts, into `there`, and how likely that is.
+    fn predict(&self, state: &Candidate, scratch: &mut GelFitScratch) -> u64 {
+        let work = self.predict_heights(state, scratch);
+        self.weigh(state, 0.0, &mut scratch.there);
+        work
+    }
+
+    /// How likely the measured heights are beside the predicted ones, all blurred by a width.
+    fn weigh(&self, state: &Candidate, width_mm: f64, there: &mut Prediction) {
+        let (placement, gel) = (&state.placement, self.gel());
+        let mut likelihood = Likelihood::after(self.prior_cost(state));
+        let model = self.params.surface_sigma_mm * self.params.surface_sigma_mm + width_mm * width_mm;
+        let outliers = self.params.outlier_share.max(MIN_OUTLIERS);
+        let stray_mm = self.params.scaled(STRAY_MM);
+        // The gel leaves the part at an edge, which the nodes know to a pitch; over that it sinks by 1 - e^(-pitch / l).
+        let share = BETWEEN * (1.0 - exp(-1.0 / sqrt(gel.stiffness(state.rest.log_decay))));
+        for ((node, sight), &height_mm) in gel.nodes.iter().zip(&mut there.sights).zip(&there.heights_mm) {
+            let (variance, wrong_mm) = match (sight.touches, &sight.foot) {
+                (true, Some(foot)) => {
+                    let normal = placement.sensor_direction(foot.normal);
+                    let cosine = normal.dot(self.press_direction);
+                    (node.sample.variance(normal) / (cosine * cosine), 0.0)
+                }
+                _ => {
+                    let wrong_mm = (share * abs(height_mm)).min(GAP_SHARE * sight.gap_mm);
+                    (node.sample.variance(self.press_direction), wrong_mm)
+                }
+            };
+            sight.variance_mm2 = variance + wrong_mm * wrong_mm + model;
+            let squared = sight.residual_mm * sight.residual_mm / sight.variance_mm2;
+            let good = (1.0 - outliers) * exp(-0.5 * squared.min(1000.0))
+                / sqrt(core::f64::consts::TAU * sight.variance_mm2);
+            let all = good + outliers / stray_mm;
+            sight.weight = good / all;
+            likelihood.times(all);
+        }
+        there.cost = likelihood.cost();
+    }
+
+    fn prior_cost(&self, state: &Candidate) -> f64 {
+        let mut sum = Normal::ZERO;
+        sum.add_prior(&self.prior, &state.placement, self.samples.radius_mm, 1.0);
+        sum.cost + 0.5 * state.rest.log_decay * state.rest.log_decay / (DECAY_SIGMA * DECAY_SIGMA)
+    }
+
+    /// How the height of a marker that touches changes with what is sought.
+    pub(in crate::register::surface) fn touching_row(
+        &self,
+        state: &Candidate,
+        node: &Node,
+        foot: &Foot,
+    ) -> Row {
+        let radius_mm = self.samples.radius_mm;
+        let normal = state.placement.sensor_direction(foot.normal);
+        let per_cosine = 1.0 / normal.dot(self.press_direction);
+        let under = node.sample.p_mm - self.press_direction * foot.over_mm;
+        let (m, n) = (under.cross(normal) * (per_cosine / radius_mm), normal * per_cosine);
+        let [u, v] = (node.across_mm / radius_mm).to_array();
+        [m.x, m.y, m.z, n.x, n.y, n.z, -1.0, -u, -v, 0.0]
+    }
+}

@@ -1,0 +1,253 @@
+//! The linear system of a step of [`GelFit`]: how the heights that are predicted change with what is sought.
+
+use super::fit::{DECAY_SIGMA, GelFit, LAST_SCALE_MM, LONGEST_MM, SWEEPS_A_LOOKUP};
+use super::lattice::Node;
+use super::prediction::{DECAY, GelFitScratch, PLANE, Prediction, Row, Sight, UNKNOWN};
+use crate::math::linalg::{Symmetric, eigen};
+use crate::math::sqrt;
+use crate::register::surface::candidate::Candidate;
+use crate::register::surface::distances::{Line, UNDER_MM};
+use crate::register::surface::normal_system::{Normal, cholesky};
+
+/// Standard deviation of the plane of rest as it is first guessed.
+const PLANE_SIGMA_MM: f64 = 1.0;
+/// Directions that smooth changes know better than this need no differences.
+const SMOOTH_MM: f64 = 0.02;
+/// Steps as blurred as this are for what is smooth alone.
+const WIDEST_MM: f64 = 0.25;
+/// No node moves by more than this many times the difference between two poses.
+const BESIDE: f64 = 2.5;
+/// A step that fails is not tried again by less than this share.
+const MIN_SHARE: f64 = 0.02;
+/// Sweeps over the gel of what only directs a step.
+const FEW_SWEEPS: u32 = 8;
+
+/// A step of all that is sought.
+pub(in crate::register::surface) struct Step {
+    pub row: Row,
+    /// By how much the first of its way lowers the cost, over its length.
+    slope: f64,
+}
+
+impl Step {
+    /// Where a share of it has raised the cost by so much: the share at which the parabola through both is lowest, no less
+    /// than a fiftieth and no more than half of it, and how much lower that is; held at half, it is as much at least.
+    pub fn lowest(&self, share: f64, rise: f64) -> (f64, f64) {
+        let lowest = 0.5 * self.slope * share * share / (rise + self.slope * share);
+        // Of nothing over nothing the larger one is the number.
+        let lowest = lowest.max(MIN_SHARE * share).min(0.5 * share);
+        (lowest, 0.5 * self.slope * lowest)
+    }
+}
+
+impl GelFit<'_> {
+    /// How predictions change with what is sought; returns the work.
+    fn follow(&self, state: &Candidate, scratch: &mut GelFitScratch) -> u64 {
+        let GelFitScratch { here, changes, sweeps, cells, .. } = scratch;
+        let gel = self.gel();
+        for ((node, sight), change) in gel.nodes.iter().zip(&here.sights).zip(&mut *changes) {
+            let Some(foot) = sight.foot.as_ref().filter(|_| sight.touches) else { continue };
+            *change = self.touching_row(state, node, foot);
+        }
+        let touches = |k: usize| here.sights[k].touches;
+        let stiffness = gel.stiffness(state.rest.log_decay);
+        let seen = (touches, &here.heights_mm[..]);
+        let sweeps = gel.follow((stiffness, FEW_SWEEPS), seen, changes, (sweeps, cells));
+        u64::from(sweeps) * (gel.nodes.len() * UNKNOWN) as u64 / SWEEPS_A_LOOKUP / 4
+    }
+
+    /// H and g of all that is sought, from `here`; without the priors.
+    fn system(&self, rows: &[Row], here: &Prediction) -> (Symmetric<UNKNOWN>, Row) {
+        let (mut h, mut g) = ([[0.0; UNKNOWN]; UNKNOWN], [0.0; UNKNOWN]);
+        for (sight, row) in here.sights.iter().zip(rows) {
+            let weight = sight.weight / sight.variance_mm2;
+            for i in 0..UNKNOWN {
+                let wj = weight * row[i];
+                g[i] += wj * sight.residual_mm;
+                (i..UNKNOWN).for_each(|k| h[i][k] += wj * row[k]);
+            }
+        }
+        let plane_mm = self.params.scaled(PLANE_SIGMA_MM);
+        for i in PLANE..DECAY {
+            h[i][i] += 1.0 / (plane_mm * plane_mm);
+        }
+        h[DECAY][DECAY] += 1.0 / (DECAY_SIGMA * DECAY_SIGMA);
+        (h, g)
+    }
+
+    /// Heights of a state beside that of `here`, on the field, into `there`.
+    fn beside(&self, state: &Candidate, scale_mm: f64, scratch: &mut GelFitScratch) -> u64 {
+        let GelFitScratch { here, there, obstacle_mm, lines, sweeps, .. } = scratch;
+        let (placement, gel) = (&state.placement, self.gel());
+        let press = placement.object_direction(self.press_direction);
+        let per_radius = 1.0 / self.samples.radius_mm;
+        let (near_mm, under_mm) = (BESIDE * scale_mm, self.params.scaled(UNDER_MM));
+        let mut lookups = 0;
+        let line = |(node, sight): (&Node, &Sight)| {
+            let start_mm = match sight.foot {
+                Some(foot) => near_mm - foot.over_mm,
+                None if sight.clear_mm > near_mm => return Line::past(),
+                None => under_mm,
+            };
+            lookups += 2;
+            Line::new(placement.object_point(node.sample.p_mm), start_mm)
+        };
+        lines.clear();
+        lines.extend(gel.nodes.iter().zip(&here.sights).map(line));
+        self.field.march(lines, press);
+        obstacle_mm.clear();
+        obstacle_mm.extend(gel.nodes.iter().zip(&*lines).map(|(node, line)| {
+            let over_plane_mm = node.along_mm - state.rest.at(node.across_mm * per_radius);
+            line.foot.map_or(f64::NEG_INFINITY, |foot| over_plane_mm - foot.over_mm)
+        }));
+        there.heights_mm.clear();
+        there.heights_mm.extend_from_slice(&here.heights_mm);
+        let stiffness = gel.stiffness(state.rest.log_decay);
+        let sweeps = gel.settle((stiffness, FEW_SWEEPS), obstacle_mm, &mut there.heights_mm, sweeps);
+        lookups + u64::from(sweeps) * gel.nodes.len() as u64 / SWEEPS_A_LOOKUP
+    }
+
+    /// The linear system from `here` in a basis of the pose's directions, one a row, with what it cost: along those that
+    /// smooth changes tell little about, differences over `scale_mm` see the markers that an edge passes.
+    fn linear(
+        &self,
+        state: &Candidate,
+        scale_mm: f64,
+        scratch: &mut GelFitScratch,
+    ) -> (Symmetric<UNKNOWN>, Row, [[f64; 6]; 6], u64) {
+        let mut work = self.follow(state, scratch);
+        self.fill_rows(scratch);
+        let (h, _) = self.system(&scratch.rows, &scratch.here);
+        let spectrum = eigen(&without_rest(h));
+        for row in &mut scratch.rows {
+            let turned: [f64; 6] =
+                core::array::from_fn(|k| spectrum.vectors[k].iter().zip(&*row).map(|(u, x)| u * x).sum());
+            row[..6].copy_from_slice(&turned);
+        }
+        let [smooth_mm, widest_mm] = [SMOOTH_MM, WIDEST_MM].map(|mm| self.params.scaled(mm));
+        for (k, (value, u)) in spectrum.values.iter().zip(&spectrum.vectors).enumerate() {
+            if *value * smooth_mm * smooth_mm > 1.0 || scale_mm > widest_mm {
+                continue;
+            }
+            scratch.rows.iter_mut().for_each(|row| row[k] = 0.0);
+            for sign in [-1.0, 1.0] {
+                let mut step = [0.0; UNKNOWN];
+                (0..6).for_each(|i| step[i] = sign * scale_mm * u[i]);
+                let there = self.moved(state, &step, 1.0);
+                work += self.beside(&there, scale_mm, scratch);
+                for (row, height_mm) in scratch.rows.iter_mut().zip(&scratch.there.heights_mm) {
+                    row[k] += sign * height_mm * (0.5 / scale_mm);
+                }
+            }
+        }
+        let (h, g) = self.system(&scratch.rows, &scratch.here);
+        (h, g, spectrum.vectors, work)
+    }
+
+    /// The step that a state would take next, whose prediction is in the scratch.
+    pub(in crate::register::surface) fn next(
+        &self,
+        state: &Candidate,
+        scratch: &mut GelFitScratch,
+    ) -> Option<Row> {
+        self.step(state, self.params.scaled(LAST_SCALE_MM), scratch).0.map(|step| step.row)
+    }
+
+    /// The step from `here`, no longer than [`LONGEST_MM`] over the patch.
+    pub(in crate::register::surface) fn step(
+        &self,
+        state: &Candidate,
+        scale_mm: f64,
+        scratch: &mut GelFitScratch,
+    ) -> (Option<Step>, u64) {
+        let (mut h, mut g, basis, work) = self.linear(state, scale_mm, scratch);
+        let mut prior = Normal::ZERO;
+        prior.add_prior(&self.prior, &state.placement, self.samples.radius_mm, 1.0);
+        let (prior_h, prior_g) = prior.parts();
+        for i in 0..6 {
+            g[i] += dot(&basis[i], prior_g);
+            // The prior's H is diagonal.
+            (i..6).for_each(|k| {
+                h[i][k] += (0..6).map(|j| basis[i][j] * prior_h[j][j] * basis[k][j]).sum::<f64>()
+            });
+        }
+        g[DECAY] -= state.rest.log_decay / (DECAY_SIGMA * DECAY_SIGMA);
+        let step = cholesky(&h, &g).filter(|z| z.iter().all(|x| x.is_finite())).map(|z| {
+            let length = sqrt(z[..6].iter().map(|x| x * x).sum());
+            let longest_mm = self.params.scaled(LONGEST_MM);
+            let share = if length > longest_mm { longest_mm / length } else { 1.0 };
+            let mut row = z.map(|x| share * x);
+            let slope = row.iter().zip(&g).map(|(x, g)| x * g).sum();
+            let along = [row[0], row[1], row[2], row[3], row[4], row[5]];
+            (0..6).for_each(|i| row[i] = (0..6).map(|k| along[k] * basis[k][i]).sum());
+            Step { row, slope }
+        });
+        (step, work)
+    }
+
+    fn fill_rows(&self, scratch: &mut GelFitScratch) {
+        let radius_mm = self.samples.radius_mm;
+        scratch.rows.clear();
+        for (node, change) in self.gel().nodes.iter().zip(&scratch.changes) {
+            let [u, v] = (node.across_mm / radius_mm).to_array();
+            let mut row = *change;
+            row[PLANE] += 1.0;
+            row[PLANE + 1] += u;
+            row[PLANE + 2] += v;
+            scratch.rows.push(row);
+        }
+    }
+}
+
+fn dot(a: &[f64; 6], b: &[f64; 6]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// Schur's complement of what is no pose: eliminated from the last one on. Only the upper triangle of `h` is read.
+fn without_rest(mut h: Symmetric<UNKNOWN>) -> Symmetric<6> {
+    for last in (6..UNKNOWN).rev() {
+        for i in 0..last {
+            let factor = h[i][last] / h[last][last];
+            for k in i..last {
+                h[i][k] -= factor * h[k][last];
+            }
+        }
+    }
+    core::array::from_fn(|i| core::array::from_fn(|k| if i <= k { h[i][k] } else { h[k][i] }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn step(slope: f64) -> Step {
+        Step { row: [0.0; UNKNOWN], slope }
+    }
+
+    proptest! {
+        /// Of a parabola c(s) = -slope s + curve s² that is higher at `share` than at 0.
+        #[test]
+        fn a_parabola_is_lowest_where_it_is_said_to_be(
+            slope in 1e-3_f64..1e3,
+            share in 0.01_f64..1.0,
+            lowest in 0.03_f64..0.49,
+        ) {
+            let curve = 0.5 * slope / (lowest * share);
+            let rise = -slope * share + curve * share * share;
+            let (at, gain) = step(slope).lowest(share, rise);
+            prop_assert!((at / (lowest * share) - 1.0).abs() < 1e-9, "{at}");
+            let there = -slope * at + curve * at * at;
+            prop_assert!((gain / -there - 1.0).abs() < 1e-9, "{gain} of {there}");
+        }
+    }
+
+    #[test]
+    fn a_step_without_a_way_down_is_tried_at_its_least_share() {
+        for rise in [0.0, 1.0, f64::INFINITY] {
+            assert_eq!(step(0.0).lowest(1.0, rise), (MIN_SHARE, 0.0));
+        }
+        // Hardly higher: no more than half of it.
+        assert_eq!(step(1.0).lowest(1.0, 0.0).0, 0.5);
+    }
+}

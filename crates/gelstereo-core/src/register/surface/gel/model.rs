@@ -1,0 +1,184 @@
+//! What the gel does between the markers: how high it stands over a part that is pressed into it.
+//!
+//! The gel is a Pasternak foundation (springs joined by a shear layer; Pasternak 1954) under an obstacle: its height h
+//! over the rest plane obeys h - l² Δh = p, no lower than the part, with a pressure p >= 0 that is positive only where
+//! they touch. It is solved on the markers themselves by projected over-relaxation (Cryer 1971). What touches at a pose
+//! follows from the pose, not from the noise of the markers: choosing those that happen to lie near the part would pull
+//! the part to them.
+
+use super::lattice::{Lattice, Node, Sweeps};
+use crate::math::{DVec2, DVec3, exp, floor, sqrt};
+use crate::register::surface::normal_system::cholesky;
+use crate::register::surface::point::Sample;
+use alloc::vec::Vec;
+
+/// Fewer nodes are no lattice; more are those of a part as a whole.
+const NODES: core::ops::RangeInclusive<usize> = 30..=6000;
+/// Markers this far beyond the salient ones, along the press's axes, are where the gel is at rest.
+const MARGIN_MM: f64 = 6.0;
+/// Sweeps that move nothing by more have converged, far below any noise.
+const SETTLED_MM: f64 = 3e-4;
+/// Markers whose nearest neighbour tells the pitch.
+const ASKED: usize = 15;
+
+/// The markers as nodes of the gel, row by row of the plane across the press.
+#[derive(Clone, Debug, Default)]
+pub(in crate::register::surface) struct Gel {
+    pub nodes: Vec<Node>,
+    lattice: Lattice,
+    /// (l / pitch)².
+    stiffness: f64,
+    /// As [`RegisterParams::gel_scale`](crate::params::RegisterParams::gel_scale).
+    scale: f64,
+}
+
+impl Gel {
+    /// Whether there is a lattice of nodes.
+    pub fn is_known(&self) -> bool {
+        !self.nodes.is_empty()
+    }
+
+    pub fn clear(&mut self) {
+        self.nodes.clear();
+    }
+
+    /// (l / pitch)² at a decay length whose square is e^`log_squared` times the nominal one.
+    pub fn stiffness(&self, log_squared: f64) -> f64 {
+        self.stiffness * exp(log_squared)
+    }
+
+    /// Of all markers about the patch's centroid, of which the first so many are salient.
+    pub fn fill(
+        &mut self,
+        (markers, salient): (impl Iterator<Item = Sample>, usize),
+        press: DVec3,
+        decay_mm: f64,
+        gel_scale: f64,
+    ) {
+        self.clear();
+        self.scale = gel_scale;
+        let margin_mm = MARGIN_MM * gel_scale;
+        let (a, b) = press.any_orthonormal_pair();
+        let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+        for (k, sample) in markers.enumerate() {
+            let p = sample.p_mm;
+            let across_mm = DVec2::new(p.dot(a), p.dot(b));
+            if k < salient {
+                (low, high) = (low.min(across_mm), high.max(across_mm));
+            } else if !is_within(across_mm, low - margin_mm, high + margin_mm) {
+                continue;
+            }
+            self.nodes.push(Node { sample, across_mm, along_mm: p.dot(press), index: k });
+            if self.nodes.len() > *NODES.end() {
+                return self.clear();
+            }
+        }
+        let pitch_mm = pitch(&self.nodes);
+        // A gel that comes back to rest within a pitch does so between the markers.
+        if !(NODES.contains(&self.nodes.len()) && pitch_mm > 0.0 && pitch_mm <= decay_mm) {
+            return self.clear();
+        }
+        let low_mm = self.nodes.iter().map(|node| node.across_mm.y).fold(f64::INFINITY, f64::min);
+        let row = |node: &Node| floor((node.across_mm.y - low_mm) / pitch_mm);
+        // Row by row, whatever the order they come in.
+        self.nodes.sort_unstable_by(|p, q| {
+            let by_place = row(p).total_cmp(&row(q)).then(p.across_mm.x.total_cmp(&q.across_mm.x));
+            by_place.then(p.across_mm.y.total_cmp(&q.across_mm.y)).then(p.along_mm.total_cmp(&q.along_mm))
+        });
+        self.stiffness = (decay_mm / pitch_mm) * (decay_mm / pitch_mm);
+        if !self.lattice.find(&self.nodes, pitch_mm) {
+            self.clear();
+        }
+    }
+
+    /// The plane a + b u + c v of the gel at rest, over the place across the press in radii of the patch. Beside contacts
+    /// the gel is higher, and nowhere lower: what is over the plane counts little (asymmetric least squares; Newey and
+    /// Powell 1987).
+    pub fn rest_plane(&self, radius_mm: f64) -> [f64; 3] {
+        const ABOVE: f64 = 0.05;
+        let mut plane = [f64::INFINITY, 0.0, 0.0];
+        for _ in 0..8 {
+            // The level is known of itself; the slopes are held as if by one more marker a radius away.
+            let (mut h, mut g) = ([[0.0; 3]; 3], [0.0; 3]);
+            (1..3).for_each(|i| h[i][i] = 1.0);
+            for node in &self.nodes {
+                let [u, v] = (node.across_mm / radius_mm).to_array();
+                let is_over = node.along_mm > plane[0] + plane[1] * u + plane[2] * v;
+                let weight = if is_over { ABOVE } else { 1.0 };
+                let row = [1.0, u, v];
+                for i in 0..3 {
+                    g[i] += weight * row[i] * node.along_mm;
+                    (i..3).for_each(|j| h[i][j] += weight * row[i] * row[j]);
+                }
+            }
+            plane = cholesky(&h, &g).unwrap_or(plane);
+        }
+        plane
+    }
+
+    /// Makes room for sweeps over the gel.
+    pub fn lay_out(&self, sweeps: &mut Sweeps) {
+        self.lattice.lay_out(sweeps);
+    }
+
+    /// Heights of the gel over an obstacle; `heights_mm` is where to begin. Returns the sweeps that took.
+    pub fn settle(
+        &self,
+        (stiffness, most): (f64, u32),
+        obstacle_mm: &[f64],
+        heights_mm: &mut [f64],
+        sweeps: &mut Sweeps,
+    ) -> u32 {
+        self.lattice.settle((stiffness, most, SETTLED_MM * self.scale), obstacle_mm, heights_mm, sweeps)
+    }
+
+    /// The neighbours of a node, as many as there are of the four.
+    pub fn near(&self, node: usize) -> impl Iterator<Item = usize> {
+        self.lattice.near_marker(node)
+    }
+
+    /// The height that the gel would have at a node if nothing touched it there.
+    pub fn free_mm(&self, node: usize, stiffness: f64, heights_mm: &[f64]) -> f64 {
+        self.share(node, stiffness) * self.near(node).map(|k| heights_mm[k]).sum::<f64>()
+    }
+
+    /// What share of each neighbour's height that is.
+    pub fn share(&self, node: usize, stiffness: f64) -> f64 {
+        stiffness / (1.0 + stiffness * self.near(node).count() as f64)
+    }
+
+    /// How heights change where the gel is free, from how they change where it touches; of the last of the `N` columns,
+    /// the logarithm of l², heights are the source: (I - l² Δ) ∂h = h. Returns the sweeps that took.
+    pub fn follow<const N: usize>(
+        &self,
+        (stiffness, most): (f64, u32),
+        (touches, heights_mm): (impl Fn(usize) -> bool, &[f64]),
+        changes: &mut [[f64; N]],
+        sweeps: (&mut Sweeps, &mut Vec<[f64; N]>),
+    ) -> u32 {
+        let mut least = [FOLLOWED; N];
+        least[N - 1] *= self.scale;
+        self.lattice.follow((stiffness, most, least), (touches, heights_mm), changes, sweeps)
+    }
+}
+
+/// Changes are for steps, which need no more than some percent; of a millimetre where they are heights.
+const FOLLOWED: f64 = 1e-2;
+
+fn is_within(p: DVec2, low: DVec2, high: DVec2) -> bool {
+    p.cmpge(low).all() && p.cmple(high).all()
+}
+
+/// Median of the distances of some markers to their nearest ones.
+fn pitch(nodes: &[Node]) -> f64 {
+    let mut nearest = [f64::INFINITY; ASKED];
+    let count = ASKED.min(nodes.len());
+    for (k, nearest) in nearest.iter_mut().enumerate().take(count) {
+        let p = nodes[k * nodes.len() / count].across_mm;
+        let squared = |q: &Node| q.across_mm.distance_squared(p);
+        *nearest = nodes.iter().map(squared).filter(|&x| x > 0.0).fold(f64::INFINITY, f64::min);
+    }
+    nearest[..count].sort_unstable_by(f64::total_cmp);
+    let squared = nearest.get(count / 2).copied().unwrap_or(f64::INFINITY);
+    if squared.is_finite() { sqrt(squared) } else { 0.0 }
+}

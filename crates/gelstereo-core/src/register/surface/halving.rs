@@ -1,0 +1,130 @@
+//! Screening: rounds of coarse steps of many candidates, of which fewer and fewer go on.
+
+use super::candidate::Candidate;
+use super::coarse::View;
+use super::contact::{COARSE, MEDIUM};
+use super::gel::prediction::KEPT;
+use super::normal_system::Normal;
+use super::state::Search;
+use crate::math::sqrt;
+use alloc::vec::Vec;
+
+/// One round of screening.
+pub(super) struct Round {
+    /// How many salient points it looks at.
+    pressed: usize,
+    /// Widths of its steps, and how many candidates go on from each: the cheapest as they stood before it.
+    steps: &'static [(f64, usize)],
+    /// The width that candidates are compared by in the end, and how many are kept.
+    last_mm: f64,
+    pub keeps: usize,
+    /// Candidates closer than this, over the patch, are one.
+    pub same_mm: f64,
+}
+
+/// The first round.
+pub(super) const FIRST: Round = Round {
+    pressed: COARSE,
+    steps: &[(1.5, usize::MAX), (0.8, 96), (0.4, 48)],
+    last_mm: 0.3,
+    keeps: 32,
+    same_mm: 0.0,
+};
+/// The second one keeps all to its end: beside the best answer, others as likely are looked for among them.
+pub(super) const SECOND: Round = Round {
+    pressed: MEDIUM,
+    steps: &[(0.6, usize::MAX), (0.3, usize::MAX), (0.2, usize::MAX), (0.12, usize::MAX)],
+    last_mm: 0.1,
+    keeps: KEPT,
+    same_mm: 0.1,
+};
+/// The guess counts little while weights are those of wide laws.
+const COARSE_PRIOR: f64 = 0.1;
+/// Longest step of a coarse look.
+const LONGEST_MM: f64 = 2.0;
+
+impl Search<'_> {
+    /// Steps of all candidates, and the choice of those that go on.
+    pub fn round(&mut self, candidates: &mut Vec<Candidate>, round: &Round, unpressed: usize) {
+        let view = View::of(
+            self.samples,
+            round.pressed.min(self.samples.spread_count),
+            unpressed,
+            self.press_direction,
+        );
+        for &(width_mm, keeps) in round.steps {
+            self.each(candidates, |search, candidate| {
+                search.step(candidate, &view, search.params.scaled(width_mm))
+            });
+            keep(candidates, keeps, 0.0, 0.0);
+        }
+        self.each(candidates, |search, candidate| {
+            search.work += view.len();
+            view.cost(&search.field, &candidate.placement, search.params.scaled(round.last_mm))
+        });
+        insertion_sort(candidates);
+    }
+
+    /// Does what tells a candidate's cost, to all of them or until the budget is spent.
+    fn each(&mut self, candidates: &mut [Candidate], mut cost: impl FnMut(&mut Self, &mut Candidate) -> f64) {
+        if self.has_spent() {
+            return;
+        }
+        for candidate in candidates {
+            candidate.cost = if !self.has_spent() { cost(self, candidate) } else { f64::INFINITY };
+        }
+    }
+
+    /// A coarse step; what the candidate cost before it.
+    pub fn step(&mut self, candidate: &mut Candidate, view: &View<'_>, width_mm: f64) -> f64 {
+        let sum = view.look(&self.field, &candidate.placement, width_mm);
+        self.step_by(candidate, view, sum)
+    }
+
+    /// The step that a look asks for; what the candidate cost before it.
+    pub fn step_by(&mut self, candidate: &mut Candidate, view: &View<'_>, mut sum: Normal) -> f64 {
+        self.work += view.len();
+        let cost = sum.cost;
+        sum.add_prior(&self.prior, &candidate.placement, view.radius_mm, COARSE_PRIOR);
+        if let Some((omega, v)) = sum.solve(view.radius_mm, self.params.scaled(LONGEST_MM)) {
+            candidate.placement = candidate.placement.moved(omega, v);
+        }
+        cost
+    }
+}
+
+/// The `most` cheapest, in order; of those closer than `same_mm` the cheaper one. Sorting is stable: ties stay in the
+/// order of the starts.
+pub(super) fn keep(candidates: &mut Vec<Candidate>, most: usize, radius_mm: f64, same_mm: f64) {
+    insertion_sort(candidates);
+    if same_mm == 0.0 {
+        return candidates.truncate(most);
+    }
+    let mut kept = 0;
+    for k in 0..candidates.len() {
+        if kept == most {
+            break;
+        }
+        let one = candidates[k];
+        let is_new = candidates[..kept].iter().all(|other| {
+            let (omega, v) = one.placement.since(&other.placement);
+            sqrt((omega * radius_mm).length_squared() + v.length_squared()) > same_mm
+        });
+        if is_new {
+            candidates[kept] = one;
+            kept += 1;
+        }
+    }
+    candidates.truncate(kept);
+}
+
+/// The standard library's stable sort allocates.
+pub(super) fn insertion_sort(candidates: &mut [Candidate]) {
+    for k in 1..candidates.len() {
+        let mut at = k;
+        while at > 0 && candidates[at].cost < candidates[at - 1].cost {
+            candidates.swap(at, at - 1);
+            at -= 1;
+        }
+    }
+}

@@ -1,0 +1,328 @@
+//! The other poses that explain a contact about as well as the best one.
+//!
+//! Two poses are one answer when their difference lies in what the contact leaves free. Free motions of a surface of
+//! contact are those of a lower pair (screw, cylinder, plane, ball; Reuleaux 1876), and so a group: the logarithm of a
+//! finite motion among them lies along the free directions, however far it turns, where a chord leaves them. What of the
+//! logarithm is determined tells two answers apart. It also carries one to where the best pose stands along the free
+//! directions, so that likelihoods compare nothing else.
+//!
+//! A motion D that brings the best pose to another answer is one after which the part looks as it did before, there. D
+//! and its inverse are tried on all answers: so the pitches of a thread are found that no start has led to. Turns after
+//! which the whole part looks the same are known before; they are tried on every answer, too.
+
+use super::assess;
+use super::candidate::{Candidate, End};
+use super::gel::prediction::GelFitScratch;
+use super::halving::insertion_sort;
+use super::normal_system::{Normal, Placement, cholesky};
+use super::refine::RefineScratch;
+use super::state::{HOPELESS, Search, Stage};
+use crate::math::{DVec3, Pose};
+use crate::register::observe::{dot, halves, stack};
+use crate::register::symmetry::nearest_copy;
+use crate::register::{Observability, copies, held};
+use alloc::vec::Vec;
+use core::f64::consts::TAU;
+
+/// A pose is as likely as the best one when its likelihood is at least e^-4.6 = 1 % of that one's.
+const MIN_LOG: f64 = 4.6;
+/// By as much the guess, which the noise of a free direction takes a pose from, may be less likely: two standard
+/// deviations.
+const LESS_LIKELY: f64 = 2.0;
+/// Poses that have not been polished are two when it is this much over the patch.
+const NEAR_MM: f64 = 0.1;
+/// How much more than shifts turns are avoided.
+const TURNS_FIRST: f64 = 10.0;
+/// After so many in a row that were hopeless, those that promised less are not polished.
+const MAX_IN_VAIN: usize = 5;
+/// Most poses that are polished, and most that wait for it.
+const MAX_POLISHED: usize = 24;
+const MAX_SEEDS: usize = 48;
+
+/// What became of a seed.
+enum Refined {
+    /// It is much less likely than the best pose.
+    Hopeless,
+    /// It came to an answer that is known.
+    Known,
+    New(End),
+}
+
+/// What a search for other poses works with.
+pub(super) struct Modes<'a, 'b> {
+    search: &'b mut Search<'a>,
+    scratch: &'b mut RefineScratch,
+    settled: &'b mut GelFitScratch,
+    best: Candidate,
+    /// Whose readings are the best answer's, and how it ended: that answer, or the one that it is a turn away from.
+    read: (Candidate, End),
+    seen: Observability,
+    /// Whether some that were worth it have not been polished.
+    is_cut: bool,
+}
+
+impl<'a, 'b> Modes<'a, 'b> {
+    /// Beside `best`, whose readings are in the scratch, and whose steps have ended by themselves or not.
+    pub fn new(
+        search: &'b mut Search<'a>,
+        (best, end): (&Candidate, End),
+        (scratch, settled): (&'b mut RefineScratch, &'b mut GelFitScratch),
+    ) -> Self {
+        // What is free is so wherever the steps would end.
+        let told = search.is_settled.then(|| search.told(best, true, settled));
+        let readings = (&*scratch, &*settled, told);
+        let found = assess::observe(search.params, search.samples, best, readings, true);
+        let seen = found.turned(&best.placement.pose, DVec3::ZERO);
+        Self { search, scratch, settled, best: *best, read: (*best, end), seen, is_cut: false }
+    }
+
+    /// The best pose back at the guess along the free directions, if it is as likely there: a direction that noise nearly
+    /// hides is not free as far as that. Once the budget is spent nothing is known of the gel there, and it stays.
+    pub fn hold(&mut self, best: &mut Candidate) {
+        if self.seen.free_count() == 0 || self.search.has_spent() {
+            return;
+        }
+        let pose = held::nearest(&self.seen, &self.best.placement.pose, &self.search.prior.guess.pose);
+        let mut one = Candidate { placement: Placement::new(pose), ..self.best };
+        self.search.read(&mut one, self.scratch, self.settled);
+        if one.cost <= self.best.cost + LESS_LIKELY {
+            (*best, self.best, self.read.0) = (one, one, one);
+        }
+    }
+
+    /// Leaves in `candidates`, whose first one is the best, those of them and of `seeds` that are other answers and as
+    /// likely, the likeliest first. Returns whose readings are those of the first one, how it ended, and whether there may
+    /// be more. The seeds are those of the second round, in order.
+    pub fn find(
+        mut self,
+        candidates: &mut Vec<Candidate>,
+        seeds: &mut Vec<Candidate>,
+    ) -> ((Candidate, End), bool) {
+        // Once, and no more when there happen to be more of them.
+        candidates.reserve(MAX_SEEDS);
+        seeds.reserve(MAX_SEEDS);
+        self.gather(candidates, seeds);
+        insertion_sort(seeds);
+        candidates.truncate(1);
+        self.turn(self.read, candidates);
+        let (mut next, mut in_vain) = (0, 0);
+        while next < seeds.len() && in_vain < MAX_IN_VAIN {
+            if next == MAX_POLISHED || self.search.has_spent() {
+                self.is_cut = true;
+                break;
+            }
+            let mut seed = Candidate { rest: self.best.rest, slot: self.best.slot, ..seeds[next] };
+            next += 1;
+            match self.refine(&mut seed, candidates) {
+                Refined::Hopeless => in_vain += 1,
+                Refined::Known => in_vain = 0,
+                Refined::New(ended) => {
+                    in_vain = 0;
+                    let is_new = self.accept(candidates, seed, (seed, ended));
+                    self.turn((seed, ended), candidates);
+                    if is_new {
+                        self.repeat(candidates, seeds);
+                        insertion_sort(&mut seeds[next..]);
+                    }
+                }
+            }
+        }
+        let least = candidates[0].cost + MIN_LOG;
+        candidates.retain(|one| one.cost <= least);
+        (self.read, self.is_cut)
+    }
+
+    /// The seeds that are other answers and worth polishing, and the runners-up among the candidates; what they cost is
+    /// over the best one.
+    ///
+    /// The second round is several times as blurred as the noise is wide, and so tells poses less apart than it: what is
+    /// out of the question there is so all the more.
+    fn gather(&self, candidates: &[Candidate], seeds: &mut Vec<Candidate>) {
+        let first = seeds.first().map_or(f64::INFINITY, |seed| seed.cost);
+        let guess = self.guess_cost(&self.best.placement);
+        let mut count = 0;
+        for k in 0..seeds.len() {
+            let placement = self.carried(&seeds[k].placement);
+            let cost = seeds[k].cost - first + self.guess_cost(&placement) - guess;
+            let seed = Candidate { placement, cost, ..self.best };
+            if cost <= MIN_LOG && self.is_new(&placement, &seeds[..count], &candidates[..1]) {
+                seeds[count] = seed;
+                count += 1;
+            }
+        }
+        seeds.truncate(count);
+        for one in candidates[1..].iter().rev() {
+            let placement = self.carried(&one.placement);
+            if self.is_new(&placement, &[], &candidates[..1]) {
+                seeds.insert(0, Candidate { placement, cost: one.cost - self.best.cost, ..*one });
+            }
+        }
+    }
+
+    /// Accepts an answer after every turn that shows the part alike: but for the guess it is as likely. It is not read there,
+    /// as whether a marker meets a sharp edge may turn on rounding.
+    fn turn(&mut self, of: (Candidate, End), candidates: &mut Vec<Candidate>) {
+        let one = of.0;
+        let guess = self.guess_cost(&one.placement);
+        let alike = self.search.alike;
+        for (axis, order) in alike.iter().filter_map(|axis| Some((axis, axis.order?))) {
+            for k in 1..order {
+                let turn = axis.turned(TAU * f64::from(k) / f64::from(order));
+                let placement = moved(&one.placement.pose, &Placement::new(turn));
+                let cost = one.cost + self.guess_cost(&placement) - guess;
+                if cost > candidates[0].cost + MIN_LOG || self.is_one(&placement, &one.placement, 0.0) {
+                    continue;
+                }
+                if candidates.len() == MAX_SEEDS {
+                    self.is_cut = true;
+                    return;
+                }
+                self.accept(candidates, Candidate { placement, cost, ..one }, of);
+            }
+        }
+    }
+
+    /// What the guess says of a pose.
+    fn guess_cost(&self, placement: &Placement) -> f64 {
+        let mut guess = Normal::ZERO;
+        guess.add_prior(&self.search.prior, placement, self.search.samples.radius_mm, 1.0);
+        guess.cost
+    }
+
+    fn near_mm(&self) -> f64 {
+        self.search.params.scaled(NEAR_MM)
+    }
+
+    fn is_new(&self, placement: &Placement, seeds: &[Candidate], candidates: &[Candidate]) -> bool {
+        !seeds.iter().chain(candidates).any(|other| self.is_one(placement, &other.placement, self.near_mm()))
+    }
+
+    /// What brings one pose to another that is a turn of the part away from it or none, about the centroid.
+    fn since(&self, one: &Placement, other: &Placement) -> Pose {
+        let nearest = nearest_copy(self.search.symmetries, &one.pose, &other.pose);
+        let motion = nearest * other.pose.inverse();
+        motion.normalized().unwrap_or(motion)
+    }
+
+    /// Whether two poses are one answer, those that are no farther apart than `near_mm` at any rate.
+    fn is_one(&self, one: &Placement, other: &Placement, near_mm: f64) -> bool {
+        let motion = self.since(one, other).log();
+        let (omega, v) = self.seen.determined(motion);
+        let squared_mm2 = (omega * self.seen.radius_mm).length_squared() + v.length_squared();
+        squared_mm2 <= near_mm * near_mm || self.seen.squared(motion) <= copies::APART * copies::APART
+    }
+
+    /// A pose moved along the free directions until the least turn, and then the least shift, brings the best one there.
+    fn carried(&self, one: &Placement) -> Placement {
+        let (omega, v) = least_turn(&self.seen, self.since(one, &self.best.placement).log(), self.near_mm());
+        moved(&Pose::exp(omega, v), &self.best.placement)
+    }
+
+    /// Steps go a little along free directions, too, where facets hold a pose as they would not hold the best one: each
+    /// stage begins where that one stands.
+    fn refine(&mut self, seed: &mut Candidate, candidates: &[Candidate]) -> Refined {
+        for stage in [Stage::Field, Stage::First] {
+            self.run(seed, stage);
+            if stage == Stage::First && seed.cost > self.best.cost + HOPELESS {
+                return Refined::Hopeless;
+            }
+            if !self.is_new(&seed.placement, &[], candidates) {
+                return Refined::Known;
+            }
+        }
+        Refined::New(self.run(seed, Stage::Last))
+    }
+
+    fn run(&mut self, seed: &mut Candidate, stage: Stage) -> End {
+        seed.placement = self.carried(&seed.placement);
+        if self.search.is_settled {
+            self.search.settle_on(seed, stage, self.settled)
+        } else {
+            self.search.finish_on(seed, stage, self.scratch)
+        }
+    }
+
+    /// Whether one, which `read` tells of, is an answer of its own; of two that are one the likelier stays.
+    fn accept(&mut self, candidates: &mut Vec<Candidate>, one: Candidate, read: (Candidate, End)) -> bool {
+        if one.cost > candidates[0].cost + MIN_LOG {
+            return false;
+        }
+        if one.cost < candidates[0].cost {
+            self.read = read;
+        }
+        let is_same = |other: &Candidate| self.is_one(&one.placement, &other.placement, 0.0);
+        let count = candidates.len();
+        match candidates.iter().position(is_same) {
+            Some(k) if one.cost < candidates[k].cost => candidates[k] = one,
+            Some(_) => {}
+            None => candidates.push(one),
+        }
+        let is_new = candidates.len() > count;
+        insertion_sort(candidates);
+        is_new
+    }
+
+    /// The seeds that a new answer suggests.
+    fn repeat(&mut self, candidates: &[Candidate], seeds: &mut Vec<Candidate>) {
+        let likely = candidates[0].cost - self.best.cost + MIN_LOG;
+        for one in candidates {
+            let motion = self.since(&self.best.placement, &one.placement);
+            for motion in [motion, motion.inverse()] {
+                for other in candidates {
+                    let placement = self.carried(&moved(&motion, &other.placement));
+                    // As likely as the other one, but for the guess.
+                    let by_guess = self.guess_cost(&placement) - self.guess_cost(&other.placement);
+                    let cost = other.cost - self.best.cost + by_guess;
+                    if cost > likely || !self.is_new(&placement, seeds, candidates) {
+                        continue;
+                    }
+                    if seeds.len() == MAX_SEEDS {
+                        self.is_cut = true;
+                        return;
+                    }
+                    seeds.push(Candidate { placement, cost, ..self.best });
+                }
+            }
+        }
+    }
+}
+
+/// A motion (ω, v) about the centroid, less what makes most of its turn, and then of its shift, along free directions
+/// that go with it.
+fn least_turn(seen: &Observability, (omega, v): (DVec3, DVec3), near_mm: f64) -> (DVec3, DVec3) {
+    let weighed = |u: &[f64; 6]| -> [f64; 6] {
+        core::array::from_fn(|i| if i < 3 { TURNS_FIRST * u[i] } else { u[i] })
+    };
+    let z = stack(omega * seen.radius_mm, v);
+    // Taking u off the logarithm is a motion along u where the two commute: what is left of their bracket, t [ξ, u] / 2,
+    // is to be small. A peg on its next side does not slide with the one that it lay on.
+    let commutes = |u: &[f64; 6]| {
+        let (a, b) = halves(u);
+        let (a, t) = (a / seen.radius_mm, dot(u, &z));
+        let (turn, shift) = (omega.cross(a) * seen.radius_mm, omega.cross(b) + v.cross(a));
+        0.25 * t * t * (turn.length_squared() + shift.length_squared()) <= near_mm * near_mm
+    };
+    let is_free =
+        core::array::from_fn::<bool, 6, _>(|k| seen.values[k] == 0.0 && commutes(&seen.directions[k]));
+    let free = |k: usize| is_free[k];
+    let along = seen.directions.map(|u| weighed(&u));
+    // Normal equations of the shares along the free directions; of others it is 0.
+    let h = core::array::from_fn(|i| {
+        core::array::from_fn(|k| match (free(i) && free(k), i == k) {
+            (true, _) => dot(&along[i], &along[k]),
+            (false, is_one) => f64::from(u8::from(is_one)),
+        })
+    });
+    let g = core::array::from_fn(|i| if free(i) { dot(&along[i], &weighed(&z)) } else { 0.0 });
+    let shares = cholesky(&h, &g).unwrap_or([0.0; 6]);
+    let left =
+        core::array::from_fn(|i| z[i] - (0..6).map(|k| shares[k] * seen.directions[k][i]).sum::<f64>());
+    let (omega, v) = halves(&left);
+    (omega / seen.radius_mm, v)
+}
+
+/// A pose after a motion about the centroid.
+fn moved(motion: &Pose, placement: &Placement) -> Placement {
+    let pose = *motion * placement.pose;
+    Placement::new(pose.normalized().unwrap_or(pose))
+}
