@@ -62,7 +62,8 @@ test-long: prerequisites $(BIN)/python
 	cargo build --release --quiet -p gelstereo-host --bins --example world_server
 	GELSTEREO_KILLS=50 cargo test --quiet --workspace --test all -- faults::
 	GELSTEREO_LONG_FRAMES=12000 cargo test --quiet --workspace --test long_run
-	cargo test --quiet --workspace --test all -- --ignored reference::
+	GELSTEREO_SOAK_FRAMES=2000 cargo test --quiet -p gelstereo-core --test all -- row_35_a_localizer
+	cargo test --quiet --workspace --test all -- --ignored --skip faults::
 	$(MAKE) long-builds
 	$(BIN)/pytest -m "long and realtime"
 	$(BIN)/pytest -n auto -m "long and not realtime"

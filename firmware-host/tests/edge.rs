@@ -160,7 +160,7 @@ fn a_face_that_is_not_there_ends_the_move_and_the_task() {
 /// `GELSTEREO_SEEDS=12 cargo test -p gelstereo-host --test all -- edge:: --ignored --nocapture` prints the
 /// table of docs/second-look.md. Both faces really stand off by their own sigma and the robot's, at random.
 #[test]
-#[ignore = "takes minutes"]
+#[ignore = "takes minutes: make test-long"]
 fn blades_with_and_without_faces_over_many_seeds() {
     let seeds: u64 = std::env::var("GELSTEREO_SEEDS").map_or(12, |text| text.parse().unwrap());
     for name in ["none", "wall", "wall and floor"] {

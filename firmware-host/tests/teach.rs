@@ -90,7 +90,7 @@ fn a_taught_goal_belongs_to_its_settings_and_its_version() {
 
 /// `GELSTEREO_SEEDS=24 cargo test -p gelstereo-host --test all -- teach:: --ignored --nocapture` prints docs/task.md's table.
 #[test]
-#[ignore = "takes minutes"]
+#[ignore = "takes minutes: make test-long"]
 fn taught_and_given_goals_over_many_seeds() {
     let seeds: u64 = std::env::var("GELSTEREO_SEEDS").map_or(24, |text| text.parse().unwrap());
     let folder = tempfile::tempdir().unwrap();

@@ -17,6 +17,7 @@ fn registrar() -> Registrar {
 }
 
 #[test]
+#[ignore = "takes half a minute: make test-long"]
 fn a_long_shoulder_is_told_from_the_part() {
     // The gel of the problems is three times finer than the markers, of which more than half are on the shoulder. Without
     // a decay length that the markers resolve the search does not ask the gel.
