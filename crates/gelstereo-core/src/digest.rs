@@ -1,7 +1,6 @@
-//! A digest of results: two runs are equal when their digests are.
+//! Digest of results, to compare two runs bit for bit.
 
-/// 64-bit FNV-1a over the bits of what is fed to it, in order. It detects differences; it is no defence
-/// against somebody who wants a collision.
+/// 64-bit FNV-1a over the input bits, in order. It detects differences; it is not collision-resistant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Digest(u64);
 
@@ -12,13 +11,13 @@ impl Default for Digest {
 }
 
 impl Digest {
-    /// The digest of nothing.
+    /// The digest of no input.
     #[must_use]
     pub const fn new() -> Self {
         Self(0xCBF2_9CE4_8422_2325)
     }
 
-    /// With these bytes added.
+    /// Adds these bytes.
     #[must_use]
     pub fn bytes(mut self, bytes: &[u8]) -> Self {
         for &byte in bytes {
@@ -27,13 +26,13 @@ impl Digest {
         self
     }
 
-    /// With this integer added.
+    /// Adds this integer.
     #[must_use]
     pub fn u64(self, value: u64) -> Self {
         self.bytes(&value.to_le_bytes())
     }
 
-    /// With these numbers added, bit for bit (0.0 and -0.0 differ).
+    /// Adds these numbers, bit for bit (0.0 and -0.0 differ).
     #[must_use]
     pub fn f64s(mut self, values: impl IntoIterator<Item = f64>) -> Self {
         for value in values {

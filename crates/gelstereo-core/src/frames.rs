@@ -1,11 +1,11 @@
-//! From the sensor to the robot's base (Eq. 8).
+//! Transforms from the sensor to the robot's base (Eq. 8).
 //!
 //! ```text
 //! base --t_base_gripper--> gripper --t_gripper_sensor(width)--> sensor --t_sensor_object--> object
 //! ```
-//! The gripper frame has its origin at the mount, z along the fingers towards their tips and x along the closing
-//! direction, towards the finger that carries the sensor. The pad frame is parallel to it, with its origin in the
-//! middle of that finger's pad.
+//! The gripper frame has its origin at the mount, z along the fingers towards their tips and x along the
+//! closing direction, towards the finger that carries the sensor. The pad frame is parallel to it, with
+//! its origin in the middle of that finger's pad.
 
 use crate::math::{DMat3, DQuat, DVec3, Pose, acos, atan2, cos, hypot, sin};
 
@@ -17,7 +17,7 @@ use crate::math::{DMat3, DQuat, DVec3, Pose, acos, atan2, cos, hypot, sin};
     serde(rename_all = "snake_case", tag = "kind", deny_unknown_fields)
 )]
 pub enum FingerKinematics {
-    /// Fingers that slide along x: the pad stands at x = width / 2 and z = `reach_mm`.
+    /// Fingers that slide along x: the pad is at x = width / 2 and z = `reach_mm`.
     Parallel {
         /// Distance of the pad's middle from the mount. Valid: -1000 to 1000 mm. Change it to your gripper's
         /// own.
@@ -44,8 +44,8 @@ pub enum FingerKinematics {
 }
 
 impl FingerKinematics {
-    /// The ideal parallelogram of a Robotiq 2F-85, from the link lengths that simulation models of it share: 85.4 mm
-    /// open, 0.9 mm closed, 13.9 mm of advance. A real gripper wants its own table.
+    /// The ideal parallelogram of a Robotiq 2F-85: 85.4 mm open, 0.9 mm closed, 13.9 mm of advance. The
+    /// link lengths are those shared by simulation models of it. A real gripper needs its own values.
     #[must_use]
     pub const fn robotiq_2f85() -> Self {
         Self::Parallelogram {
@@ -57,7 +57,7 @@ impl FingerKinematics {
         }
     }
 
-    /// Robotiq 2F-140: cranks of 100 mm as in published models of it, between the ends of the maker's stroke.
+    /// Robotiq 2F-140: cranks of 100 mm as in published models of it, over the manufacturer's stroke.
     #[must_use]
     pub const fn robotiq_2f140() -> Self {
         Self::Parallelogram {
@@ -69,7 +69,7 @@ impl FingerKinematics {
         }
     }
 
-    /// OnRobot RG2 without fingertips: cranks of 55 mm as in the maker's own model, between the ends of its stroke.
+    /// OnRobot RG2 without fingertips: cranks of 55 mm as in the manufacturer's model, over its stroke.
     #[must_use]
     pub const fn on_robot_rg2() -> Self {
         Self::Parallelogram {
@@ -81,7 +81,7 @@ impl FingerKinematics {
         }
     }
 
-    /// OnRobot RG6 without fingertips: cranks of 80 mm as in the maker's own model, between the ends of its stroke.
+    /// OnRobot RG6 without fingertips: cranks of 80 mm as in the manufacturer's model, over its stroke.
     #[must_use]
     pub const fn on_robot_rg6() -> Self {
         Self::Parallelogram {
@@ -93,7 +93,7 @@ impl FingerKinematics {
         }
     }
 
-    /// Checks that the numbers describe fingers.
+    /// Checks that the numbers describe valid fingers.
     ///
     /// # Errors
     /// [`MountError`] naming the field.
@@ -136,7 +136,7 @@ impl FingerKinematics {
     /// Middle of the sensing pad in the gripper frame.
     ///
     /// # Errors
-    /// [`WidthError`] for a width that the fingers cannot have.
+    /// [`WidthError`] for a width that the fingers cannot reach.
     pub fn pad_mm(&self, width_mm: f64) -> Result<DVec3, WidthError> {
         let (min_mm, max_mm) = self.width_range_mm();
         if !(width_mm >= min_mm && width_mm <= max_mm) {
@@ -155,7 +155,7 @@ impl FingerKinematics {
     }
 }
 
-/// Where the sensor stands in the gripper.
+/// Pose of the sensor in the gripper.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
 pub struct SensorMount {
@@ -166,7 +166,7 @@ pub struct SensorMount {
     pub t_pad_sensor: Pose,
 }
 
-/// A number that makes no mount.
+/// An invalid number in a mount.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MountError {
     /// Which field, for example `kinematics.reach_mm`.
@@ -191,13 +191,13 @@ impl MountError {
     }
 }
 
-/// Larger than any gripper's finger: a metre.
+/// Longer than any gripper's finger: one metre.
 const FAR_MM: f64 = 1e3;
 
-/// Largest crank angle, just below a right angle: beyond it the fingers would open again.
+/// Largest crank angle, just below a right angle; beyond it the fingers would open again.
 const MAX_THETA_RAD: f64 = 1.57;
 
-/// A width that the gripper cannot have.
+/// A width that the gripper cannot reach.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WidthError {
     /// Width found.
@@ -221,8 +221,8 @@ impl core::fmt::Display for WidthError {
 impl core::error::Error for WidthError {}
 
 impl SensorMount {
-    /// A sensor whose gel surface lies in the pad's middle and looks across the gap at the other finger: its z axis
-    /// is the gripper's -x, its y axis (down in the image) the gripper's z.
+    /// A sensor with its gel surface at the pad's middle, facing the other finger across the gap. Its z
+    /// axis is the gripper's -x; its y axis (down in the image) is the gripper's z.
     ///
     /// `gel_centre_mm` is the middle of the undeformed gel surface in the sensor frame.
     #[must_use]
@@ -231,7 +231,7 @@ impl SensorMount {
         Self { kinematics, t_pad_sensor: Pose { rotation, translation_mm: -(rotation * gel_centre_mm) } }
     }
 
-    /// Checks that the numbers describe a mount.
+    /// Checks that the numbers describe a valid mount.
     ///
     /// # Errors
     /// [`MountError`] naming the field.
@@ -249,7 +249,7 @@ impl SensorMount {
     /// gTgs of Eq. 8: maps sensor coordinates to gripper coordinates at this opening width.
     ///
     /// # Errors
-    /// [`WidthError`] for a width that the gripper cannot have.
+    /// [`WidthError`] for a width that the gripper cannot reach.
     pub fn t_gripper_sensor(&self, width_mm: f64) -> Result<Pose, WidthError> {
         Ok(Pose::from_translation_mm(self.kinematics.pad_mm(width_mm)?) * self.t_pad_sensor)
     }

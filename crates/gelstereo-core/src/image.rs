@@ -1,6 +1,6 @@
 //! Borrowed 8-bit grey images.
 
-/// A grey image that somebody else owns: `height` rows of `width` bytes, `stride` bytes apart.
+/// A borrowed grey image: `height` rows of `width` bytes, `stride` bytes apart.
 ///
 /// A view of the left half of a side-by-side frame is the same buffer with the whole frame's stride.
 #[derive(Clone, Copy, Debug)]
@@ -11,10 +11,10 @@ pub struct GrayView<'a> {
     stride: usize,
 }
 
-/// Most columns and rows of an image: what 16 bits count.
+/// Largest width and height of an image; both fit 16 bits.
 pub const MAX_SIDE_PX: usize = u16::MAX as usize;
 
-/// Why a buffer is no image.
+/// Why a buffer is not an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ImageError {
     /// Width or height is zero.
@@ -24,7 +24,7 @@ pub enum ImageError {
         /// Height found, pixels.
         height: usize,
     },
-    /// More columns or rows than any camera gives.
+    /// More columns or rows than any camera has.
     TooLarge {
         /// Width found, pixels.
         width: usize,
@@ -38,14 +38,14 @@ pub enum ImageError {
         /// Stride found, bytes.
         stride: usize,
     },
-    /// The buffer ends before the last row does.
+    /// The buffer ends before the last row ends.
     BufferTooShort {
         /// Bytes that the shape needs.
         needed: usize,
         /// Bytes found.
         found: usize,
     },
-    /// A part reaches beyond the image.
+    /// A part extends beyond the image.
     Outside {
         /// One past the part's last column.
         right: usize,
@@ -87,7 +87,8 @@ impl<'a> GrayView<'a> {
     /// A view of rows that are `stride` bytes apart.
     ///
     /// # Errors
-    /// [`ImageError`] when the shape is empty, larger than [`MAX_SIDE_PX`] on a side, or does not fit the buffer.
+    /// [`ImageError`] when the shape is empty, larger than [`MAX_SIDE_PX`] on a side, or does not fit the
+    /// buffer.
     pub fn new(data: &'a [u8], width: usize, height: usize, stride: usize) -> Result<Self, ImageError> {
         if width == 0 || height == 0 {
             return Err(ImageError::Empty { width, height });
@@ -123,14 +124,14 @@ impl<'a> GrayView<'a> {
         &self.data[y * self.stride..y * self.stride + self.width]
     }
 
-    /// Copies the `L` bytes from column `x` on of as many rows from `y` on as `rows` has; nothing where they are not all in the
-    /// image.
+    /// Copies `L` bytes per row, from column `x`, of rows `y` onwards into `rows`. Does nothing unless
+    /// all lie within the image.
     pub(crate) fn copy_lanes<const L: usize>(&self, (x, y): (usize, usize), rows: &mut [[u8; L]]) {
         let inside = x + L <= self.width && y + rows.len() <= self.height;
         if !inside {
             return;
         }
-        // Chunks of a stride would be counted first, by a division.
+        // `chunks` of the stride would compute their number first, with a division.
         let mut first = y * self.stride + x;
         for row in rows {
             let Some(levels) = self.data.get(first..).and_then(<[u8]>::first_chunk) else { return };
@@ -154,7 +155,8 @@ impl<'a> GrayView<'a> {
         Self::new(&self.data[y * self.stride + x..], width, height, self.stride)
     }
 
-    /// Whether the brightest value is at least so many levels above the darkest: most images show it in a few rows.
+    /// Whether the brightest value is at least `levels` above the darkest. For most images a few rows
+    /// suffice.
     pub(crate) fn spans(&self, levels: u8) -> bool {
         let (mut low, mut high) = (u8::MAX, 0);
         (0..self.height).map(|y| self.row(y)).any(|row| {
@@ -164,7 +166,7 @@ impl<'a> GrayView<'a> {
         })
     }
 
-    /// Whether any pixel is as bright as this.
+    /// Whether any pixel is at least this bright.
     pub(crate) fn reaches(&self, level: u8) -> bool {
         (0..self.height).any(|y| reaches(self.row(y), level))
     }
@@ -172,13 +174,13 @@ impl<'a> GrayView<'a> {
     /// The darkest and brightest value.
     #[must_use]
     pub fn range(&self) -> (u8, u8) {
-        // One fold a row, and one for each end, is what the compiler turns into vector code.
+        // The compiler vectorises one fold per row and per extreme.
         (0..self.height).map(|y| self.row(y)).fold((u8::MAX, 0), |(low, high), row| {
             (row.iter().fold(low, |low, &v| low.min(v)), row.iter().fold(high, |high, &v| high.max(v)))
         })
     }
 }
-/// Whether any of these pixels is as bright as this. A fold is what the compiler turns into vector code.
+/// Whether any of these pixels is at least this bright. The compiler vectorises a fold.
 pub(crate) fn reaches(pixels: &[u8], level: u8) -> bool {
     pixels.iter().fold(0, |high: u8, &pixel| high.max(pixel)) >= level
 }

@@ -1,15 +1,18 @@
 //! From a stereo frame of printed markers to the pose of the part in the hand.
 //!
-//! The rooms stand in the order in which data flows:
-//! [`image`] → [`detect`] → [`track`] → [`label`] → [`triangulate`] → [`contact`] → [`register`] → [`frames`],
-//! and [`pipeline`] runs the sensing ones in that order over scratch that is allocated once.
+//! Modules in the order of the data flow:
+//! [`image`] → [`detect`] → [`track`] → [`lattice`] → [`triangulate`] → [`contact`] → [`register`] →
+//! [`frames`].
+//! [`pipeline`] runs the sensing ones in that order, on scratch memory that is allocated once.
 //!
 //! The method is that of S. Cui et al., "In-Hand Object Localization Using a Novel High-Resolution
-//! Visuotactile Sensor" (2021), called "the paper" throughout; `Eq. n`, `Algorithm 1` and `section` refer to it.
+//! Visuotactile Sensor" (2021), called "the paper" throughout; `Eq. n`, `Algorithm 1` and `section` refer
+//! to it.
 //!
-//! Units and frames are in the names. Lengths are millimetres, angles radians, times seconds unless a name says
-//! otherwise; `_px` is pixels with the centre of the first pixel at (0, 0). `t_a_b` maps coordinates of frame b
-//! to frame a. The sensor frame is the left camera's: x right, y down, z away from the camera into the gel.
+//! Names carry units and frames. Lengths are millimetres, angles radians and times seconds unless a name
+//! states otherwise. `_px` is pixels, with the centre of the first pixel at (0, 0). `t_a_b` maps
+//! coordinates of frame b to frame a. The sensor frame is the left camera's: x right, y down, z away from
+//! the camera into the gel.
 #![no_std]
 #![forbid(unsafe_code)]
 

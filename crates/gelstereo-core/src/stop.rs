@@ -1,10 +1,10 @@
-//! Ending long work early.
+//! Early cancellation of long work.
 //!
-//! Functions that can take seconds have a form `*_unless`, which asks a closure every few milliseconds whether to go on. The
-//! answer is the same, bit for bit, as without one, unless the closure says to stop. Then nothing is made, and the
-//! inputs are as they were.
+//! Functions that can take seconds have a variant `*_unless`, which calls a closure every few
+//! milliseconds. If the closure requests a stop, nothing is returned and the inputs are unchanged.
+//! Otherwise the result is bit-identical to that of the plain function.
 
-/// Asked every few milliseconds; `true` stops the work.
+/// Called every few milliseconds; `true` stops the work.
 pub type Stop<'a> = &'a dyn Fn() -> bool;
 
 /// Never stops.
@@ -22,20 +22,20 @@ impl core::fmt::Display for Stopped {
 
 impl core::error::Error for Stopped {}
 
-/// Steps between two questions. A step is a nearest point or less, some microseconds: asking costs under a
-/// thousandth of the work, and an answer is waited for by a few milliseconds.
+/// Steps between two calls of the closure. A step is at most one nearest-point query, some microseconds.
+/// The calls cost less than a thousandth of the work, and stopping takes a few milliseconds.
 const STEPS: usize = 1024;
 
-/// The same of steps that look at much of a template: at most a millisecond each.
+/// As [`STEPS`], for steps over much of a template: at most a millisecond each.
 const HEAVY_STEPS: usize = 64;
 
-/// Asks, before the first of every [`STEPS`] steps.
+/// Calls the closure before the first of every [`STEPS`] steps.
 #[inline]
 pub(crate) fn ask(stop: Stop<'_>, step: usize) -> Result<(), Stopped> {
     if step.is_multiple_of(STEPS) && stop() { Err(Stopped) } else { Ok(()) }
 }
 
-/// Asks, before the first of every [`HEAVY_STEPS`] steps.
+/// Calls the closure before the first of every [`HEAVY_STEPS`] steps.
 #[inline]
 pub(crate) fn ask_often(stop: Stop<'_>, step: usize) -> Result<(), Stopped> {
     if step.is_multiple_of(HEAVY_STEPS) && stop() { Err(Stopped) } else { Ok(()) }

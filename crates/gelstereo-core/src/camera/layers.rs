@@ -13,22 +13,23 @@ pub struct Layer {
     pub index: f64,
 }
 
-/// A stack of flat, parallel layers in the sensor frame. The cameras look through air; the markers lie in the last
-/// medium, which has no end.
+/// A stack of flat, parallel layers in the sensor frame. The cameras are in air; the markers lie in the
+/// last medium, which is unbounded.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
 pub struct Layers {
     /// Unit normal of all interfaces, away from the cameras (sensor frame).
     pub normal: DVec3,
-    /// Distance from the left camera's centre of projection to the first interface, along the normal, millimetres.
+    /// Distance from the left camera's centre of projection to the first interface, along the normal,
+    /// millimetres.
     pub gap_mm: f64,
-    /// What lies between the first interface and the gel, in the order in which light from the camera meets it.
+    /// Layers between the first interface and the gel, starting from the cameras.
     pub plates: Vec<Layer>,
     /// Refractive index of the gel, in which the markers lie.
     pub gel_index: f64,
 }
 
-/// A number that makes no layer.
+/// An invalid number in a layer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LayersError {
     /// Which field.
@@ -47,11 +48,11 @@ impl core::fmt::Display for LayersError {
 
 impl core::error::Error for LayersError {}
 
-/// Farther than any sensor reaches: ten metres.
+/// Larger than any sensor: ten metres.
 const FAR_MM: f64 = 1e4;
 
 impl Layers {
-    /// Checks that the numbers describe layers.
+    /// Checks that the numbers describe valid layers.
     ///
     /// # Errors
     /// [`LayersError`] naming the field.

@@ -1,4 +1,4 @@
-//! One camera: pinhole, lens distortion and its inverse, refraction through flat layers.
+//! A single camera: pinhole, lens distortion and its inverse, refraction through flat layers.
 
 mod layers;
 mod refraction;
@@ -30,24 +30,24 @@ pub struct Camera {
     pub distortion: [f64; 5],
 }
 
-/// Why a camera cannot be used, a pixel has no ray or a point no pixel.
+/// Why a camera is invalid, a pixel has no ray or a point no pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum CameraError {
-    /// A size or focal length is not above 0, or a number is not finite or beyond any camera's.
+    /// A size or focal length is not positive, or a number is not finite or larger than for any camera.
     Invalid {
         /// Which field.
         field: &'static str,
         /// What was found.
         found: f64,
     },
-    /// The pixel lies where the distortion model folds over: no ray, or more than one, would reach it.
+    /// The pixel lies where the distortion model folds over: it has no ray or several.
     BeyondDistortion {
         /// The pixel, px.
         pixel_px: DVec2,
     },
     /// The pixel is NaN or infinite.
     PixelNotFinite,
-    /// The pixel's ray runs along the layers before the markers, or away from them.
+    /// The pixel's ray is parallel to the layers or points away from them.
     MissesLayers {
         /// The pixel, px.
         pixel_px: DVec2,
@@ -57,7 +57,7 @@ pub enum CameraError {
         /// The point in the sensor frame, mm.
         point_mm: DVec3,
     },
-    /// Light from the point towards the camera, which touches the first interface, is totally reflected there.
+    /// Light from the point towards a camera touching the first interface is totally reflected there.
     TotalReflection {
         /// The point in the sensor frame, mm.
         point_mm: DVec3,
@@ -102,16 +102,16 @@ impl core::fmt::Display for CameraError {
 
 impl core::error::Error for CameraError {}
 
-/// Largest size, focal length, principal point and coefficient: a thousand times those of real cameras, so that no square
-/// of what follows from them overflows.
+/// Upper bound of sizes, focal lengths, principal points and coefficients: a thousand times those of real
+/// cameras. No square of a derived quantity overflows.
 const MAX_PX: f64 = 1e8;
 
-/// Largest length of distorted normalised coordinates that has a ray: half a degree from the image plane, where no lens
-/// of this model was ever calibrated.
+/// Upper bound of the length of distorted normalised coordinates: half a degree from the image plane,
+/// beyond any calibration of this model.
 const MAX_SLOPE: f64 = 100.0;
 
 impl Camera {
-    /// Checks that the numbers describe a camera.
+    /// Checks that the numbers describe a valid camera.
     ///
     /// # Errors
     /// [`CameraError::Invalid`] naming the field.
@@ -132,8 +132,8 @@ impl Camera {
         Ok(())
     }
 
-    /// Pixel of a point in this camera's frame (mm or any unit), or `None` behind the camera and so far aside that the
-    /// distortion has no finite value.
+    /// Pixel of a point in this camera's frame (mm or any unit). `None` behind the camera, or where the
+    /// distortion overflows.
     #[must_use]
     pub fn project(&self, point: DVec3) -> Option<DVec2> {
         if !(point.z > 0.0) {
@@ -166,8 +166,8 @@ impl Camera {
 
     /// Normalised undistorted coordinates (x / z, y / z) of a pixel.
     ///
-    /// Newton's method on the distortion with its exact Jacobian; a step that would leave the region in which the
-    /// model is one-to-one around the centre is refused instead of returning another branch's answer.
+    /// Newton's method on the distortion with its exact Jacobian. Steps that leave the region where the model
+    /// is one-to-one around the centre are rejected, instead of returning another branch's solution.
     ///
     /// # Errors
     /// [`CameraError::BeyondDistortion`] or [`CameraError::PixelNotFinite`].
@@ -186,7 +186,7 @@ impl Camera {
         self.invert_distortion(target).ok_or(CameraError::BeyondDistortion { pixel_px })
     }
 
-    /// The solution near the target, where the model bends little; else the one that is followed from the centre on.
+    /// Tries the solution near the target, valid for weak distortion; otherwise follows it from the centre.
     fn invert_distortion(&self, target: DVec2) -> Option<DVec2> {
         match self.newton(target, target) {
             Some(p) if self.is_one_to_one_within(p) => Some(p),
@@ -194,10 +194,10 @@ impl Camera {
         }
     }
 
-    /// Whether the distortion is surely one-to-one on the disc around the centre that reaches to `p`: on a convex set
-    /// it is where its Jacobian, which is symmetric, is positive definite. Its eigenvalues are those of the radial
-    /// part, at least 1 + 3 k1 r² + 5 k2 r⁴ + 7 k3 r⁶ with the positive coefficients left out, less at most
-    /// 6 r (|p1| + |p2|) for the tangential one.
+    /// Whether the distortion is certainly one-to-one on the disc around the centre up to `p`. On a
+    /// convex set a symmetric positive definite Jacobian suffices. Its eigenvalues are those of the
+    /// radial part, at least 1 + 3 k1 r² + 5 k2 r⁴ + 7 k3 r⁶ without the positive coefficients, minus at
+    /// most 6 r (|p1| + |p2|) for the tangential part.
     fn is_one_to_one_within(&self, p: DVec2) -> bool {
         let [k1, k2, p1, p2, k3] = self.distortion;
         let r2 = p.length_squared();
@@ -205,8 +205,8 @@ impl Camera {
         1.0 + radial - 6.0 * sqrt(r2) * (abs(p1) + abs(p2)) > 0.1
     }
 
-    /// Follows the solution from the centre outwards (homotopy in the target's length), so that the answer is on the
-    /// branch that contains the principal point.
+    /// Follows the solution from the centre outwards (homotopy in the target's length), so that it stays
+    /// on the branch of the principal point.
     fn follow_distortion(&self, target: DVec2) -> Option<DVec2> {
         let steps = 1 + (sqrt(target.length_squared()) * 4.0) as usize;
         let mut p = DVec2::ZERO;
@@ -229,7 +229,8 @@ impl Camera {
             let step =
                 DVec2::new(d * residual.x - b * residual.y, a * residual.y - c * residual.x) / determinant;
             p -= step;
-            // The error after a step is below its square times the model's bend over its slope: below round-off after this.
+            // The error after a step is below its square times the model's curvature over its slope:
+            // round-off.
             if step.length_squared() <= 1e-18 * scale {
                 return Some(p);
             }
@@ -252,8 +253,8 @@ impl Camera {
         )
     }
 
-    /// Second derivatives of the distorted coordinates: those of x by xx, xy and yy and of y by yy. With the rest they are the
-    /// third ones of one potential.
+    /// Second derivatives of the distorted coordinates: x by xx, xy and yy, and y by yy. All are third
+    /// derivatives of one potential, so the others follow.
     pub(crate) fn distortion_bend(&self, p: DVec2) -> [f64; 4] {
         let [k1, k2, p1, p2, k3] = self.distortion;
         let r2 = p.length_squared();

@@ -1,19 +1,20 @@
-//! Light through flat layers: from a point to where a camera sees it, and back.
+//! Light paths through flat layers, from a point to its image and back.
 //!
-//! Snell's law keeps n sin θ along a ray, so that the slope t = tan θ in air gives the slope t κ in every medium,
-//! κ = 1 / sqrt(n² + (n² - 1) t²). A point at the height h before the camera (along the normal) and the distance ρ from
-//! the normal through it is reached by the one slope that solves ρ = t (gap + Σ d κ), d the path's thickness in each
-//! medium. The camera then sees it where a camera without layers would see the apparent point, which stands nearer by
-//! Σ d (1 - κ) along the normal. See Agrawal, Ramalingam, Taguchi and Chari, "A theory of multi-layer flat refractive
-//! geometry" (2012), who solve a polynomial instead.
+//! Snell's law conserves n sin θ along a ray. The slope t = tan θ in air therefore gives the slope t κ in
+//! every medium, κ = 1 / sqrt(n² + (n² - 1) t²). Let a point have height h before the camera (along the
+//! normal) and distance ρ from the normal through the camera. Its slope is the only solution of ρ = t
+//! (gap + Σ d κ), d the path's thickness in each medium. The camera sees the point where a camera without
+//! layers would see the apparent point, which is nearer by Σ d (1 - κ) along the normal. See Agrawal,
+//! Ramalingam, Taguchi and Chari, "A theory of multi-layer flat refractive geometry" (2012), who solve a
+//! polynomial instead.
 
 use super::Layers;
 use crate::math::{DVec3, abs, sqrt};
 
-/// Steps within which Newton's method on the slope ends but for light that grazes the first interface.
+/// Newton's method on the slope ends within this many steps, except for light grazing the first interface.
 const MAX_STEPS: usize = 64;
 
-/// A line from a point along a unit direction, which light follows backwards.
+/// A ray: origin and unit direction, opposite to the direction of light.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ray {
     /// Where it starts, millimetres.
@@ -33,9 +34,8 @@ pub(crate) struct Refraction<'a> {
 }
 
 impl Refraction<'_> {
-    /// Slope in air of the light that reaches `point`; 0 for a point in air, before the first interface. `start` is a
-    /// guess; 0 always does.
-    /// `None` when the light is totally reflected.
+    /// Slope in air of the light that reaches `point`; 0 for a point in air, before the first interface.
+    /// `start` is an initial guess; 0 always works. `None` for total reflection.
     pub(crate) fn slope(&self, point: DVec3, start: f64) -> Option<f64> {
         let height = self.normal.dot(point);
         let below = height - self.gap_mm;
@@ -46,8 +46,8 @@ impl Refraction<'_> {
         self.solve(rho, below, start)
     }
 
-    /// The point that a camera without layers would see at the same pixel as `point`, which light of the slope
-    /// [`Self::slope`] reaches.
+    /// The point that a camera without layers would see at the pixel of `point`. `slope` is that of
+    /// [`Self::slope`].
     pub(crate) fn apparent(&self, point: DVec3, slope: f64) -> DVec3 {
         let lift: f64 = self
             .media(self.normal.dot(point) - self.gap_mm)
@@ -56,7 +56,8 @@ impl Refraction<'_> {
         point + self.normal * lift
     }
 
-    /// The vector g with d apparent = d point + normal (g · d point), by implicit differentiation of ρ = t (gap + Σ d κ).
+    /// The vector g with d apparent = d point + normal (g · d point), by implicit differentiation of ρ =
+    /// t (gap + Σ d κ).
     pub(crate) fn lift_gradient(&self, point: DVec3, slope: f64) -> DVec3 {
         let height = self.normal.dot(point);
         let mut left = height - self.gap_mm;
@@ -83,8 +84,8 @@ impl Refraction<'_> {
         self.normal * (here * (1.0 + share * slope * slope) - 1.0) - across * share
     }
 
-    /// The ray in the gel of a ray that leaves the camera along `direction` (any length), from the last interface on,
-    /// and its slope in air. `None` when it never meets the layers.
+    /// The ray in the gel, from the last interface on, of a ray leaving the camera along `direction` (any
+    /// length), and its slope in air. `None` if it does not meet the layers.
     pub(crate) fn ray(&self, direction: DVec3) -> Option<(Ray, f64)> {
         let ahead = self.normal.dot(direction);
         let across = direction / ahead - self.normal; // slope in air, a vector along the interface
@@ -111,9 +112,9 @@ impl Refraction<'_> {
 
     /// The slope that reaches a point `rho` from the normal and `below` the first interface.
     ///
-    /// ρ(t) grows and is concave, so that Newton's method from below never oversteps the root, and one step from
-    /// anywhere above leads below it. `None` when the light would arrive along the interface or not at all, which can
-    /// only be when the camera touches the first interface.
+    /// ρ(t) is increasing and concave. Newton's method from below therefore never overshoots the root,
+    /// and one step from above leads below it. `None` if the light would be parallel to the interface or
+    /// does not arrive, which requires a camera touching the first interface.
     fn solve(&self, rho: f64, below: f64, start: f64) -> Option<f64> {
         let mut t = start;
         for _ in 0..MAX_STEPS {

@@ -1,19 +1,19 @@
-//! Saliency for a gel whose law is not known: pressure where its law holds, and else the gel's curvature
-//! chooses among what several rules propose.
+//! Saliency for a gel with unknown law: pressure where its law holds, otherwise the best of several
+//! candidate rules by the curvature of the gel.
 //!
-//! Where the law p = h - l² Δh holds, nothing presses beside a contact, so that the pressures of a ring around
-//! it add up to noise. In their sum most of the noise of the second differences cancels. A sum below that
-//! shows a gel that comes back to rest on a shorter way, or by another law.
+//! Where the law p = h - l² Δh holds, the pressure beside a contact is zero, so the pressures in a ring
+//! around it sum to noise. Most of the noise of the second differences cancels in that sum. A sum below
+//! noise indicates a gel that returns to rest over a shorter length or by another law.
 //!
-//! A rigid part presses its own convex surface into the gel, so that the gel is concave under it, -Δh > 0.
+//! A rigid part presses its own convex surface into the gel, so the gel is concave under it, -Δh > 0.
 //! Beside the contact the gel returns to rest and is convex, Δh > 0. This holds for a foundation with
-//! tension, for an elastic layer and for a gel without any shoulder, so the border of the contact is where
-//! the curvature changes its sign, as an edge is in an image (Marr and Hildreth 1980). A single second
-//! difference is too noisy to be a rule of its own. The sum over a whole contact and its ring is not, so it
-//! chooses among a few candidates: the markers in contact by [`QuickPressure`] for the longest decay length,
-//! those that carry pressure beyond its noise for shorter ones, and those indented by more than a share of the
-//! deepest indentation. For an elastic half-space under a ball the share is a half (Hertz 1882); in thin layers
-//! it is less.
+//! tension, for an elastic layer and for a gel without any shoulder. So the border of the contact is
+//! where the curvature changes its sign, like an edge in an image (Marr and Hildreth 1980). A single
+//! second difference is too noisy for a rule of its own, but the sum over a contact and its ring is not.
+//! It selects among a few candidates: the markers in contact by [`QuickPressure`] for the longest decay
+//! length, those with significant pressure for shorter ones, and those indented by more than a share of
+//! the deepest indentation. For an elastic half-space under a ball the share is a half (Hertz 1882); in
+//! thin layers it is less.
 
 use super::quick::QuickPressure;
 use super::rule::{MIN_SIGMA_MM, START};
@@ -23,66 +23,68 @@ use crate::math::{abs, sqrt};
 use crate::track::MarkerState;
 use alloc::vec::Vec;
 
-/// Decay lengths that are tried beside the given one, over that. With 2.5 mm they are 1.6 to 0.5 mm. Their
-/// pressures are so little noisier than the heights that a threshold will do: settling the labels as
-/// [`QuickPressure`] does costs four times as much as all else here, and gains up to 0.009 of F1 on the
-/// contacts for work by finite elements with 5 um of noise, 0.006 with 10 um.
+/// Decay lengths tried in addition to the given one, as shares of it. With 2.5 mm they are 1.6 to 0.5 mm.
+/// Their pressures are hardly noisier than the heights, so a threshold suffices: iterating the labels as
+/// in [`QuickPressure`] costs four times as much as everything else here, and gains up to 0.009 of F1 on
+/// the development half of the finite-element contacts with 5 um of noise, 0.006 with 10 um.
 const SHORTER: [f64; 4] = [0.64, 0.4, 0.28, 0.2];
-/// Smallest and largest share of the deepest indentation that is tried, in steps. On the half for work of the
-/// contacts by finite elements, 3 to 11 steps are chosen.
+/// Smallest and largest share of the deepest indentation tried, in steps. On the development half of the
+/// finite-element contacts, 3 to 11 steps are chosen.
 const SHARES: (u32, u32) = (1, 12);
 /// Step of the shares.
 const SHARE_STEP: f64 = 0.05;
 /// Standard deviations that the indentation of a marker in contact must exceed.
 const MIN_SIGMAS: f64 = 3.0;
 
-/// Rows and columns together from a contact to the nearest and farthest markers of its ring. Stencils of the
-/// very next ones share heights with the contact's rim.
+/// City-block distance of a contact to the nearest and farthest markers of its ring. Stencils of the
+/// adjacent markers share heights with the contact's rim.
 const RING: (u8, u8) = (2, 3);
-/// How far the pressures of the ring may be from none in all: in standard deviations of their sum, and as a
-/// share of the heights there, for the five points of the stencil give (pitch / l)² / 12 of these, 0.01. Tried:
-/// 3 and 5, with 0.05, 0.1 and 0.2. Where the law holds, in simulated presses with 5 and 10 um of noise, F1 is
-/// that of pressure with all of them; on the contacts for work by finite elements 5 costs up to 0.04.
+/// Largest deviation from zero of the sum of the ring's pressures: in standard deviations of the sum,
+/// plus a share of the heights there, since the five-point stencil has a relative error of (pitch / l)² /
+/// 12, 0.01. Tried: 3 and 5, with 0.05, 0.1 and 0.2. Where the law holds, in simulated presses with 5 and
+/// 10 um of noise, all of them give the F1 of pressure; on the development half of the finite-element
+/// contacts 5 costs up to 0.04.
 const LAW_MARGIN: (f64, f64) = (3.0, 0.1);
 
-/// The rule by which the markers in contact were found.
+/// Rule by which the markers in contact were found.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ContactRule {
-    /// The gel carries pressure there, for a gel that returns to rest over this length.
+    /// The gel carries pressure there, given this decay length.
     Pressure {
         /// The decay length.
         decay_mm: f64,
     },
-    /// The indentation is more than this share of the deepest one.
+    /// The indentation exceeds this share of the deepest one.
     Share {
         /// The share, 0 to 1.
         share: f64,
     },
 }
 
-/// Finds the markers in contact without knowing the law of the gel; scratch is kept from frame to frame.
+/// Finds the markers in contact for a gel with unknown law; scratch is kept from frame to frame.
 #[derive(Clone, Debug, Default)]
 pub struct AdaptiveSaliency {
     pressure: QuickPressure,
-    /// Of the lengths [`SHORTER`], for every marker: the pressure's standard deviation for heights of variance
-    /// 1, inverted.
+    /// For each length of [`SHORTER`] and each marker: reciprocal standard deviation of the pressure for
+    /// heights of variance 1.
     per_noise: [Vec<f64>; SHORTER.len()],
-    /// Signed square root of every marker's curvature, so that no single marker decides; 0 where a height is
-    /// missing.
+    /// Signed square root of every marker's curvature, which limits the influence of single markers; 0
+    /// where a height is missing.
     bend: Vec<f64>,
     variance_mm2: Vec<f64>,
     evidence: Vec<f64>,
     candidate: Vec<bool>,
     seen_mm: Vec<f64>,
-    /// Rows and columns together from the contact, up to the ring's; and what each height counts in its sum.
+    /// City-block distance from the contact, up to the ring's, and the weight of each height in the
+    /// ring's sum.
     steps: Vec<u8>,
     counts: Vec<f64>,
     regions: Regions,
 }
 
 impl AdaptiveSaliency {
-    /// For this rest surface of `rows * cols` markers, row by row. `max_decay_mm` is the longest decay length
-    /// that is tried.
+    /// For this rest surface of `rows * cols` markers, row by row. `max_decay_mm` is the longest decay
+    /// length tried.
     ///
     /// # Errors
     /// As [`QuickPressure::new`].
@@ -108,9 +110,9 @@ impl AdaptiveSaliency {
         Ok(adaptive)
     }
 
-    /// Markers in contact, from the indentations and their variances (mm²), and the rule that found them:
-    /// `None` when nothing touches the gel. Markers that are not seen are never salient. `out` is cleared
-    /// first; no allocation once it has held this many.
+    /// Finds the markers in contact from the indentations and their variances (mm²). Returns the rule
+    /// that found them, or `None` without contact. Markers that are not seen are never salient. `out` is
+    /// cleared first; no allocation once it has held this many.
     ///
     /// # Errors
     /// As [`QuickPressure::run`]; `out` is then empty.
@@ -149,7 +151,7 @@ impl AdaptiveSaliency {
         Ok(rule)
     }
 
-    /// Whether the pressures around the candidate are those of a free gel, by their sum.
+    /// Whether the pressures around the candidate sum to zero as in a free gel.
     fn law_holds(&mut self, indentation_mm: &[f64]) -> bool {
         let Self { pressure, candidate, steps, counts, .. } = self;
         let lattice = pressure.stencils();
@@ -177,7 +179,7 @@ impl AdaptiveSaliency {
         abs(sum_mm) <= LAW_MARGIN.0 * sigma_mm + LAW_MARGIN.1 * heights_mm
     }
 
-    /// The candidate by pressure for the shorter decay length of this index: p = h - l² Δh is linear in l².
+    /// Candidate by pressure for the shorter decay length of this index: p = h - l² Δh is linear in l².
     fn press(&mut self, k: usize, indentation_mm: &[f64], state: &[MarkerState]) {
         let Self { pressure, per_noise, candidate, evidence, regions, .. } = self;
         let share2 = SHORTER[k] * SHORTER[k];
@@ -191,7 +193,7 @@ impl AdaptiveSaliency {
         }));
         candidate.clear();
         candidate.extend(evidence.iter().map(|&evidence| evidence > START * START));
-        // Beside a marker that is not seen the others around tell.
+        // Beside a marker that is not seen, the majority of its neighbours decides.
         for i in (0..valid.len()).filter(|&i| !valid[i] && state[i] == MarkerState::Seen) {
             let around = pressure.stencils().taps(i).skip(1).filter(|&(k, _)| valid[k]);
             let (touch, count) =
@@ -201,7 +203,8 @@ impl AdaptiveSaliency {
         regions.keep_sure(pressure.stencils(), evidence, state, candidate);
     }
 
-    /// A gel that keeps its volume is concave too where it bulges beside the contact, but not indented there.
+    /// Removes markers that are not indented: an incompressible gel is also concave where it bulges
+    /// beside the contact.
     fn keep_indented(&mut self, indentation_mm: &[f64]) {
         let heights = indentation_mm.iter().zip(&self.variance_mm2);
         for (touches, (&h, &variance)) in self.candidate.iter_mut().zip(heights) {
@@ -209,8 +212,8 @@ impl AdaptiveSaliency {
         }
     }
 
-    /// Candidates by shares of the deepest indentation; the second deepest stands for it, as one marker may
-    /// be wrong.
+    /// Candidates by shares of the deepest indentation. The second deepest is used, as a single marker
+    /// may be wrong.
     fn try_shares(
         &mut self,
         indentation_mm: &[f64],
@@ -249,7 +252,7 @@ impl AdaptiveSaliency {
         }
     }
 
-    /// Takes the candidate over when it is the best so far.
+    /// Keeps the candidate if it is the best so far.
     fn compare(&self, from: ContactRule, best: &mut f64, rule: &mut Option<ContactRule>, out: &mut [bool]) {
         let Some(score) = score(self.pressure.stencils().cols, &self.bend, &self.candidate) else { return };
         if score > *best {
@@ -258,7 +261,7 @@ impl AdaptiveSaliency {
         }
     }
 
-    /// Curvatures from the pressures of the longest decay, p = h - l² Δh.
+    /// Curvatures from the pressures of the longest decay length, p = h - l² Δh.
     fn bend(&mut self, indentation_mm: &[f64]) {
         let (pressure_mm, valid) = self.pressure.measured();
         let values = indentation_mm.iter().zip(pressure_mm).zip(valid);
@@ -270,7 +273,7 @@ impl AdaptiveSaliency {
     }
 }
 
-/// Variance of the pressure for heights of variance 1 with a decay length so much shorter than that of these
+/// Variance of the pressure for heights of variance 1, with a decay length of `share` times that of these
 /// weights.
 fn shorter_noise(weights: &[f64; 5], share: f64) -> f64 {
     let share2 = share * share;
@@ -279,14 +282,14 @@ fn shorter_noise(weights: &[f64; 5], share: f64) -> f64 {
     own * own + share2 * share2 * around.iter().map(|weight| weight * weight).sum::<f64>()
 }
 
-/// How much the gel is concave in a candidate and convex in the ring around it, over the root of the count,
-/// in which chance would grow; `None` for an empty candidate. `cols` markers make a row.
+/// Concavity of the gel in a candidate plus convexity in the ring around it, divided by the root of the
+/// count, with which chance grows. `None` for an empty candidate. Rows have `cols` markers.
 fn score(cols: usize, bend: &[f64], candidate: &[bool]) -> Option<f64> {
     let (mut sum, mut inside, mut around) = (0.0, 0_u32, 0_u32);
     for (row, bend) in bend.chunks_exact(cols).enumerate() {
         let of = |row: usize| &candidate[row * cols..(row + 1) * cols];
         let here = of(row);
-        // A row beyond the border touches nothing; nor does this one beside markers that do not touch.
+        // Rows beyond the border are replaced by the present one, which adds no neighbour in contact.
         let up = row.checked_sub(1).map_or(here, of);
         let down = if (row + 2) * cols > candidate.len() { here } else { of(row + 1) };
         for col in 0..cols {

@@ -1,32 +1,32 @@
-//! The gel's decay length, told from the shoulder beside contacts.
+//! The gel's decay length, estimated from the shoulder beside contacts.
 //!
-//! A free marker carries no pressure, h = l² Δh, wherever it stands: the sums Σ h² and Σ h Δh over free markers have the ratio
-//! l². Heights stand out of their noise a hundredfold where second differences do not, so that the sums, less what noise adds
-//! to them in the mean, are the least squares of Δh over h. Which markers are free is taken from the saliency of
-//! [`Pressure`], which need not know the length for that if it is given one that is too long: free markers then show
-//! pressures below 0. With one that is too short by more than a tenth it may take the whole shoulder for contact, and nothing
-//! is left to tell the length from.
+//! A free marker carries no pressure, h = l² Δh, anywhere: the sums Σ h² and Σ h Δh over free markers
+//! have the ratio l². Heights exceed their noise a hundredfold; second differences do not. The sums,
+//! corrected for the mean contribution of noise, are therefore the least-squares fit of Δh to h. The free
+//! markers are those that [`Pressure`] does not find salient. It needs no exact length for that, provided
+//! the given one is too long: free markers then have pressures below 0. With a length that is too short
+//! by more than a tenth, the whole shoulder may count as contact, which leaves nothing to estimate from.
 //!
-//! Simulated, four presses of a part: from a first guess of 2.5 to 8 mm the true 2.5 mm to 0.07 mm at 10 um of noise, to
-//! 0.0005 mm at 0.1 um, whatever the part.
+//! Simulated, four presses of a part: from a first guess of 2.5 to 8 mm, the true 2.5 mm to 0.07 mm with
+//! 10 um of noise and to 0.0005 mm with 0.1 um, for every part.
 
 use super::Pressure;
 use crate::math::sqrt;
 use crate::track::MarkerState;
 use alloc::vec::Vec;
 
-/// Rows and columns between a salient marker and one that is taken as free: rim markers may pass for free ones.
+/// Rows and columns between a salient marker and a free one: rim markers may be misclassified as free.
 const MARGIN: usize = 2;
 
-/// A decay length and how well it is known.
+/// A decay length and its uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Decay {
     /// The length, for `contact.decay_mm`.
     pub decay_mm: f64,
-    /// Its standard deviation, from the noise of the heights. The difference between a second difference and a second derivative
-    /// is not in it: it belongs to the length, which is used with the same differences.
+    /// Its standard deviation, from the noise of the heights. It excludes the difference between a second
+    /// difference and a second derivative: the length is used with the same differences.
     pub sigma_mm: f64,
-    /// How often a free marker was counted.
+    /// Number of observations of free markers.
     pub markers: usize,
 }
 
@@ -37,7 +37,8 @@ pub struct DecayFit {
     heights_mm2: f64,
     /// Σ h Δh.
     curvatures: f64,
-    /// Derivatives of Σ h Δh and of Σ h² by the noise of each height, times its variance, as squares and product.
+    /// Variance of Σ h Δh, its covariance with Σ h², and the variance of Σ h², from the noise of the
+    /// heights.
     variance: [f64; 3],
     markers: usize,
     free: Vec<bool>,
@@ -45,7 +46,7 @@ pub struct DecayFit {
 }
 
 impl DecayFit {
-    /// Forgets all frames, and makes room for so many markers: none is allocated later.
+    /// Clears all frames, and reserves memory for this many markers.
     pub fn start(&mut self, markers: usize) {
         self.free.clear();
         self.free.reserve(markers);
@@ -55,7 +56,7 @@ impl DecayFit {
         *self = Self { free, gradient, ..Self::default() };
     }
 
-    /// Adds the frame that `pressure` was run on last, with its indentations and states and the salient markers that it gave. A
+    /// Adds the last frame processed by `pressure`, with its indentations, states and salient markers. A
     /// frame without contact adds nothing.
     pub fn add(
         &mut self,
@@ -77,7 +78,7 @@ impl DecayFit {
         for i in (0..count).filter(|&i| self.free[i]) {
             let h = indentation_mm[i];
             let curvature = (h - pressure.pressure_mm()[i]) / l2;
-            // Noise of the marker is in both factors.
+            // The marker's noise is in both factors.
             let own = pressure.taps(i).next().map_or(0.0, |(_, weight)| (1.0 - weight) / l2);
             self.heights_mm2 += h * h - variance_mm2[i];
             self.curvatures += h * curvature - own * variance_mm2[i];
@@ -99,7 +100,8 @@ impl DecayFit {
         }
     }
 
-    /// Free markers, of which all neighbours are seen: within the lattice, and not beside a salient one.
+    /// Selects free markers whose neighbours are all seen: inside the lattice, and not near a salient
+    /// one.
     fn choose(&mut self, pressure: &Pressure, state: &[MarkerState], salient: &[bool]) {
         self.free.clear();
         self.free.extend((0..salient.len()).map(|i| {
@@ -111,7 +113,8 @@ impl DecayFit {
         }
     }
 
-    /// The length, or `None` while it is not known to a third of itself: after frames without contact, say.
+    /// The length, or `None` until its standard deviation is below a third of it, for example before any
+    /// contact.
     #[must_use]
     pub fn decay(&self) -> Option<Decay> {
         let inverse = self.curvatures / self.heights_mm2; // 1 / l²

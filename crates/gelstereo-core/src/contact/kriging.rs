@@ -1,14 +1,14 @@
-//! Noise of one marker's pressure as the free markers around it predict it (simple kriging).
+//! Prediction of the noise of one marker's pressure from the free markers around it (simple kriging).
 
 use alloc::vec::Vec;
 
-/// Markers on either side of the one that is judged whose noise is used to predict its own; stencils share none beyond.
+/// Radius of the window of free markers used in the prediction; stencils farther apart share no marker.
 pub(super) const REACH: usize = 2;
 pub(super) const SIDE: usize = 2 * REACH + 1;
 pub(super) const WINDOW: usize = SIDE * SIDE;
-/// Offsets (rows down, columns across) at which two stencils share markers; their mirror images do too.
+/// Offsets (rows down, columns across) at which two stencils share markers, up to mirror images.
 const SHARED: [(usize, isize); 7] = [(0, 0), (0, 1), (0, 2), (1, -1), (1, 0), (1, 1), (2, 0)];
-/// Place in `SHARED` of the offset between two of a marker's cross, its places in row-by-row order.
+/// Index in `SHARED` of the offset between two places of a marker's cross, in row-by-row order.
 const CROSS: [[usize; 5]; 5] =
     [[0, 3, 4, 5, 6], [0, 0, 1, 2, 5], [0, 0, 0, 1, 4], [0, 0, 0, 0, 3], [0, 0, 0, 0, 0]];
 
@@ -16,19 +16,21 @@ const CROSS: [[usize; 5]; 5] =
 #[derive(Clone, Debug, Default)]
 pub(super) struct Covariances {
     cols: usize,
-    /// With those at the offsets `SHARED`.
+    /// Covariances with the markers at the offsets `SHARED`.
     shared: Vec<[f64; SHARED.len()]>,
 }
 
 impl Covariances {
-    /// For stencils with weights (marker, left, right, up, down) and heights of these variances.
+    /// Computes the covariances for stencils with weights (marker, left, right, up, down) and heights of
+    /// these variances.
     pub(super) fn measure(&mut self, cols: usize, stencils: &[[f64; 5]], variance_mm2: &[f64]) {
         self.cols = cols;
         self.shared.clear();
         self.shared.resize(stencils.len(), [0.0; SHARED.len()]);
         for (k, &variance) in variance_mm2.iter().enumerate() {
             let [_, left, right, up, down] = stencils[k].map(|weight| weight != 0.0);
-            // Those whose stencils take this marker in, and with what weight: above, left, itself, right, below.
+            // Markers whose stencils include this one, and its weight there: above, left, itself, right,
+            // below.
             let whose = [k.wrapping_sub(cols), k.wrapping_sub(1), k, k + 1, k + cols];
             let taps = [(up, 4), (left, 2), (true, 0), (right, 1), (down, 3)];
             let mut weights = [0.0; 5];
@@ -49,24 +51,26 @@ impl Covariances {
     }
 }
 
-/// Two markers of a window that share some are no farther apart than this, counted row by row.
+/// Bandwidth: two markers of a window whose stencils overlap are no farther apart than this, counted row
+/// by row.
 const BAND: usize = REACH * SIDE + 1;
-/// Room for a window and the zeros that its last rows reach into.
+/// Size of a window plus the zeros that its last rows access.
 const PADDED: usize = WINDOW + BAND;
 
-/// The free markers of a window, and the covariances of their pressures among each other and with the judged one.
+/// The free markers of a window, with the covariances of their pressures among each other and with the
+/// centre marker's.
 pub(super) struct Kriging {
     count: usize,
     index: [usize; WINDOW],
     /// Upper band of the covariance matrix; each row starts at the diagonal.
     band: [[f64; BAND]; PADDED],
     cross: [f64; PADDED],
-    /// Variance of the judged marker's pressure.
+    /// Variance of the centre marker's pressure.
     own: f64,
 }
 
 impl Kriging {
-    /// About marker `i`, of the `free` ones among the `window`, which goes row by row.
+    /// For marker `i` and the `free` markers of the `window`, which is in row-by-row order.
     pub(super) fn new(
         covariances: &Covariances,
         i: usize,
@@ -114,7 +118,8 @@ impl Kriging {
         }
     }
 
-    /// The judged marker's pressure less what the free ones, which carry none, say of its noise; and its variance.
+    /// Residual of the centre marker's pressure after subtracting its noise as predicted from the free
+    /// markers, which carry no pressure; and its variance.
     pub(super) fn predict(&mut self, i: usize, pressure_mm: &[f64]) -> (f64, f64) {
         let mut values = [0.0; PADDED];
         for (value, &j) in values.iter_mut().zip(&self.index[..self.count]) {
@@ -130,7 +135,7 @@ impl Kriging {
         (pressure, variance)
     }
 
-    /// Gives each free marker's weight in the prediction, and returns its variance.
+    /// Passes each free marker's weight in the prediction to `give`; returns the variance.
     pub(super) fn weights(&mut self, mut give: impl FnMut(usize, f64)) -> f64 {
         self.eliminate(&mut [0.0; PADDED]);
         let (mut weights, mut variance) = ([0.0; PADDED], self.own);
@@ -144,9 +149,9 @@ impl Kriging {
         variance
     }
 
-    /// Gauss elimination, downwards, of the band and of both right sides.
+    /// Gaussian forward elimination of the band and of both right-hand sides.
     fn eliminate(&mut self, values: &mut [f64; PADDED]) {
-        // Pivots are variances; where some are unknown, round-off must not take others to 0.
+        // Pivots are variances; with some of them unknown (large), rounding must not make others 0.
         let least: [f64; WINDOW] = core::array::from_fn(|k| 1e-12 * self.band[k][0]);
         for (k, &least) in least.iter().enumerate().take(self.count) {
             self.band[k][0] = self.band[k][0].max(least);
@@ -165,13 +170,14 @@ impl Kriging {
     }
 }
 
-/// Markers whose weights are found at once.
+/// Markers whose weights are computed together.
 pub(super) const LANES: usize = 4;
 
-/// Of one number for each of them.
+/// One number per marker.
 type Lane = [f64; LANES];
 
-/// Weights of whole windows of free markers, of several markers side by side at once: the same bits as by [`Kriging`].
+/// Weights of complete windows of free markers, for several adjacent markers at once: bit-identical to
+/// [`Kriging`].
 pub(super) struct Windows {
     /// As those of [`Kriging`].
     band: [[Lane; BAND]; PADDED],
@@ -183,8 +189,8 @@ impl Windows {
         Self { band: [[[0.0; LANES]; BAND]; PADDED], cross: [[0.0; LANES]; PADDED] }
     }
 
-    /// Gives the weights of all places of the windows about marker `first` and those right of it, which all lie within the
-    /// lattice, that of the judged marker left out; and returns their variances.
+    /// Passes the weights of all window places except the centre to `give`, for marker `first` and those
+    /// right of it, whose windows all lie inside the lattice. Returns their variances.
     pub(super) fn weights(
         &mut self,
         covariances: &Covariances,
@@ -213,11 +219,11 @@ impl Windows {
     }
 
     fn fill(&mut self, covariances: &Covariances, first: usize) {
-        // Elimination leaves the padding's zeros.
+        // Elimination keeps the zeros of the padding.
         self.band.iter_mut().take(WINDOW - 1).for_each(|row| *row = [[0.0; LANES]; BAND]);
         self.cross = [[0.0; LANES]; PADDED];
         let judged = WINDOW / 2;
-        // Number of a place among those that are not judged.
+        // Index of a place among those other than the centre.
         let number = |slot: usize| slot - usize::from(slot > judged);
         for (row, col) in (0..SIDE).flat_map(|row| (0..SIDE).map(move |col| (row, col))) {
             let slot = row * SIDE + col;
@@ -270,7 +276,7 @@ mod tests {
     use crate::math::random::Stream;
     use alloc::vec::Vec;
 
-    /// Bit by bit, on a lattice of stencils and variances that differ.
+    /// Bit for bit, on a lattice with varying stencils and variances.
     #[test]
     fn windows_give_the_weights_of_kriging() {
         let (rows, cols) = (7, 11);

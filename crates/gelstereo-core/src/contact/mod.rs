@@ -1,4 +1,5 @@
-//! What touches the gel: rest surface, saliency (Eq. 4, or by pressure), mean marker motion and the stop triggers.
+//! Contact detection: rest surface, saliency (Eq. 4, or by pressure), mean marker motion and the stop
+//! triggers.
 
 mod adaptive;
 mod decay;
@@ -20,7 +21,7 @@ use crate::math::{DVec2, DVec3, centroid, median};
 use crate::track::MarkerState;
 use alloc::vec::Vec;
 
-/// Why a cloud is no rest surface.
+/// Why a cloud cannot be used as, or with, a rest surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ContactError {
     /// Fewer than three points, or all on one line.
@@ -28,7 +29,7 @@ pub enum ContactError {
         /// Points found.
         points: usize,
     },
-    /// A cloud does not have the markers of the rest surface.
+    /// A cloud whose number of markers differs from the rest surface's.
     LengthMismatch {
         /// Markers of the rest surface.
         rest: usize,
@@ -40,7 +41,7 @@ pub enum ContactError {
         /// Which marker.
         index: usize,
     },
-    /// A decay length that no gel has.
+    /// An invalid decay length.
     Decay {
         /// The length found.
         found_mm: f64,
@@ -72,7 +73,7 @@ impl core::fmt::Display for ContactError {
 
 impl core::error::Error for ContactError {}
 
-/// The markers when nothing touches the gel, and the plane through them.
+/// Marker positions without contact, and the plane through them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RestSurface {
     points_mm: Vec<DVec3>,
@@ -81,8 +82,8 @@ pub struct RestSurface {
 }
 
 impl RestSurface {
-    /// From a cloud without contact: least-squares plane (smallest eigenvector of the scatter) with its normal
-    /// towards the camera.
+    /// From a cloud without contact: least-squares plane (smallest eigenvector of the scatter) with its
+    /// normal towards the camera.
     ///
     /// # Errors
     /// [`ContactError::NotFinite`], or [`ContactError::NoPlane`] when the points span none.
@@ -92,12 +93,12 @@ impl RestSurface {
         let scatter: Symmetric<3> = core::array::from_fn(|i| {
             core::array::from_fn(|j| points_mm.iter().map(|&p| (p - centre_mm)[i] * (p - centre_mm)[j]).sum())
         });
-        // Coordinates beyond 1e150 have no squares.
+        // Squares of coordinates beyond 1e150 overflow.
         if scatter.iter().flatten().any(|entry| !entry.is_finite()) {
             return Err(ContactError::NoPlane { points: points_mm.len() });
         }
         let eigen = eigen(&scatter);
-        // On a line the two smallest eigenvalues are both round-off of the largest.
+        // On a line, the two smallest eigenvalues are both rounding errors of the largest.
         if points_mm.len() < 3 || eigen.values[1] <= 1e-12 * eigen.values[2] {
             return Err(ContactError::NoPlane { points: points_mm.len() });
         }
@@ -124,7 +125,8 @@ impl RestSurface {
         &self.points_mm
     }
 
-    /// Height of every marker above its rest height, along the rest plane's normal; positive towards the camera.
+    /// Height of every marker above its rest height, along the rest plane's normal; positive towards the
+    /// camera.
     ///
     /// # Errors
     /// [`ContactError::LengthMismatch`] or [`ContactError::NotFinite`].
@@ -153,14 +155,14 @@ pub fn variance_along(covariance_mm2: &Symmetric<3>, direction: DVec3) -> f64 {
     DVec3::new(along(&covariance_mm2[0]), along(&covariance_mm2[1]), along(&covariance_mm2[2])).dot(direction)
 }
 
-/// Variances over the median one from which a height tells nothing of the contact: one of a marker under a light's
-/// reflection, or one whose rest height was never seen. Rules that take all heights as equally known would take the
-/// error for a contact. On the path-traced images for work such heights
-/// are known 20 to 1000 times worse in σ, others up to 5 times.
+/// Largest ratio of a variance to the median one for a height that is used. Larger ones come from a
+/// marker under a specular reflection, or one whose rest height was never seen. Rules with equal weights
+/// would take such errors for a contact. On the path-traced development images, σ of such heights is 20
+/// to 1000 times as large, of others up to 5 times.
 const MAX_OF_MEDIAN: f64 = 100.0;
 
-/// States by which contact is judged: a marker counts as not seen where its height's variance is more than 100 times the
-/// median of those that were seen. `scratch` and `out` are cleared first.
+/// States for contact detection: a marker counts as not seen where its height's variance is more than 100
+/// times the median of the seen ones. `scratch` and `out` are cleared first.
 pub fn known_states(
     variance_mm2: &[f64],
     state: &[MarkerState],
@@ -178,7 +180,7 @@ pub fn known_states(
     }));
 }
 
-/// Eq. 4: a marker is salient when it was seen and its indentation exceeds the threshold.
+/// Eq. 4: a marker is salient if it was seen and its indentation exceeds the threshold.
 pub fn saliency(indentation_mm: &[f64], state: &[MarkerState], threshold_mm: f64, out: &mut Vec<bool>) {
     out.clear();
     out.extend(
@@ -186,7 +188,7 @@ pub fn saliency(indentation_mm: &[f64], state: &[MarkerState], threshold_mm: f64
     );
 }
 
-/// The contact patch: the salient markers that are pressed at least `share` of the deepest one.
+/// The contact patch: the salient markers indented by at least `share` of the deepest one.
 pub fn patch(indentation_mm: &[f64], salient: &[bool], share: f64, out: &mut Vec<bool>) {
     let markers = || indentation_mm.iter().zip(salient);
     let deepest_mm = markers().filter(|&(_, &salient)| salient).map(|(&h, _)| h).fold(0.0, f64::max);
@@ -194,7 +196,8 @@ pub fn patch(indentation_mm: &[f64], salient: &[bool], share: f64, out: &mut Vec
     out.extend(markers().map(|(&h, &salient)| salient && h >= share * deepest_mm));
 }
 
-/// Mean distance of the markers that were seen from their reference positions, in pixels; 0 when none was seen.
+/// Mean distance of the markers that were seen from their reference positions, in pixels; 0 when none was
+/// seen.
 #[must_use]
 pub fn mean_motion_px(reference_px: &[DVec2], now_px: &[DVec2], state: &[MarkerState]) -> f64 {
     let (mut sum, mut count) = (0.0, 0_usize);

@@ -1,15 +1,15 @@
-//! Saliency by pressure: the gel rises beside a contact too, but carries pressure only where something touches it.
+//! Saliency by pressure: the gel rises beside a contact too, but carries pressure only in contact.
 //!
-//! Model: a Pasternak foundation (Pasternak 1954), p = h - l² Δh, in which h is the indentation at the marker's place of
-//! rest (as in all linear elasticity) and p the pressure per stiffness, in mm. Beside the contact p = 0 whatever
-//! the part.
+//! Model: a Pasternak foundation (Pasternak 1954), p = h - l² Δh, where h is the indentation at the
+//! marker's rest position (as in all linear elasticity) and p the pressure per stiffness, in mm. Beside
+//! the contact p = 0 for every part.
 //!
-//! One stencil multiplies the noise of h by 1 + 8 l² / pitch², so that a plain threshold on p fails. But where a marker
-//! is known to be free, its p *is* noise, and neighbouring stencils share markers, so that the noise of p at a marker is
-//! predicted from the free markers around it (simple kriging) and taken away. Which markers are free is found by
-//! iterated conditional modes (Besag 1986) on a Markov random field that holds neighbours together. Far from contacts the
-//! weights are those of a gel that nothing touches, which are kept; only markers that these do not explain, and those
-//! around contacts, are predicted anew.
+//! One stencil multiplies the noise of h by 1 + 8 l² / pitch², so a plain threshold on p fails. But at a
+//! marker known to be free, p *is* noise, and neighbouring stencils share markers. The noise of p at a
+//! marker is therefore predicted from the free markers around it (simple kriging) and subtracted. The
+//! free markers are found by iterated conditional modes (Besag 1986) on a Markov random field that
+//! couples neighbours. Far from contacts the precomputed weights of an untouched gel are used. Only
+//! markers that these do not explain, and those around contacts, are predicted individually.
 
 use super::kriging::{Covariances, Kriging, LANES, REACH, SIDE, WINDOW, Windows};
 use super::rule::{self, MIN_SIGMA_MM, START};
@@ -19,23 +19,23 @@ use crate::math::sqrt;
 use crate::track::MarkerState;
 use alloc::vec::Vec;
 
-/// A marker that keeps changing stays as it is: the windows make the energy approximate, so that there can be cycles.
+/// Most label changes per marker: the windows make the energy approximate, so cycles are possible.
 const MAX_CHANGES: u8 = 4;
-/// Variance of a height that was not measured, mm²: as good as unknown, and still 10 digits above round-off.
+/// Variance of an unmeasured height, mm²: effectively unknown, and still 10 digits above rounding errors.
 const UNKNOWN_MM2: f64 = 100.0;
 
-/// Finds the markers in contact by the pressure of the gel; scratch is kept from frame to frame.
+/// Finds the markers in contact from the pressure of the gel; scratch is kept from frame to frame.
 #[derive(Clone, Debug, Default)]
 pub struct Pressure {
     stencils: Stencils,
-    /// Filters of the pressures, for a contact far away.
+    /// Filters of the pressures, valid far from contacts.
     filters: Vec<Filter>,
-    /// Heights and their variances: 0, for it may be anything, and as good as unknown where a marker was not seen.
+    /// Heights and their variances; 0 and effectively unknown for a marker that was not seen.
     height_mm: Vec<f64>,
     variance_mm2: Vec<f64>,
     pressure_mm: Vec<f64>,
     covariances: Covariances,
-    /// Signed squared standard deviations of the pressure.
+    /// Signed squared pressures in standard deviations.
     evidence: Vec<f64>,
     gain: Vec<f64>,
     stale: Vec<bool>,
@@ -43,22 +43,23 @@ pub struct Pressure {
     regions: Regions,
 }
 
-/// A marker's pressure less what the pressures around say of its noise, if all are free and measured equally well. It only
-/// chooses whom to judge, so that single precision will do.
+/// A marker's pressure minus the noise predicted from its window, if all of it is free and measured
+/// equally well. It only selects the markers to classify, so single precision suffices.
 #[derive(Clone, Debug)]
 struct Filter {
-    /// Weights over the window; 0 beyond the lattice.
+    /// Weights over the window; 0 outside the lattice.
     weights: [f32; WINDOW],
     /// Variance for heights of variance 1.
     variance: f32,
 }
 
 impl Pressure {
-    /// For this rest surface of `rows * cols` markers, row by row, and this decay length of the gel beside a contact.
+    /// For this rest surface of `rows * cols` markers, row by row, and this decay length of the gel
+    /// beside a contact.
     ///
     /// # Errors
-    /// [`ContactError::LengthMismatch`] when the rest surface has not `rows * cols` markers, [`ContactError::Decay`] for what
-    /// is no length.
+    /// [`ContactError::LengthMismatch`] when the rest surface does not have `rows * cols` markers,
+    /// [`ContactError::Decay`] for an invalid length.
     pub fn new(rest: &RestSurface, rows: usize, cols: usize, decay_mm: f64) -> Result<Self, ContactError> {
         let stencils = Stencils::new(rest, rows, cols, decay_mm)?;
         let mut pressure = Self { stencils, ..Self::default() };
@@ -66,10 +67,10 @@ impl Pressure {
         Ok(pressure)
     }
 
-    /// Takes another decay length from now on, such as [`DecayFit`](super::DecayFit) found. No allocation.
+    /// Sets another decay length, such as one from [`DecayFit`](super::DecayFit). No allocation.
     ///
     /// # Errors
-    /// [`ContactError::Decay`] for what is no length; the last one then holds.
+    /// [`ContactError::Decay`] for an invalid length; the previous one is then kept.
     pub fn set_decay(&mut self, decay_mm: f64) -> Result<(), ContactError> {
         self.stencils.set_decay(decay_mm)?;
         self.make_filters();
@@ -86,7 +87,7 @@ impl Pressure {
         let mut windows = Windows::new();
         while filters.len() < self.len() {
             let i = filters.len();
-            // Both ends, and with them all between, as the row goes on.
+            // If both ends are inside and in one row, so are all markers between.
             let last = i + LANES - 1;
             let inside = |i: usize| i < self.len() && self.stencils.is_inside(i, REACH);
             if inside(i) && inside(last) && i / self.stencils.cols == last / self.stencils.cols {
@@ -116,12 +117,14 @@ impl Pressure {
         Filter { weights, variance }
     }
 
-    /// Markers in contact, from the indentations and their variances (mm²); markers that are not seen are never salient,
-    /// and their heights are taken as unknown. `out` is cleared first; no allocation once it has held this many.
+    /// Finds the markers in contact from the indentations and their variances (mm²). Markers that are not
+    /// seen are never salient, and their heights count as unknown. `out` is cleared first; no allocation
+    /// once it has held this many.
     ///
     /// # Errors
-    /// [`ContactError::LengthMismatch`] when a list has not `rows * cols` entries, [`ContactError::NotFinite`] for a seen
-    /// marker whose indentation or variance is NaN, infinite or negative; `out` is then empty.
+    /// [`ContactError::LengthMismatch`] when a list does not have `rows * cols` entries,
+    /// [`ContactError::NotFinite`] for a seen marker whose indentation or variance is NaN, infinite or
+    /// negative; `out` is then empty.
     pub fn run(
         &mut self,
         indentation_mm: &[f64],
@@ -149,19 +152,19 @@ impl Pressure {
         Ok(())
     }
 
-    /// Pressure of every marker by its own stencil, mm, in the frame of the last run; noisy, see the module.
+    /// Pressure of every marker by its own stencil, mm, in the last frame; noisy, see the module.
     #[must_use]
     pub fn pressure_mm(&self) -> &[f64] {
         &self.pressure_mm
     }
 
-    /// The decay length it was made for.
+    /// The decay length in use.
     #[must_use]
     pub const fn decay_mm(&self) -> f64 {
         self.stencils.decay_mm
     }
 
-    /// Variances of the heights of the last run, mm²; of a marker that was not seen, as good as unknown.
+    /// Variances of the heights of the last run, mm²; effectively unknown for a marker that was not seen.
     pub(super) fn variance_mm2(&self) -> &[f64] {
         &self.variance_mm2
     }
@@ -186,12 +189,12 @@ impl Pressure {
         }
     }
 
-    /// The stencil's marker, left, right, upper and lower neighbour, with their weights.
+    /// Marker, left, right, upper and lower neighbour of a stencil, with their weights.
     pub(super) fn taps(&self, i: usize) -> impl Iterator<Item = (usize, f64)> {
         self.stencils.taps(i)
     }
 
-    /// Pressures, and the covariances of their noise.
+    /// Computes pressures and the covariances of their noise.
     fn measure(&mut self) {
         let Self { stencils, height_mm, pressure_mm, .. } = self;
         let pressure = |i| stencils.taps(i).map(|(k, w)| w * height_mm[k]).sum::<f64>();
@@ -200,19 +203,19 @@ impl Pressure {
         self.covariances.measure(self.stencils.cols, &self.stencils.weights, &self.variance_mm2);
     }
 
-    /// Where marker `j` stands in the window about marker `i`.
+    /// Index of marker `j` in the window around marker `i`.
     fn slot(&self, i: usize, j: usize) -> usize {
         let cols = self.stencils.cols;
         (j / cols + REACH - i / cols) * SIDE + j % cols + REACH - i % cols
     }
 
-    /// Rows and columns of the window about a marker.
+    /// Markers of the window around a marker.
     pub(super) fn window(&self, i: usize, reach: usize) -> impl Iterator<Item = usize> + use<> {
         self.stencils.window(i, reach)
     }
 
-    /// Marks the markers to judge: those beside the other label, and far from contacts those that the filter does not
-    /// explain.
+    /// Marks the markers to classify: those near a contact, and far from contacts those that the filter
+    /// does not explain.
     fn choose(&mut self, contact: &[bool]) {
         self.stale.clear();
         self.stale.resize(contact.len(), false);
@@ -224,7 +227,7 @@ impl Pressure {
         }
     }
 
-    /// Whether the pressures around, all free, leave something unexplained.
+    /// Whether the pressure is significant after prediction from its neighbours, all taken as free.
     fn stands_out(&self, i: usize) -> bool {
         let filter = &self.filters[i];
         let cols = self.stencils.cols;
@@ -245,8 +248,8 @@ impl Pressure {
         rule::stands_out(value, variance_mm2)
     }
 
-    /// Changes labels until none gains: in each round those that gain most within their windows, so that no order of
-    /// the markers is preferred.
+    /// Changes labels until none gains. Each round changes those with the largest gain within their
+    /// windows, so that no order of the markers is preferred.
     fn settle(&mut self, contact: &mut [bool]) {
         for list in [&mut self.evidence, &mut self.gain] {
             list.clear();
@@ -264,7 +267,7 @@ impl Pressure {
             let mut changed = false;
             for i in 0..contact.len() {
                 let gain = self.gain[i];
-                // Of equal gains the first.
+                // The first of equal gains.
                 let best = |j| gain > self.gain[j] || (gain == self.gain[j] && i <= j);
                 if gain > 0.0 && self.window(i, REACH).all(best) {
                     contact[i] = !contact[i];
@@ -279,7 +282,7 @@ impl Pressure {
         }
     }
 
-    /// What the energy falls by when this marker's label changes.
+    /// Computes the decrease of the energy when this marker's label changes.
     fn judge(&mut self, i: usize, contact: &[bool]) {
         let mut kriging = Kriging::new(&self.covariances, i, self.window(i, REACH), |j| !contact[j]);
         let (pressure, variance) = kriging.predict(i, &self.pressure_mm);

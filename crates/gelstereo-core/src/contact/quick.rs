@@ -1,9 +1,10 @@
 //! Saliency by pressure from fewer neighbours: an approximation of [`Pressure`](super::Pressure).
 //!
-//! The law and the rule are the same: p = h - l² Δh is noise where the gel is free, and a marker is in contact where its
-//! pressure, less what the free markers around it say of its noise, outweighs a price. What is given up: all heights
-//! count as equally noisy, the lattice as even, only the twelve markers whose stencils share a height with the judged one's predict
-//! its noise, and labels change all at once, in a few rounds, where the pressure alone does not settle them.
+//! Law and rule are the same: p = h - l² Δh is noise where the gel is free, and a marker is in contact
+//! where its pressure, minus the noise predicted from the free markers around it, exceeds a threshold.
+//! The approximations: all heights are equally noisy, the lattice is regular, and only the twelve markers
+//! whose stencils share a height with the centre one predict its noise. Labels are updated
+//! simultaneously, in a few rounds, where the pressure alone does not decide.
 
 use super::rule::{self, MIN_SIGMA_MM, START};
 use super::stencils::{Regions, Stencils};
@@ -12,29 +13,30 @@ use crate::math::{abs, sqrt};
 use crate::track::MarkerState;
 use alloc::vec::Vec;
 
-/// Markers whose stencils share a height with that in the middle: rows down, columns across.
+/// Markers whose stencils share a height with the centre one: rows down, columns across.
 const AROUND: [(isize, isize); 12] =
     [(-2, 0), (-1, -1), (-1, 0), (-1, 1), (0, -2), (0, -1), (0, 1), (0, 2), (1, -1), (1, 0), (1, 1), (2, 0)];
-/// Rounds of changing labels; two or three are the rule.
+/// Most rounds of label updates; two or three are typical.
 const ROUNDS: usize = 6;
-/// Standard deviations of the pressure beyond which a label is not asked: contact above the first, for the noise that others
-/// predict is seldom more than half of that; free below the second.
+/// Pressures, in standard deviations, beyond which a label is fixed. Above the first it is contact, as
+/// the predictable noise is seldom more than half of that; below the second it is free.
 const CERTAIN: (f64, f64) = (6.0, -1.0);
 
-/// Finds the markers in contact by the pressure of the gel, quickly; scratch is kept from frame to frame.
+/// Finds the markers in contact from the pressure of the gel, quickly; scratch is kept from frame to
+/// frame.
 #[derive(Clone, Debug, Default)]
 pub struct QuickPressure {
     stencils: Stencils,
     /// Variance of every pressure for heights of variance 1.
     noise: Vec<f64>,
-    /// Whether a marker and its four neighbours lie within the lattice.
+    /// Whether a marker and its four neighbours lie inside the lattice.
     inner: Vec<bool>,
     even: Even,
     pressure_mm: Vec<f64>,
     valid: Vec<bool>,
-    /// Root mean square of the standard deviations of the heights of the last run.
+    /// Root mean square of the heights' standard deviations in the last run.
     sigma_mm: f64,
-    /// Pressures over their standard deviations.
+    /// Pressures divided by their standard deviations.
     score: Vec<f64>,
     evidence: Vec<f64>,
     asked: Vec<bool>,
@@ -42,19 +44,19 @@ pub struct QuickPressure {
     regions: Regions,
 }
 
-/// Covariances of the pressures of an even lattice for heights of variance 1.
+/// Covariances of the pressures of a regular lattice for heights of variance 1.
 #[derive(Clone, Debug, Default)]
 struct Even {
     own: f64,
     cross: [f64; 12],
     among: [[f64; 12]; 12],
-    /// Weights of the twelve in the prediction of the one in the middle, and what is left of its variance.
+    /// Weights of the twelve in the prediction of the centre one, and the remaining variance.
     weights: [f64; 12],
     left: f64,
 }
 
 impl Even {
-    /// For weights of the neighbours along a row and down.
+    /// For the weights of the neighbours along a row and down a column.
     fn new(along: f64, down: f64) -> Self {
         let stencil = |(row, col): (isize, isize)| match (row.abs(), col.abs()) {
             (0, 0) => 1.0 - 2.0 * (along + down),
@@ -74,7 +76,7 @@ impl Even {
         };
         let all: [usize; 12] = core::array::from_fn(|k| k);
         for k in 0..12 {
-            // The prediction is linear: its answer to one pressure is that one's weight.
+            // The prediction is linear: the response to a unit pressure is its weight.
             let mut unit = [0.0; 12];
             unit[k] = 1.0;
             (even.weights[k], even.left) = even.predict(&all, &unit);
@@ -82,8 +84,8 @@ impl Even {
         even
     }
 
-    /// What pressures of free markers, of these places in [`AROUND`], say of that in the middle, and the variance that is left
-    /// (simple kriging, by the factor of their covariance matrix).
+    /// Prediction of the centre pressure from those of free markers at these places of [`AROUND`], and
+    /// the remaining variance (simple kriging, by a Cholesky factor of their covariance matrix).
     fn predict(&self, places: &[usize], pressure_mm: &[f64; 12]) -> (f64, f64) {
         let (mut factor, mut half, mut values) = ([[0.0; 12]; 12], [0.0; 12], [0.0; 12]);
         let (mut predicted, mut left) = (0.0, self.own);
@@ -131,7 +133,7 @@ impl QuickPressure {
         Ok(quick)
     }
 
-    /// The decay length it was made for.
+    /// The decay length in use.
     #[must_use]
     pub const fn decay_mm(&self) -> f64 {
         self.stencils.decay_mm
@@ -146,12 +148,12 @@ impl QuickPressure {
         self.sigma_mm
     }
 
-    /// Pressures of the last run, and whether the heights behind them were all seen.
+    /// Pressures of the last run, and whether all heights behind each were seen.
     pub(super) fn measured(&self) -> (&[f64], &[bool]) {
         (&self.pressure_mm, &self.valid)
     }
 
-    /// Makes all room: the first contact may come late.
+    /// Reserves all memory: the first contact may come late.
     fn reserve(&mut self, markers: usize) {
         let Self { pressure_mm, score, evidence, valid, asked, next, regions, .. } = self;
         [pressure_mm, score, evidence].into_iter().for_each(|list| list.reserve(markers));
@@ -159,8 +161,9 @@ impl QuickPressure {
         regions.reserve(markers);
     }
 
-    /// Markers in contact, as [`Pressure::run`](super::Pressure::run) gives them; markers that are not seen are never salient,
-    /// and those beside them are told by their neighbours. No allocation once `out` and this have held as many.
+    /// Finds the markers in contact, as [`Pressure::run`](super::Pressure::run). Markers that are not
+    /// seen are never salient; those beside them are classified by their neighbours. No allocation once
+    /// `out` and this have held as many.
     ///
     /// # Errors
     /// The same.
@@ -252,8 +255,8 @@ impl QuickPressure {
         }
     }
 
-    /// Asks the markers on both sides of a contact's rim, and those that free markers around do not explain; whether there is
-    /// any.
+    /// Selects the markers on both sides of a contact's rim, and those that free neighbours do not
+    /// explain; returns whether there are any.
     fn begin(&mut self, contact: &[bool], sigma_mm: f64) -> bool {
         self.asked.clear();
         self.asked.resize(contact.len(), false);
@@ -272,7 +275,7 @@ impl QuickPressure {
         any
     }
 
-    /// Whether the pressures around, all free, leave something unexplained.
+    /// Whether the pressure is significant after prediction from its neighbours, all taken as free.
     fn stands_out(&self, i: usize, sigma_mm: f64) -> bool {
         let (mut left, mut variance) = (self.pressure_mm[i], self.noise[i]);
         if self.stencils.is_inside(i, 3) {
@@ -284,7 +287,7 @@ impl QuickPressure {
         rule::stands_out(left, variance * sigma_mm * sigma_mm)
     }
 
-    /// Whether a marker is in contact, among these others.
+    /// Whether a marker is in contact, given the labels of the others.
     fn judge(&mut self, i: usize, height_mm: f64, contact: &[bool], sigma_mm: f64) -> bool {
         let (mut pressure, mut variance) = (self.pressure_mm[i], self.noise[i]);
         if self.inner[i] {
@@ -299,7 +302,7 @@ impl QuickPressure {
             let (predicted, left) = self.even.predict(&places[..count], &values);
             (pressure, variance) = (pressure - predicted, left);
         }
-        // Where a height is missing the neighbours alone tell.
+        // Where a height is missing, the neighbours alone decide.
         let (pressure, height_mm) = if self.valid[i] { (pressure, height_mm) } else { (0.0, 0.0) };
         let variance_mm2 = variance * sigma_mm * sigma_mm;
         self.evidence[i] = rule::evidence(pressure, variance_mm2);
@@ -307,7 +310,8 @@ impl QuickPressure {
         rule::gain(pressure, height_mm, variance_mm2, neighbours) > 0.0
     }
 
-    /// Takes over the changed labels and asks them and their neighbours again; whether there are any.
+    /// Applies the changed labels and selects them and their neighbours again; returns whether there are
+    /// any.
     fn take_over(&mut self, contact: &mut [bool]) -> bool {
         self.asked.fill(false);
         let mut changed = false;

@@ -4,10 +4,10 @@ use super::{ContactError, RestSurface};
 use crate::track::MarkerState;
 use alloc::vec::Vec;
 
-/// Squared standard deviations beyond `WEAK` that a region must show in all; by chance one marker in a million shows 4.75
-/// standard deviations.
+/// Smallest sum of squared standard deviations in excess of `WEAK` of a region; by chance one marker in a
+/// million exceeds 4.75 standard deviations.
 const SURE: f64 = 18.5;
-/// Squared standard deviations of a marker that say nothing about its region.
+/// Squared standard deviations of a marker up to which it contributes nothing to its region.
 const WEAK: f64 = 4.0;
 
 /// Weights of p = h - l² Δh for every marker of a lattice, row by row.
@@ -16,7 +16,7 @@ pub(super) struct Stencils {
     pub rows: usize,
     pub cols: usize,
     pub decay_mm: f64,
-    /// The marker, left, right, up, down; 0 where there is none.
+    /// Weights of the marker, left, right, up, down; 0 where there is none.
     pub weights: Vec<[f64; 5]>,
 }
 
@@ -43,7 +43,7 @@ impl Stencils {
         Ok(Self { rows, cols, decay_mm, weights: (0..points.len()).map(stencil).collect() })
     }
 
-    /// The same lattice with another decay length, which the second differences are multiplied by the square of.
+    /// Sets another decay length; the second differences scale with its square.
     pub fn set_decay(&mut self, decay_mm: f64) -> Result<(), ContactError> {
         check_decay(decay_mm)?;
         let times = (decay_mm / self.decay_mm) * (decay_mm / self.decay_mm);
@@ -55,13 +55,13 @@ impl Stencils {
         Ok(())
     }
 
-    /// The stencil's marker, left, right, upper and lower neighbour, with their weights.
+    /// Marker, left, right, upper and lower neighbour of a stencil, with their weights.
     pub fn taps(&self, i: usize) -> impl Iterator<Item = (usize, f64)> {
         let places = [i, i.wrapping_sub(1), i + 1, i.wrapping_sub(self.cols), i + self.cols];
         places.into_iter().zip(self.weights[i]).filter(|&(_, weight)| weight != 0.0)
     }
 
-    /// The markers up to so many rows and columns from one.
+    /// Markers up to `reach` rows and columns from one.
     pub fn window(&self, i: usize, reach: usize) -> impl Iterator<Item = usize> + use<> {
         let (row, col, cols) = (i / self.cols, i % self.cols, self.cols);
         let across = col.saturating_sub(reach)..(col + reach + 1).min(self.cols);
@@ -69,19 +69,19 @@ impl Stencils {
         down.flat_map(move |r| across.clone().map(move |c| r * cols + c))
     }
 
-    /// The marker so many rows down and columns across from one that is at least as far from the border.
+    /// Marker at this row and column offset from one that is at least as far from the border.
     pub const fn beside(&self, i: usize, row: isize, col: isize) -> usize {
         i.wrapping_add_signed(row * self.cols as isize + col)
     }
 
-    /// The same from any marker, if it exists.
+    /// The same for any marker, if it exists.
     pub fn within(&self, i: usize, row: isize, col: isize) -> Option<usize> {
         let down = (i / self.cols).checked_add_signed(row).filter(|&row| row < self.rows)?;
         let across = (i % self.cols).checked_add_signed(col).filter(|&col| col < self.cols)?;
         Some(down * self.cols + across)
     }
 
-    /// Whether a marker is so many rows and columns from the border.
+    /// Whether a marker is at least `reach` rows and columns from the border.
     pub fn is_inside(&self, i: usize, reach: usize) -> bool {
         let inside = |at: usize, end: usize| at >= reach && at + reach < end;
         inside(i / self.cols, self.rows) && inside(i % self.cols, self.cols)
@@ -92,8 +92,8 @@ fn check_decay(found_mm: f64) -> Result<(), ContactError> {
     if (1e-3..=1e3).contains(&found_mm) { Ok(()) } else { Err(ContactError::Decay { found_mm }) }
 }
 
-/// Weights of the neighbours at these distances in a second difference; beyond the border the surface goes on as its
-/// mirror image.
+/// Weights of the neighbours at these distances in a second difference; the surface is mirrored at the
+/// border.
 fn second_difference(before: Option<f64>, after: Option<f64>) -> [f64; 2] {
     match (before, after) {
         (Some(a), Some(b)) => [2.0 / (a * (a + b)), 2.0 / (b * (a + b))],
@@ -111,7 +111,7 @@ pub(super) struct Regions {
 }
 
 impl Regions {
-    /// Makes room for so many markers.
+    /// Reserves memory for this many markers.
     pub fn reserve(&mut self, markers: usize) {
         self.seen.clear();
         self.seen.reserve(markers);
@@ -119,8 +119,8 @@ impl Regions {
         self.region.reserve(markers);
     }
 
-    /// Takes away the regions that could be chance, given the signed squared standard deviations of every marker's pressure, and
-    /// then the markers that are not seen.
+    /// Removes regions that may be chance, given the signed squared standard deviations of every marker's
+    /// pressure, and then the markers that are not seen.
     pub fn keep_sure(
         &mut self,
         lattice: &Stencils,

@@ -1,10 +1,10 @@
-//! Labels of the two views that have slipped against each other.
+//! Detects labels of the two views that have slipped relative to each other.
 //!
-//! Each view is labelled by itself. Where one of them is a column off, the rows still agree and the rays
-//! still meet: only the depth is wrong, by what a step of one pitch along the baseline makes, which heights
-//! are measured in here. Heights of neighbours which belong together differ by less than 0.7 of that: more
-//! would take a cliff of more than 2 mm between two markers on sensors of this kind. And most of the gel stays
-//! near its rest height.
+//! Each view is labelled on its own. Where one of them is a column off, the rows still agree and the rays
+//! still meet. Only the depth is wrong, by the effect of one pitch along the baseline (a slip), the unit
+//! of heights here. Heights of consistent neighbours differ by less than 0.7 slips: more would take a
+//! cliff of more than 2 mm between two markers on sensors of this kind. And most of the gel stays near
+//! its rest height.
 
 use super::RestSurface;
 use crate::math::{DVec2, median};
@@ -12,15 +12,15 @@ use crate::track::MarkerState;
 use crate::triangulate::{Centre, Centres, Triangulator};
 use alloc::vec::Vec;
 
-/// Heights of neighbours differ by less, in slips; and markers that nothing presses are nearer to their
-/// height at rest.
+/// Upper bound of the height difference of neighbours and of the height of untouched markers above rest,
+/// in slips.
 const APART: f64 = 0.7;
 
-/// One marker in so many, at least, is near its height at rest, and no more than that lie deeper by that much: a
-/// press raises some of the gel towards the camera, and nothing sinks.
+/// At least one marker in this many is near its rest height, and at most one in this many lies deeper by
+/// that amount: a press raises some of the gel towards the camera, and nothing sinks.
 const SHARE: usize = 10;
 
-/// So many markers tell what a slip looks like.
+/// Markers sampled to estimate a slip.
 const MARKERS_TO_LEARN: usize = 16;
 
 /// Finds slips; scratch is kept from frame to frame.
@@ -28,14 +28,14 @@ const MARKERS_TO_LEARN: usize = 16;
 pub struct StereoMismatch {
     cols: usize,
     slip_mm: f64,
-    /// A marker of the same part that stands earlier, or itself.
+    /// An earlier marker of the same part, or itself.
     parent: Vec<u32>,
     parts: Vec<Part>,
-    /// Heights of the last seen marker of each column; NaN where there is none so far.
+    /// Height of the last seen marker of each column; NaN if none so far.
     above_mm: Vec<f64>,
 }
 
-/// Markers of a part that hangs together, counted at its first one.
+/// Counts of the markers of a connected part, stored at its first one.
 #[derive(Clone, Copy, Debug, Default)]
 struct Part {
     size: u32,
@@ -57,8 +57,9 @@ impl Part {
 }
 
 impl StereoMismatch {
-    /// Learns from the rest frame what a slip of one pitch would look like. `left` and `right` are the
-    /// centres that the rest surface was made of; a lattice has so many columns, so many pixels apart.
+    /// Estimates from the rest frame the height error of a slip by one pitch. `left` and `right` are the
+    /// centres from which the rest surface was made; the lattice has `cols` columns, `pitch_px` pixels
+    /// apart.
     pub fn learn(
         &mut self,
         triangulator: &Triangulator,
@@ -72,10 +73,10 @@ impl StereoMismatch {
             let point = ready.point(i, &left.at(i), &moved).ok()?;
             Some((point.point_mm - rest.points_mm()[i]).dot(rest.normal()).abs())
         };
-        // Away from the camera a slip is larger than towards it.
+        // Away from the camera, a slip is larger than towards it.
         let least = |i: usize| Some(height(i, -pitch_px)?.min(height(i, pitch_px).unwrap_or(f64::INFINITY)));
         let markers = rest.points_mm().len();
-        // It hardly varies over the gel, so that the median of a few markers does.
+        // It hardly varies over the gel, so the median of a few markers suffices.
         let few = (0..markers).step_by((markers / MARKERS_TO_LEARN).max(1));
         let mut heights: Vec<f64> = few.filter_map(least).collect();
         self.cols = cols.max(1);
@@ -85,21 +86,20 @@ impl StereoMismatch {
         self.above_mm.reserve(self.cols);
     }
 
-    /// Height that a slip by one pitch fakes, millimetres, median over the markers; infinite where there is
-    /// none to tell.
+    /// Height error of a slip by one pitch, millimetres, median over the markers; infinite if unknown.
     #[must_use]
     pub const fn slip_mm(&self) -> f64 {
         self.slip_mm
     }
 
-    /// Holds the seen markers whose two views do not show the same one, given the heights of all above rest,
-    /// and calls `put_back` for each; how many there are.
+    /// Holds the seen markers whose two views do not show the same marker, given all heights above rest,
+    /// and calls `put_back` for each. Returns their number.
     ///
-    /// `heights_mm` ([`RestSurface::indentation_mm`]) and `state` have the markers of the rest surface, row
-    /// by row; states other than seen are left alone.
+    /// `heights_mm` ([`RestSurface::indentation_mm`]) and `state` have the markers of the rest surface,
+    /// row by row; states other than seen are left unchanged.
     ///
-    /// Of the parts whose neighbours agree the largest that lies where a gel may be is right; all others have
-    /// slipped against it.
+    /// Of the parts with consistent neighbours, the largest one at a plausible height is correct; all
+    /// others have slipped relative to it.
     pub fn hold(
         &mut self,
         heights_mm: &[f64],
@@ -113,7 +113,7 @@ impl StereoMismatch {
         self.count(heights_mm, state);
         let plausible =
             self.parts.iter().enumerate().filter(|(_, part)| part.size > 0 && part.is_plausible());
-        // Of equal ones the first.
+        // The first of equal ones.
         let right =
             plausible.max_by_key(|&(root, part)| (part.size, core::cmp::Reverse(root))).map(|(root, _)| root);
         let mut held = 0;
@@ -127,7 +127,8 @@ impl StereoMismatch {
         held
     }
 
-    /// Whether all that [`Self::join`] would join agrees and hangs together: the rule, and found out faster.
+    /// Whether everything that [`Self::join`] would join agrees and is connected: the usual case, checked
+    /// faster.
     fn is_one_part(&mut self, heights_mm: &[f64], state: &[MarkerState]) -> bool {
         self.above_mm.clear();
         self.above_mm.resize(self.cols, f64::NAN);

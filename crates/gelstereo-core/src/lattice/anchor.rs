@@ -1,48 +1,48 @@
-//! Which printed row and column the places of a frame are.
+//! Printed row and column of the places of a frame.
 
 use super::found::{FoundLattice, Place};
 use crate::math::{DVec2, atan2, round, sqrt};
 
-/// Shifts tried to either side of the likeliest one.
+/// Shifts tried on either side of the most likely one.
 const REACH: i32 = 3;
 
-/// Largest angle between rows as found and as predicted, beyond the nearest quarter turn, degrees: a square lattice that
-/// turned by 45 could have turned either way.
+/// Largest angle between found and predicted rows, beyond the nearest quarter turn, degrees. At 45
+/// degrees the turn of a square lattice is ambiguous.
 const MAX_TURN_DEG: f64 = 35.0;
 
-/// Largest root mean square distance from the prediction, in pitches, and how many times as large the second best shift's
-/// must be. At half a pitch both are as near.
+/// Largest root mean square distance from the prediction, pitches, and smallest ratio of the second best
+/// shift's distance to the best one's. At half a pitch, two shifts are equally near.
 const MAX_OFF: f64 = 0.35;
 const CLEARLY: f64 = 1.8;
 
-/// A distance counts no more than this, in pitches: a press moves some markers far.
+/// Cap on a single distance, pitches: contact moves some markers far.
 const CAP: f64 = 1.5;
 
-/// What makes an anchor unique.
+/// Evidence that an anchor is unique.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AnchorEvidence {
-    /// Whether rows and columns are known by the sides of the print alone, whatever the prediction says.
+    /// Whether rows and columns follow from the ends of the print alone, independently of the prediction.
     pub by_extents: bool,
-    /// Root mean square distance of the markers from their prediction, in pitches, each capped at 1.5; infinite without a
-    /// prediction.
+    /// Root mean square distance of the markers from their predictions, pitches, each capped at 1.5.
+    /// Infinite without a prediction.
     pub off_pitches: f64,
-    /// The same for the second best of the shifts that the extents leave open; infinite when there is none.
+    /// The same for the second best of the shifts that the extents allow; infinite when there is none.
     pub second_pitches: f64,
 }
 
-/// The turn and the shift from places of a [`FoundLattice`] to labels.
+/// Turn and shift from places of a [`FoundLattice`] to labels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Anchor {
     /// Quarter turns, as in [`Place::turned`].
     pub quarter_turns: u8,
     /// Rows and columns added after the turn.
     pub shift: (i32, i32),
-    /// Why it is this one.
+    /// Evidence for this anchor.
     pub evidence: AnchorEvidence,
 }
 
 impl Anchor {
-    /// Label `row * cols + col` of a place; none outside of the print.
+    /// Label `row * cols + col` of a place; `None` outside the print.
     #[must_use]
     pub fn label(&self, place: Place, rows: usize, cols: usize) -> Option<usize> {
         let place = place.turned(self.quarter_turns).step(self.shift);
@@ -51,16 +51,20 @@ impl Anchor {
     }
 }
 
-/// Finds which printed row and column each place of `found` is, or `None` where that is not certain.
+/// Finds the printed row and column of each place of `found`, or `None` where they are ambiguous.
 ///
-/// `detected_px` are the detections `found` was made of; `rows` and `cols` those printed; `predicted_px` where each marker
-/// (`row * cols + col`) is expected to be, or empty without history.
+/// `detected_px` are the detections from which `found` was made. `rows` and `cols` are those printed.
+/// `predicted_px` holds the expected position of each marker (`row * cols + col`), or is empty without
+/// history.
 ///
-/// The turn is the one whose rows run as the predicted ones do, within 35 degrees; without a prediction it is 0, the upright
-/// one, or the upright one of those that fit when rows and columns differ in number. Rows are unique when both their ends are
-/// in view and as many were found as are printed, or when every printed marker was found, whatever the prediction says: so a
-/// frame that moved by more than half a pitch is anchored all the same. Otherwise the prediction decides, if one shift is clearly nearer to it than all others, the second
-/// best at least 1.8 times as far off; and if an end in view agrees.
+/// With a prediction, the turn is the one that aligns the rows with the predicted ones within 35 degrees.
+/// Without one it is 0, the upright turn; if rows and columns differ in number, it is the upright one of
+/// the turns that fit.
+///
+/// Rows are unique, independently of the prediction, in two cases: both of their ends are in view and as
+/// many were found as are printed, or every printed marker was found. So a frame that moved by more than
+/// half a pitch can still be anchored. Otherwise one shift must be clearly nearest to the prediction (the
+/// second best at least 1.8 times as far off) and agree with the ends in view.
 ///
 /// Linear in the markers, without allocation.
 #[must_use]
@@ -80,7 +84,7 @@ pub fn anchor(
         if history { turn_as(found, rows, cols, predicted_px)? } else { turn_that_fits(found, rows, cols)? };
     let axes = axes(found, quarter_turns);
     let frame = Frame { found, detected_px, rows, cols, predicted_px, quarter_turns };
-    // With a marker at every place there is no room for another shift, whatever the image's border hides.
+    // If every place has a marker, no other shift is possible, whatever the image border hides.
     let complete = found.placed == rows * cols;
     let [by_rows, by_cols] =
         [(axes[0], rows), (axes[1], cols)].map(|(axis, printed)| axis.shift(printed, complete));
@@ -97,7 +101,7 @@ pub fn anchor(
     agrees.then_some(Anchor { quarter_turns, shift, evidence })
 }
 
-/// Rows or columns of the places after the turn.
+/// Range of rows or columns of the places after the turn, and whether each end is an end of the print.
 #[derive(Clone, Copy)]
 struct Axis {
     low: i32,
@@ -107,21 +111,22 @@ struct Axis {
 }
 
 impl Axis {
-    /// The shift that both ends in view give, or all markers, if they lie as far apart as printed.
+    /// Shift implied by both ends in view, or by a complete set of markers, if the extent equals the
+    /// printed one.
     fn shift(self, printed: usize, complete: bool) -> Option<i32> {
         let ends = complete || (self.low_ends && self.high_ends);
         let fits = ends && (self.high - self.low + 1) as usize == printed;
         fits.then_some(-self.low)
     }
 
-    /// Whether a shift contradicts no end in view and leaves nothing outside of the print.
+    /// Whether a shift agrees with the ends in view and keeps every place inside the print.
     fn agrees(self, shift: i32, printed: usize) -> bool {
         let (low, high, last) = (self.low + shift, self.high + shift, printed as i32 - 1);
         low >= 0 && high <= last && (!self.low_ends || low == 0) && (!self.high_ends || high == last)
     }
 }
 
-/// Rows and columns after a turn, and which of their ends are those of the print.
+/// Rows and columns after a turn.
 fn axes(found: &FoundLattice, quarter_turns: u8) -> [Axis; 2] {
     let corner = Place { row: found.rows as i32 - 1, col: found.cols as i32 - 1 }.turned(quarter_turns);
     // Upper, right, lower, left: a quarter turn makes the right side the upper one.
@@ -130,7 +135,7 @@ fn axes(found: &FoundLattice, quarter_turns: u8) -> [Axis; 2] {
     [axis(corner.row, ends(0), ends(2)), axis(corner.col, ends(3), ends(1))]
 }
 
-/// The quarter turn after which rows run as predicted.
+/// Quarter turn that aligns the rows with the predicted ones.
 fn turn_as(found: &FoundLattice, rows: usize, cols: usize, predicted_px: &[DVec2]) -> Option<u8> {
     let ends = (0..rows)
         .fold(DVec2::ZERO, |sum, r| sum + predicted_px[r * cols + cols - 1] - predicted_px[r * cols]);
@@ -141,13 +146,13 @@ fn turn_as(found: &FoundLattice, rows: usize, cols: usize, predicted_px: &[DVec2
     ((angle - 90.0 * turns).abs() < MAX_TURN_DEG).then(|| (turns as i32).rem_euclid(4) as u8)
 }
 
-/// Angle of a lattice from its rows and columns together, which shear turns in opposite directions.
+/// Angle of a lattice, averaged over rows and columns, which shear turns in opposite directions.
 fn frame_angle_deg(row: DVec2, col: DVec2) -> f64 {
     let (a, b) = (row.normalize_or_zero(), col.normalize_or_zero());
     atan2(a.y - b.x, a.x + b.y).to_degrees()
 }
 
-/// The smallest turn that gives as many rows and columns as are printed.
+/// Smallest turn that gives the printed numbers of rows and columns.
 fn turn_that_fits(found: &FoundLattice, rows: usize, cols: usize) -> Option<u8> {
     if (found.rows, found.cols) == (rows, cols) {
         Some(0)
@@ -168,7 +173,7 @@ struct Frame<'a> {
 }
 
 impl Frame<'_> {
-    /// The shift nearest to the prediction, if it is clearly nearer than all others that the extents leave open.
+    /// Shift nearest to the prediction, if it is clearly nearer than all others that the extents allow.
     fn nearest_shift(
         &self,
         by_rows: Option<i32>,
@@ -194,7 +199,7 @@ impl Frame<'_> {
         clear.then_some((best.1, evidence))
     }
 
-    /// The label of the prediction nearest to the marker in the middle of the detected ones, less its place.
+    /// Label of the prediction nearest to the central detected marker, minus that marker's place.
     fn likely_shift(&self) -> Option<(i32, i32)> {
         let placed = || self.found.places.iter().enumerate().filter_map(|(m, p)| Some((m, (*p)?)));
         let middle = placed().fold(DVec2::ZERO, |sum, (m, _)| sum + self.detected_px[m])
@@ -208,7 +213,8 @@ impl Frame<'_> {
         Some(((label / self.cols) as i32 - place.row, (label % self.cols) as i32 - place.col))
     }
 
-    /// Root mean square distance from the prediction; a marker outside of the print counts as far off.
+    /// Root mean square distance from the prediction; a marker outside the print counts as an outlier at
+    /// the cap.
     fn off_pitches(&self, shift: (i32, i32)) -> f64 {
         let per_px2 = 1.0 / (self.found.pitch_px * self.found.pitch_px);
         let evidence = AnchorEvidence { by_extents: false, off_pitches: 0.0, second_pitches: 0.0 };
@@ -218,7 +224,7 @@ impl Frame<'_> {
             let Some(place) = *place else { continue };
             let label = anchor.label(place, self.rows, self.cols);
             let off2 = label.map_or(f64::INFINITY, |n| self.predicted_px[n].distance_squared(at) * per_px2);
-            // A prediction that is not finite counts as far off.
+            // A non-finite prediction also counts as the cap.
             sum += if off2 < CAP * CAP { off2 } else { CAP * CAP };
             count += 1.0;
         }

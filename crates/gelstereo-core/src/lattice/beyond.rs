@@ -1,18 +1,19 @@
-//! Outer rows and columns that a wholly unseen row or column cuts off from the rest.
+//! Outer rows and columns separated from the rest by a wholly undetected row or column.
 
 use super::found::{Place, Sites};
 use crate::math::DVec2;
 use alloc::vec::Vec;
 
-/// Fewest markers that make a line.
+/// Smallest number of markers of a line.
 const LEAST: usize = 3;
 
-/// With the outer rows and columns beyond an empty one.
+/// Adds outer rows and columns that lie beyond an empty one.
 ///
-/// Beside specks, or where a marker has lost its place, the finder keeps only what hangs together: elsewhere a part of a
-/// sheared lattice may have slipped by a place. A whole line that stands two steps beyond the outer one has not: at least
-/// half of it is seen within `most_px` of where the two lines before it say, which specks are not. The line between is
-/// printed too, unseen.
+/// Near false detections, or where a marker has lost its place, the finder keeps only the connected part
+/// of the lattice: elsewhere, part of a sheared lattice may have slipped by one place. A complete line
+/// two steps beyond the outer one cannot have slipped. It is accepted if at least half of its markers lie
+/// within `most_px` of the position extrapolated from the two lines before it, which false detections do
+/// not. The line between is then printed too, but undetected.
 pub(super) fn with_lines_beyond(mut sites: Sites, points: &[DVec2], most_px: f64) -> Sites {
     let mut is_free = alloc::vec![true; points.len()];
     for m in places(&sites).filter_map(|place| sites.at(place)) {
@@ -35,7 +36,7 @@ pub(super) fn with_lines_beyond(mut sites: Sites, points: &[DVec2], most_px: f64
     sites
 }
 
-/// The detections two steps beyond a side, place by place along it.
+/// Detections two steps beyond a side, place by place along it.
 fn beyond(
     sites: &Sites,
     points: &[DVec2],
@@ -43,7 +44,7 @@ fn beyond(
     near: impl Fn(DVec2) -> Option<usize>,
 ) -> Vec<Option<usize>> {
     let at = |k: i32, inward: i32| sites.at(place(sites, side, k, inward)).map(|m| points[m]);
-    // From the outer two that are seen.
+    // Extrapolated from the outer two detected markers.
     let step = |k: i32, inward: i32| {
         let outer = at(k, inward)?;
         Some(outer + (outer - at(k, inward + 1)?) * f64::from(2 + inward))
@@ -52,7 +53,7 @@ fn beyond(
     (0..length(sites, side) as i32).map(one).collect()
 }
 
-/// The sites with an empty line and this one added at a side.
+/// The sites with an empty line and this line added at a side.
 fn grown(sites: &Sites, side: usize, line: &[Option<usize>]) -> Sites {
     let (rows, cols) = if side.is_multiple_of(2) { (2, 0) } else { (0, 2) };
     let mut out = Sites::empty(sites.rows + rows, sites.cols + cols);
@@ -70,7 +71,7 @@ fn grown(sites: &Sites, side: usize, line: &[Option<usize>]) -> Sites {
     out
 }
 
-/// The place so many steps along the upper, right, lower or left side, and so many within it.
+/// Place `along` steps along the upper, right, lower or left side, and `inward` steps inside it.
 const fn place(sites: &Sites, side: usize, along: i32, inward: i32) -> Place {
     let (last_row, last_col) = (sites.rows as i32 - 1, sites.cols as i32 - 1);
     match side {

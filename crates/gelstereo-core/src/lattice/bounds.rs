@@ -1,4 +1,4 @@
-//! How far a lattice reaches, and where the print ends.
+//! Extent of a lattice, and where the print ends.
 
 use super::consistency::placed;
 use super::detection_grid::DetectionGrid;
@@ -9,24 +9,25 @@ use crate::math::{DVec2, median, sqrt};
 use crate::spatial::Grid;
 use alloc::vec::Vec;
 
-/// What lies nearer to the image's border, in pitches, is no whole marker: one to three of them are no row.
+/// One to three markers that all lie nearer to the image border than this, in pitches, are not a row:
+/// they are not whole.
 const WHOLE: f64 = 0.2;
 
-/// The rectangle of places from `low` to `high`, both within.
+/// Rectangle of places from `low` to `high`, both inclusive.
 #[derive(Clone, Copy, Debug)]
 struct LatticeBounds {
     low: Place,
     high: Place,
 }
 
-/// What a side is judged by.
+/// Inputs of the decision on each side.
 pub(super) struct View<'a> {
     pub points: &'a [DVec2],
     pub grid: &'a Grid,
-    /// Width and height of the image; `None` when not known.
+    /// Width and height of the image; `None` if unknown.
     pub size_px: Option<DVec2>,
     pub pitch_px: f64,
-    /// Whether outer rows and columns of one marker are kept.
+    /// Whether outer rows and columns with a single marker are kept.
     pub with_specks: bool,
 }
 
@@ -53,7 +54,7 @@ pub(super) fn mean_steps(
     (row.is_finite() && col.is_finite()).then_some((row, col, pitch_px))
 }
 
-/// Quarter turns of the places that make rows run most nearly from left to right.
+/// Quarter turns of the places after which rows run most nearly from left to right.
 pub(super) fn upright_turns(row_step: DVec2, col_step: DVec2) -> u8 {
     let (row, _) = rows_to_the_right(row_step, col_step);
     [row_step, col_step, -row_step, -col_step].iter().position(|&r| r == row).unwrap_or(0) as u8
@@ -76,8 +77,8 @@ impl View<'_> {
         out.sides = [0, 1, 2, 3].map(|side| self.side(detection_grid, extent, side));
     }
 
-    /// Without an outer row or column in which so few markers are that they may be specks: one, or less than a quarter of
-    /// those that lie in the image, or up to three at the very border.
+    /// Removes an outer row or column that may consist of false detections. It has one marker, or fewer
+    /// than a quarter of the markers expected inside the image, or up to three at the image border.
     fn without_specks(&self, detection_grid: &DetectionGrid, extent: LatticeBounds) -> Option<LatticeBounds> {
         let (rows, cols) = extent.size();
         if self.with_specks || rows == 0 || cols == 0 {
@@ -109,7 +110,7 @@ impl View<'_> {
         Side { placed, empty_beyond, ends }
     }
 
-    /// Markers in a line of places, and how many would be seen if all were.
+    /// Markers detected in a line of places, and how many are expected if none is missing.
     fn count(&self, detection_grid: &DetectionGrid, line: impl Iterator<Item = Place>) -> (usize, usize) {
         let (mut seen, mut expected) = (0, 0);
         for place in line {
@@ -124,7 +125,7 @@ impl View<'_> {
         (seen, expected)
     }
 
-    /// Whether a marker there would be seen whole; taken for granted where the image's size is not known.
+    /// Whether a marker there would be seen whole; true if the image size is unknown.
     fn is_inside(&self, at: DVec2) -> bool {
         self.is_within(at, 0.5)
     }
@@ -160,7 +161,7 @@ impl LatticeBounds {
         (count(self.low.row, self.high.row), count(self.low.col, self.high.col))
     }
 
-    /// Upper, right, lower or left line of places, so many steps outside.
+    /// Upper, right, lower or left line of places, `outside` steps further out.
     fn line(self, side: usize, outside: i32) -> impl Iterator<Item = Place> {
         let along_row = side.is_multiple_of(2);
         let fixed = match side {

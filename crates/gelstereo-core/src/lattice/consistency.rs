@@ -1,4 +1,4 @@
-//! Whether all neighbours in a lattice agree, and what is dropped where they do not.
+//! Consistency check of a lattice: drops markers that disagree with their neighbours.
 
 use super::detection_grid::{DetectionGrid, STEPS};
 use super::extrapolate::{neighbours, predict, predict_amid};
@@ -7,44 +7,45 @@ use crate::math::{DVec2, sqrt};
 use crate::spatial::Grid;
 use alloc::vec::Vec;
 
-/// Farthest that a marker may lie from where its neighbours say, in steps. One that slipped by a place is off by half a step
-/// or more.
+/// Largest distance of a marker from its prediction by its neighbours, in steps. A slip by one place
+/// gives half a step or more.
 const MAX_OFF: f64 = 0.33;
 
-/// Rounds of dropping; each drops what is worst around.
+/// Rounds of dropping; each drops the locally worst markers.
 const ROUNDS: usize = 16;
 
-/// How near to a marker a detection without a place puts it in doubt, in distances of neighbours.
+/// Markers within this distance of a detection without a place are doubtful, in neighbour distances.
 const DOUBT: f64 = 2.1;
 
-/// Largest distance from where the neighbours say, in steps, and largest slant of a cell, for a regular neighbourhood.
+/// A neighbourhood is regular up to this distance from the prediction, in steps, and up to this slant of
+/// a cell.
 const REGULAR_OFF: f64 = 0.15;
 const REGULAR_SLANT: f64 = 0.35;
 
-/// How often what is left is asked again.
+/// Most repetitions of the check on what remains.
 const EROSIONS: usize = 8;
 
-/// Groups of markers: those in doubt, those not yet counted, and those that hang together from then on.
+/// Group labels: doubtful markers, markers not yet visited; higher labels are connected components.
 const DOUBTED: u32 = 0;
 const UNSEEN: u32 = 1;
 
 /// Scratch of the checks.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Consistency {
-    /// Distance of each detection from where its neighbours say, in steps.
+    /// Distance of each detection from its prediction by its neighbours, in steps.
     off: Vec<f64>,
     doomed: Doomed,
-    /// Detections to be checked: all at first, then those around what was dropped.
+    /// Detections to check: all at first, then those around dropped ones.
     suspects: Vec<u32>,
     group: Vec<u32>,
     queue: Vec<u32>,
     /// Detections dropped.
     pub dropped: usize,
-    /// Largest distance left.
+    /// Largest remaining distance.
     pub worst: f64,
 }
 
-/// Detections that are to lose their place, each once, in the order in which they were doomed.
+/// Detections that will lose their place, without duplicates, in order of insertion.
 #[derive(Clone, Debug, Default)]
 struct Doomed {
     list: Vec<u32>,
@@ -82,9 +83,11 @@ impl Consistency {
         self.off.reserve(most);
     }
 
-    /// Drops markers until all that are left agree: each lies where its neighbours say, and no empty place is seen where
-    /// a marker with another place stands. Where a cell folds over, its corners do not lie there. Keeps the largest part in one
-    /// piece.
+    /// Drops markers until the rest are consistent, and keeps the largest connected part.
+    ///
+    /// Each remaining marker lies at its prediction by its neighbours, and no empty place is predicted
+    /// where a marker with another place was detected. Corners of a cell that folds over fail the first
+    /// condition.
     pub fn prune(&mut self, points: &[DVec2], grid: &Grid, near_px: f64, detection_grid: &mut DetectionGrid) {
         self.dropped = 0;
         self.off.clear();
@@ -112,7 +115,7 @@ impl Consistency {
         self.worst = self.off.iter().copied().fold(0.0, f64::max);
     }
 
-    /// Drops the doomed; what stands around them is suspect, and measured again.
+    /// Drops the listed detections and measures those around them again.
     fn drop_doomed(&mut self, points: &[DVec2], detection_grid: &mut DetectionGrid) {
         self.suspects.clear();
         for &m in &self.doomed.list {
@@ -125,7 +128,7 @@ impl Consistency {
                 if let Some(n) = detection_grid.at_offset(cell, rows, cols)
                     && !self.off[n].is_nan()
                 {
-                    // Marked as listed, until it is measured.
+                    // NaN marks a detection as listed until it is measured.
                     self.off[n] = f64::NAN;
                     self.suspects.push(n as u32);
                 }
@@ -140,7 +143,8 @@ impl Consistency {
         }
     }
 
-    /// A wrong marker pulls at the predictions of its neighbours as well: only the worst around goes.
+    /// A wrong marker also biases the predictions of its neighbours, so only the locally worst one is
+    /// dropped.
     fn find_worst(&mut self, detection_grid: &DetectionGrid) {
         for (m, place) in among(&self.suspects, detection_grid) {
             let off = self.off[m];
@@ -156,7 +160,7 @@ impl Consistency {
         }
     }
 
-    /// Two sheets that met with different labels.
+    /// Finds seams: two parts of the lattice that met with different labels.
     fn find_seams(&mut self, points: &[DVec2], grid: &Grid, detection_grid: &DetectionGrid) {
         for (m, place) in among(&self.suspects, detection_grid) {
             let Some(cell) = detection_grid.cell(place) else { continue };
@@ -175,11 +179,13 @@ impl Consistency {
         }
     }
 
-    /// Dooms all but the largest part that hangs together by markers beyond doubt, and the doubtful ones beside it.
+    /// Lists for removal all but the largest part connected by markers beyond doubt, and the doubtful
+    /// markers next to it.
     ///
-    /// A detection without a place puts those around it in doubt unless they are regular, as around a speck: where a lattice is sheared so far that the walk slips by
-    /// a place, one is left over at each end of the slip. What hangs on the rest by doubtful markers only may have slipped as a
-    /// whole.
+    /// A detection without a place makes the markers around it doubtful, unless they are regular, as
+    /// around a false detection. In a strongly sheared lattice the walk can slip by one place; one
+    /// detection is then left over at each end of the slip. A part connected to the rest by doubtful
+    /// markers alone may have slipped as a whole.
     fn keep_sure(&mut self, points: &[DVec2], grid: &Grid, near_px: f64, detection_grid: &DetectionGrid) {
         self.group.clear();
         self.group.resize(points.len(), UNSEEN);
@@ -246,19 +252,19 @@ impl Consistency {
     }
 }
 
-/// The detections with a place.
 pub(super) fn placed(detection_grid: &DetectionGrid) -> impl Iterator<Item = (usize, Place)> {
     detection_grid.places.iter().enumerate().filter_map(|(m, place)| Some((m, (*place)?)))
 }
 
-/// How oblique the cells are at a detection: 0.5 where another diagonal would do as well for a step; 0 without a place.
+/// Slant of the cells at a detection: 0.5 where another diagonal would serve equally well as a step; 0
+/// without a place.
 fn slant(points: &[DVec2], detection_grid: &DetectionGrid, m: usize) -> f64 {
     let Some(place) = detection_grid.places[m] else { return 0.0 };
     let [row, col] = detection_grid.steps_at(points, m, place);
     row.dot(col).abs() / row.length_squared().min(col.length_squared())
 }
 
-/// Those of the detections that have a place.
+/// The listed detections that have a place.
 fn among<'a>(
     list: &'a [u32],
     detection_grid: &'a DetectionGrid,
@@ -266,7 +272,8 @@ fn among<'a>(
     list.iter().filter_map(|&m| Some((m as usize, detection_grid.places[m as usize]?)))
 }
 
-/// Distance of a detection from where its neighbours say, in steps to the nearest of them.
+/// Distance of a detection from its prediction by its neighbours, in units of the distance to the nearest
+/// of them.
 fn off(points: &[DVec2], detection_grid: &DetectionGrid, m: usize, place: Place) -> f64 {
     let Some(cell) = detection_grid.cell(place) else { return 0.0 };
     let near = neighbours(detection_grid, points, cell);

@@ -1,30 +1,31 @@
-//! Which detection stands at which place, while a lattice grows.
+//! Detection at each place while a lattice grows.
 
 use super::found::Place;
 use crate::math::{DVec2, sqrt};
 use alloc::vec::Vec;
 
-/// Most rows or columns to either side of the seed.
+/// Most rows or columns on either side of the seed.
 const MAX_HALF: usize = 240;
 
-/// Empty cells around the square, so that the surroundings of any of its cells can be read without a check.
+/// Empty cells around the square, so that the neighbourhood of any cell is read without bounds checks.
 const MARGIN: i32 = 3;
 
 /// The four neighbours: right, down, left, up, as (rows, columns).
 pub(super) const STEPS: [(i32, i32); 4] = [(0, 1), (1, 0), (0, -1), (-1, 0)];
 
-/// A square of places about the seed, and the place of each detection. Cleared at the cost of what was placed, not of
-/// its area.
+/// A square of places around the seed, and the place of each detection. Clearing costs time in proportion
+/// to the placed detections, not to the area.
 #[derive(Clone, Debug)]
 pub(super) struct DetectionGrid {
     half: i32,
     most_half: usize,
-    /// Detection at each place, plus one; zero where there is none.
+    /// Detection index plus one at each place; zero where there is none.
     cells: Vec<u32>,
     pub places: Vec<Option<Place>>,
-    /// Steps to the next marker of the row and of the column, as they were known when each detection was placed.
+    /// Steps to the next marker of the row and of the column, as estimated when each detection was
+    /// placed.
     steps: Vec<[DVec2; 2]>,
-    /// Detections in the order in which they were placed; those that were dropped since stay in the list.
+    /// Detections in the order of placement, including those dropped since.
     pub order: Vec<u32>,
 }
 
@@ -36,7 +37,7 @@ impl Default for DetectionGrid {
 }
 
 impl DetectionGrid {
-    /// Makes room for so many detections, of lattices with rows and columns of up to `longest`.
+    /// Reserves memory for `most` detections, in lattices with rows and columns of up to `longest`.
     pub fn reserve(&mut self, most: usize, longest: usize) {
         self.clear();
         self.most_half = longest.min(MAX_HALF);
@@ -46,7 +47,8 @@ impl DetectionGrid {
         self.order.reserve(2 * most);
     }
 
-    /// Forgets everything and makes room for so many detections, in rows and columns of up to `longest`.
+    /// Clears the grid and sizes it for this number of detections, in rows and columns of up to
+    /// `longest`.
     pub fn start(&mut self, detections: usize, longest: usize) {
         self.clear();
         let half = self.half_side(detections).min(longest);
@@ -59,7 +61,7 @@ impl DetectionGrid {
     fn make_room(&mut self, half: usize) {
         let side = 2 * (half + MARGIN as usize) + 1;
         if self.cells.len() < side * side {
-            // Zeroed by the allocator: what is never used costs no memory.
+            // Zeroed by the allocator: untouched pages cost no memory.
             self.cells = alloc::vec![0; side * side];
         }
     }
@@ -73,7 +75,7 @@ impl DetectionGrid {
         self.order.clear();
     }
 
-    /// Places a detection, whose steps are those given where its neighbours do not tell.
+    /// Places a detection. `steps` are used where its neighbours give no estimate.
     pub fn put(&mut self, place: Place, detection: usize, steps: [DVec2; 2]) {
         let Some(cell) = self.cell(place) else { return };
         self.cells[cell] = detection as u32 + 1;
@@ -82,8 +84,8 @@ impl DetectionGrid {
         self.order.push(detection as u32);
     }
 
-    /// Steps to the next marker of the row and of the column at a placed detection, from its neighbours as far as they are
-    /// known now.
+    /// Steps to the next marker of the row and of the column at a placed detection, estimated from its
+    /// current neighbours.
     pub fn steps_at(&self, points: &[DVec2], detection: usize, place: Place) -> [DVec2; 2] {
         let here = points[detection];
         let steps = self.steps[detection];
@@ -116,20 +118,20 @@ impl DetectionGrid {
         self.at(place).map(|m| points[m])
     }
 
-    /// Where a detection stands so many rows and columns, up to three each, from a cell.
+    /// Position of the detection at this row and column offset, up to three each, from a cell.
     #[inline]
     pub fn seen_from(&self, points: &[DVec2], cell: usize, rows: i32, cols: i32) -> Option<DVec2> {
         self.at_offset(cell, rows, cols).map(|m| points[m])
     }
 
-    /// The detection so many rows and columns, up to three each, from a cell.
+    /// Detection at this row and column offset, up to three each, from a cell.
     #[inline]
     pub fn at_offset(&self, cell: usize, rows: i32, cols: i32) -> Option<usize> {
         let there = cell.wrapping_add_signed((rows * self.side() + cols) as isize);
         (self.cells[there] as usize).checked_sub(1)
     }
 
-    /// The cell of a place, unless it lies too far out.
+    /// Cell of a place, unless it lies outside the square.
     #[inline]
     pub fn cell(&self, place: Place) -> Option<usize> {
         let (row, col) = (place.row + self.half, place.col + self.half);

@@ -1,20 +1,20 @@
-//! Where a marker should stand, from the markers placed around it.
+//! Predicted position of a marker, from the markers placed around it.
 
 use super::detection_grid::{DetectionGrid, STEPS};
 use super::found::Place;
 use crate::math::DVec2;
 
-/// Where a place should be seen.
+/// Predicted position of a place.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Extrapolation {
     pub at: DVec2,
-    /// Independent estimates it is the mean of.
+    /// Number of independent estimates averaged.
     pub sources: u32,
     /// Mean squared distance of the estimates from their mean, square pixels.
     pub spread2: f64,
 }
 
-/// A running mean and spread.
+/// Running mean and spread.
 #[derive(Default)]
 struct Mean {
     sum: DVec2,
@@ -24,7 +24,7 @@ struct Mean {
 
 impl Mean {
     fn add(&mut self, p: DVec2, origin: DVec2) {
-        // About a point nearby, so that the squares lose no digits.
+        // Relative to a nearby point, so that the squares lose no precision.
         let p = p - origin;
         self.sum += p;
         self.sum2 += p.length_squared();
@@ -39,8 +39,9 @@ impl Mean {
     }
 }
 
-/// From the four nearest places and the four corners of the cells around: the middle of opposite neighbours where there
-/// are any, as it follows curved rows best, otherwise straight on and across cells.
+/// Predicts a place from its four nearest places and the four corners of the adjacent cells. Midpoints of
+/// opposite neighbours are preferred, as they follow curved rows best; otherwise it extrapolates along
+/// rows and columns and across cells.
 pub(super) fn predict(
     detection_grid: &DetectionGrid,
     points: &[DVec2],
@@ -49,7 +50,7 @@ pub(super) fn predict(
     predict_at(detection_grid, points, detection_grid.cell(place)?)
 }
 
-/// As [`predict`], of a place's cell.
+/// As [`predict`], for the cell of a place.
 #[inline(never)]
 pub(super) fn predict_at(
     detection_grid: &DetectionGrid,
@@ -59,7 +60,7 @@ pub(super) fn predict_at(
     predict_amid(detection_grid, points, cell, neighbours(detection_grid, points, cell))
 }
 
-/// What stands right of, below, left of and above a cell.
+/// Positions right of, below, left of and above a cell.
 #[inline(always)]
 pub(super) fn neighbours(
     detection_grid: &DetectionGrid,

@@ -1,9 +1,9 @@
-//! Missing markers, filled in from their neighbours.
+//! Fills in missing markers from their neighbours.
 
 use crate::math::DVec2;
 use alloc::vec::Vec;
 
-/// Positions of a lattice, row by row, of which some are not known.
+/// Positions of a lattice, row by row, some of them unknown.
 pub(super) struct Partial {
     pub rows: usize,
     pub cols: usize,
@@ -11,16 +11,17 @@ pub(super) struct Partial {
 }
 
 impl Partial {
-    /// The position at that place, if it lies in the lattice and is known.
+    /// Position at that place, if it lies in the lattice and is known.
     pub fn get(&self, row: isize, col: isize) -> Option<DVec2> {
         let (r, c) = (usize::try_from(row).ok()?, usize::try_from(col).ok()?);
         if r < self.rows && c < self.cols { self.at[r * self.cols + c] } else { None }
     }
 
-    /// Fills every gap, those with known neighbours first; `None` when too little is known.
+    /// Fills every gap, starting with those that have known neighbours; `None` when too little is known.
     pub fn filled(mut self) -> Option<Vec<DVec2>> {
         while self.at.iter().any(Option::is_none) {
-            // All of one round are filled from what was known before it, so that the order of visits decides nothing.
+            // Each round uses only positions known before it, so that the result is independent of the
+            // visiting order.
             let round: Vec<(usize, DVec2)> = (0..self.at.len())
                 .filter(|&n| self.at[n].is_none())
                 .filter_map(|n| Some((n, self.predict((n / self.cols) as isize, (n % self.cols) as isize)?)))
@@ -35,7 +36,8 @@ impl Partial {
         self.at.into_iter().collect()
     }
 
-    /// Middle of opposite neighbours where there are any, otherwise extrapolation along rows, columns and cells.
+    /// Midpoint of opposite neighbours where available, otherwise extrapolation along rows, columns and
+    /// cells.
     fn predict(&self, row: isize, col: isize) -> Option<DVec2> {
         let near = |dr: isize, dc: isize| self.get(row + dr, col + dc);
         let between =

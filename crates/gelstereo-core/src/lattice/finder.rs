@@ -1,4 +1,4 @@
-//! A lattice grown from seeds by predicted steps.
+//! Grows a lattice from seeds by predicted steps.
 
 use super::LabelError;
 use super::bounds::{View, mean_steps, upright_turns};
@@ -12,55 +12,58 @@ use crate::math::{DVec2, round, sqrt};
 use crate::spatial::Grid;
 use alloc::vec::Vec;
 
-/// Farthest that a detection may lie from the origin: squares and areas stay far from overflow.
+/// Largest coordinate of a detection, pixels: keeps squares and areas far from overflow.
 const FARTHEST_PX: f64 = 1e6;
 
 /// Most detections of one frame.
 const MAX_DETECTIONS: usize = 1 << 20;
 
-/// Largest share of detections that may lose their place again: beyond it nothing is certain.
+/// Largest share of detections that may lose their place again; above it the result is unreliable.
 const MAX_DROPPED: f64 = 0.1;
 
-/// Steps of a lattice are hardly ever shorter than this share of the distance of neighbours: the farthest two markers are then
-/// fewer steps apart.
+/// Steps of a lattice are rarely shorter than this share of the neighbour distance. It bounds the number
+/// of steps between the two farthest markers.
 const SHORTEST_STEP: f64 = 0.5;
 
-/// Seeds looked at before the best is taken, and before all are looked at.
+/// Number of seed candidates from which the best is taken.
 const SEED_SAMPLE: usize = 48;
 
-/// Seeds grown from at most.
+/// Most seeds to grow from.
 const MAX_SEEDS: usize = 8;
 
-/// Detections that the distance of neighbours is the median of.
+/// Number of detections sampled for the median neighbour distance.
 const NEAR_SAMPLE: usize = 128;
 
-/// How far from its prediction a marker may lie, in steps, pass by pass; and how many estimates must agree.
+/// Per pass: largest distance of a marker from its prediction, in steps, and the number of estimates that
+/// must agree.
 ///
-/// Sure steps first: a speck or the middle of two merged dots, once placed, would mislead those that follow.
-/// The first pass, which in an undisturbed frame places all, goes straight on but hardly aside.
+/// Reliable steps come first: a false detection or the midpoint of two merged dots, once placed, would
+/// mislead later steps. The first pass places every marker of an undisturbed frame; it follows straight
+/// rows but hardly turns.
 const PASSES: [(f64, u32); 4] = [(0.12, 1), (0.2, 2), (0.2, 1), (0.33, 1)];
 
-/// How far from a detection left over the walk goes on, in distances of neighbours.
+/// Radius around an unplaced detection in which the walk continues, in neighbour distances.
 const AROUND_LEFT_OVER: f64 = 2.5;
 
-/// A seed so regular is taken without a look at others.
+/// A seed this regular is taken without comparing others.
 const REGULAR: f64 = 0.02;
 
-/// Largest area of a marker, in areas of its neighbour.
+/// Largest ratio of a marker's area to its neighbour's.
 const MAX_AREA: f64 = 1.7;
 
-/// Largest mean squared distance of the estimates from their mean, in steps.
+/// Largest mean squared distance of the estimates from their mean, in squared steps.
 const MAX_SPREAD2: f64 = 0.06;
 
-/// Finds the lattice in the detections of one frame, whatever its turn and however the rows bend, without any history.
+/// Finds the lattice in the detections of one frame, at any rotation and with bent rows, without history.
 ///
-/// From a marker with regular surroundings the lattice grows along rows and columns. Each step is predicted from the
-/// steps around it, so that curved rows are followed, and taken when one detection, and no other, lies near the prediction.
-/// Then every detection left over is asked where it belongs, as seen from the nearest markers placed. At the end all
-/// neighbours must agree; a marker that does not stand where they say loses its place.
+/// The lattice grows along rows and columns from a marker with regular surroundings. Each step is
+/// predicted from the steps around it, which follows curved rows, and is taken when exactly one detection
+/// lies near the prediction. Unplaced detections are then matched to the places predicted from the
+/// nearest placed markers. Finally every marker that does not lie at its prediction by its neighbours
+/// loses its place.
 ///
-/// Cost grows linearly with the detections. After [`Self::reserve`], or a frame with as many detections, nothing is
-/// allocated.
+/// The cost is linear in the detections. No memory is allocated after [`Self::reserve`], or after a frame
+/// with as many detections.
 #[derive(Clone, Debug, Default)]
 pub struct LatticeFinder {
     grid: Grid,
@@ -71,20 +74,21 @@ pub struct LatticeFinder {
     /// Area of each detection, or empty.
     areas_px2: Vec<u32>,
     distances: Vec<f64>,
-    /// Detections without a place, and those with one around them.
+    /// Detections without a place, and placed ones around them.
     left_over: Vec<u32>,
     around: Vec<u32>,
     best: Vec<Option<Place>>,
-    /// Whether it is the one on the detection_grid.
+    /// Whether `detection_grid` holds `best`.
     best_is_laid: bool,
-    /// Markers dropped and largest distance left, in steps, of the best.
+    /// Markers dropped and largest remaining distance, in steps, of `best`.
     best_evidence: (usize, f64),
     agreement: Consistency,
 }
 
 impl LatticeFinder {
-    /// Makes room for frames of up to `size_px` (width, height) with up to so many detections, of a lattice whose rows and columns
-    /// have up to `longest` markers; what lies farther from where the search begins is then given no place.
+    /// Reserves memory for frames of up to `size_px` (width, height) with up to `most_detections`
+    /// detections, of a lattice whose rows and columns have up to `longest` markers. Markers farther than
+    /// that from the seed get no place.
     pub fn reserve(&mut self, size_px: (usize, usize), most_detections: usize, longest: usize) {
         let most = most_detections.min(MAX_DETECTIONS);
         let area = (size_px.0 * size_px.1) as f64;
@@ -100,14 +104,14 @@ impl LatticeFinder {
         self.agreement.reserve(most);
     }
 
-    /// Finds the lattice; lists of `out` are reused.
+    /// Finds the lattice; the lists of `out` are reused.
     ///
-    /// `detected_px` are pixels in any order; `size_px` is the image's width and height, if known: without it no side of
-    /// the print can be told to end.
+    /// `detected_px` are pixels in any order; `size_px` is the image's width and height, if known.
+    /// Without it, no side can be identified as an end of the print.
     ///
     /// # Errors
-    /// [`LabelError::NotFinite`], [`LabelError::NoLattice`] when fewer than 3 x 3 markers are in a lattice, and
-    /// [`LabelError::Torn`] when so many neighbours disagree that nothing is certain.
+    /// [`LabelError::NotFinite`], [`LabelError::NoLattice`] when fewer than 3 x 3 markers are in a
+    /// lattice, and [`LabelError::Torn`] when too many neighbours disagree for a reliable result.
     pub fn run(
         &mut self,
         detected_px: &[DVec2],
@@ -118,8 +122,8 @@ impl LatticeFinder {
         self.find(detected_px, size_px, false, out)
     }
 
-    /// As [`Self::run`] for detected markers: one with more than 1.7 times the area of its neighbour is two that touch, or a
-    /// smear, and gets no place.
+    /// As [`Self::run`] for detected markers. A marker with more than 1.7 times the area of its neighbour
+    /// is two merged markers or a smear, and gets no place.
     ///
     /// # Errors
     /// As [`Self::run`].
@@ -133,7 +137,7 @@ impl LatticeFinder {
         self.find(&detected.centres_px, size_px, false, out)
     }
 
-    /// As [`Self::run`], with outer rows and columns of which only a marker or two are seen.
+    /// As [`Self::run`], keeping outer rows and columns of which only a marker or two were detected.
     pub(super) fn run_with_specks(
         &mut self,
         detected_px: &[DVec2],
@@ -171,8 +175,8 @@ impl LatticeFinder {
         if out.placed < 9 || out.rows.min(out.cols) < 3 { Err(none) } else { Ok(()) }
     }
 
-    /// Grows from one seed after another until one lattice holds most of the detections or enough were tried; keeps the
-    /// largest.
+    /// Grows from successive seeds until one lattice holds most of the detections or the limit is
+    /// reached; keeps the largest.
     fn place_all(&mut self, points: &[DVec2]) -> Option<()> {
         let (spread_px, spacing_px) = self.sort_into_grid(points)?;
         self.near_px = neighbour_distance(points, &self.grid, spacing_px, NEAR_SAMPLE, &mut self.distances)?;
@@ -204,7 +208,8 @@ impl LatticeFinder {
         (most >= 9).then_some(())
     }
 
-    /// Puts the best places back, turned so that rows run most nearly from left to right; gives the mean steps and the pitch.
+    /// Restores the best places, turned so that rows run most nearly from left to right. Returns the mean
+    /// steps and the pitch.
     fn turn_upright(&mut self, points: &[DVec2]) -> Option<(DVec2, DVec2, f64)> {
         if !self.best_is_laid {
             self.put_turned(0);
@@ -227,8 +232,8 @@ impl LatticeFinder {
         }
     }
 
-    /// Leaves the detections in the grid; the diagonal of their bounding box, and the side of the square that each would have to
-    /// itself.
+    /// Sorts the detections into the grid. Returns the diagonal of their bounding box and the side of the
+    /// square area per detection.
     fn sort_into_grid(&mut self, points: &[DVec2]) -> Option<(f64, f64)> {
         let first = *points.first()?;
         let (low, high) = points.iter().fold((first, first), |(l, h), &p| (l.min(p), h.max(p)));
@@ -238,9 +243,9 @@ impl LatticeFinder {
         Some((spread.length(), side))
     }
 
-    /// The most regular of the next few seeds; `start` says where in the list to go on.
+    /// Most regular of the next few seeds; `start` is the position in the list at which to continue.
     fn next_seed(&self, points: &[DVec2], start: &mut usize, needed: Around) -> Option<Seed> {
-        // Neighbours in the list are often neighbours in the image: a stride spreads the sample.
+        // Neighbours in the list are often neighbours in the image, so a stride spreads the sample.
         let len = points.len();
         let stride = (len / SEED_SAMPLE).max(1) | 1;
         let mut best: Option<Seed> = None;
@@ -264,12 +269,13 @@ impl LatticeFinder {
         best
     }
 
-    /// From the seed outwards, then the detections left over.
+    /// Grows outwards from the seed, then places the remaining detections.
     fn grow(&mut self, points: &[DVec2], seed: &Seed) {
         let steps = [seed.row_step, seed.col_step];
         self.detection_grid.put(Place::default(), seed.centre, steps);
         let tolerance_px = 0.25 * seed.row_step.length().min(seed.col_step.length());
-        // But for the middle one: a speck beside the seed has no place.
+        // All but the centre, which is placed already; a false detection beside it must not take its
+        // place.
         for n in (0..9).filter(|&n| n != 4) {
             let (row, col) = (n / 3 - 1, n % 3 - 1);
             let at = points[seed.centre] + seed.row_step * f64::from(col) + seed.col_step * f64::from(row);
@@ -299,8 +305,8 @@ impl LatticeFinder {
         }
     }
 
-    /// Places what lies one step from the markers around those left over, or from one placed since `walked`, until nothing new
-    /// is found; gives how many have been walked from.
+    /// Places detections one step from the markers in `around`, or from those placed since `walked`,
+    /// until nothing new is found. Returns the number of placed markers visited.
     fn walk(&mut self, points: &[DVec2], walked: usize, tolerance: f64, sources: u32) -> usize {
         for n in 0..self.around.len() {
             self.step_from(points, self.around[n] as usize, tolerance, sources);
@@ -331,7 +337,7 @@ impl LatticeFinder {
         }
     }
 
-    /// Only there can anything new be placed.
+    /// Lists the placed markers near unplaced detections; only there can anything new be placed.
     fn find_around_left_over(&mut self, points: &[DVec2]) {
         self.around.clear();
         for &m in &self.left_over {
@@ -374,7 +380,8 @@ impl LatticeFinder {
         area(neighbour).zip(area(m)).is_none_or(|(one, other)| other <= MAX_AREA * one)
     }
 
-    /// Asks every detection without a place where it belongs, as seen from the nearest placed one.
+    /// Places each remaining detection at the place predicted from the nearest placed one, if it lies
+    /// near enough.
     fn ask_left_over(&mut self, points: &[DVec2], tolerance: f64) {
         self.left_over.retain(|&m| self.detection_grid.places[m as usize].is_none());
         for n in 0..self.left_over.len() {
@@ -388,8 +395,8 @@ impl LatticeFinder {
         self.left_over.retain(|&m| self.detection_grid.places[m as usize].is_none());
     }
 
-    /// The empty place of a detection as seen from the nearest placed one: that one, the place, the length of a step and where
-    /// the place should be.
+    /// Empty place of a detection relative to the nearest placed one. Returns that detection, the place,
+    /// the length of a step and the predicted position.
     fn place_from_nearest(&self, points: &[DVec2], m: usize) -> Option<(usize, Place, f64, DVec2)> {
         let from = self
             .grid

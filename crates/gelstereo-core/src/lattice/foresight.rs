@@ -5,28 +5,34 @@ use crate::math::DVec2;
 use alloc::vec::Vec;
 use core::cmp::Ordering;
 
-/// Algorithm 1: writes into `order` the permutation that sorts `positions_px` row by row, left to right. The lattice
-/// is N = rows x cols; `tolerance_px` is l. No allocation once `order` has held N.
+/// Algorithm 1: writes into `order` the permutation that sorts `positions_px` row by row, left to right.
+/// The lattice has N = rows x cols markers; `tolerance_px` is l. Does not allocate once `order` has held
+/// N.
 ///
-/// Markers are sorted by ordinate. Then, row by row, the first 2 cols of those left are the foresight space, from which a
-/// marker joins the row when its abscissa is at least l from each one that joined before, until the row is full.
+/// Markers are sorted by ordinate. Then, row by row, the first 2 cols of the remaining markers form the
+/// foresight space. A marker of it joins the row when its abscissa is at least l from that of every
+/// marker already in the row, until the row is full.
 ///
-/// The algorithm is printed with slips; they are read so:
-/// - its loops start at 1 over arrays counted from 0 (`S[0]` would be skipped, and with R empty the comparison with
-///   `R[0]` too): they start at 0;
-/// - `i < 2r` runs past the end when fewer than 2r markers are left: the foresight space is what is left, at most 2r;
-/// - a row leaves the foresight space in the order of its ordinates, although T' is to run from left to right: each row is
-///   sorted by abscissa;
-/// - the last row is appended as it is: it must meet the same rule of l, and is sorted as well;
-/// - a row that does not fill goes on with fewer markers, and all rows below it are wrong: that is
-///   [`LabelError::RowNotFilled`];
-/// - ties of coordinates are left to the sorting routine: they are broken by the other coordinate, then by the index.
+/// The printed algorithm contains slips, resolved as follows:
+/// - its loops start at 1 over arrays counted from 0 (`S[0]` would be skipped, and with R empty the
+///   comparison with `R[0]` too): here they start at 0;
+/// - `i < 2r` runs past the end when fewer than 2r markers remain: the foresight space is what remains,
+///   at most 2r;
+/// - a row leaves the foresight space in the order of its ordinates, although T' is to run from left to
+///   right: here each row is sorted by abscissa;
+/// - the last row is appended unchanged: here it must meet the same rule of l, and is sorted as well;
+/// - a row that does not fill continues with fewer markers, which makes all rows below it wrong: here
+///   that is [`LabelError::RowNotFilled`];
+/// - ties of coordinates are left to the sorting routine: here they are broken by the other coordinate,
+///   then by the index.
 ///
-/// The paper trusts the result; from about 5 degrees of rotation it can be wrong although all rows fill. Here a marker
-/// farther than l from the middle of its neighbours is [`LabelError::Irregular`].
+/// The paper does not check the result; from about 5 degrees of rotation it can be wrong although all
+/// rows fill. Here a marker farther than l from the midpoint of its neighbours is
+/// [`LabelError::Irregular`].
 ///
 /// # Errors
-/// [`LabelError`] when the count is off, a position is not finite, a row does not fill, or the result is no lattice.
+/// [`LabelError`] when the count is off, a position is not finite, a row does not fill, or the result is
+/// not a lattice.
 pub fn foresight_sort(
     positions_px: &[DVec2],
     rows: usize,
@@ -56,8 +62,8 @@ pub fn foresight_sort(
     check_regular(rows, cols, tolerance_px, |row, col| Some(positions_px[order[row * cols + col]]))
 }
 
-/// Moves the markers of one row to the front of the foresight space, the others keeping their order; returns how
-/// many there are, at most `cols`.
+/// Moves the markers of one row to the front of the foresight space and keeps the order of the others.
+/// Returns the number moved, at most `cols`.
 fn extract_row(positions_px: &[DVec2], space: &mut [usize], cols: usize, tolerance_px: f64) -> usize {
     let mut found = 0;
     for i in 0..space.len() {

@@ -1,4 +1,4 @@
-//! What was found of a lattice in one frame.
+//! The part of a lattice found in one frame.
 
 use crate::math::DVec2;
 use alloc::vec::Vec;
@@ -21,8 +21,8 @@ impl Place {
         Self { row: self.row + rows, col: self.col + cols }
     }
 
-    /// The place when the lattice is read with its columns as rows, so many times: what was down is then right, and what
-    /// was right is up.
+    /// The place after reading columns as rows `quarter_turns` times: down becomes right, and right
+    /// becomes up.
     #[must_use]
     pub const fn turned(self, quarter_turns: u8) -> Self {
         let Self { row, col } = self;
@@ -40,21 +40,21 @@ impl Place {
 pub struct Side {
     /// Markers placed in it.
     pub placed: usize,
-    /// Places one step farther out that lie in the image, half a pitch from its border or more, where no marker was
-    /// found.
+    /// Places one step farther out that lie in the image, at least half a pitch from its border, without
+    /// a detected marker.
     pub empty_beyond: usize,
-    /// Whether the print ends here: at least half of the row is there, and two fifths of the next one would be seen if it were
-    /// printed.
-    /// Otherwise the lattice may go on, out of the image or unseen.
+    /// Whether the print ends here: at least half of the row is present, and at least two fifths of the
+    /// next row would be visible if it were printed. Otherwise the lattice may continue outside the image
+    /// or undetected.
     pub ends: bool,
 }
 
-/// The lattice found in one frame, up to its symmetry: which of the printed rows is row 0 here, and which of the four
-/// quarter turns is the printed one, [`anchor`](super::anchor) tells. Of the four turns this is the one whose rows run most
-/// nearly from left to right.
+/// The lattice found in one frame, up to its symmetry. The printed row of row 0 and the printed quarter
+/// turn are determined by [`anchor`](super::anchor). Of the four turns, this is the one whose rows run
+/// most nearly from left to right.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FoundLattice {
-    /// Place of each detection; none where it belongs to no place or to none with certainty.
+    /// Place of each detection; `None` where it has no place or an ambiguous one.
     pub places: Vec<Option<Place>>,
     /// Rows found, from the first to the last with a marker.
     pub rows: usize,
@@ -70,15 +70,15 @@ pub struct FoundLattice {
     pub col_step_px: DVec2,
     /// Median distance of neighbours, pixels.
     pub pitch_px: f64,
-    /// Largest distance of a placed marker from where its neighbours say, in pitches; one that slipped by a place is off
-    /// by half a pitch or more.
+    /// Largest distance of a placed marker from its prediction by its neighbours, pitches. A slip by one
+    /// place gives half a pitch or more.
     pub worst_pitches: f64,
     /// Detections that lost their place because their neighbours disagreed.
     pub dropped: usize,
 }
 
 impl FoundLattice {
-    /// Which detection stands at each place.
+    /// Detection at each place.
     #[must_use]
     pub fn sites(&self) -> Sites {
         let Self { rows, cols, .. } = *self;
@@ -104,17 +104,17 @@ pub struct Sites {
 }
 
 impl Sites {
-    /// So many rows and columns, without a detection.
+    /// An empty set of sites.
     pub(super) fn empty(rows: usize, cols: usize) -> Self {
         Self { rows, cols, detection: alloc::vec![None; rows * cols] }
     }
 
-    /// Puts a detection, or none, at a place that there is.
+    /// Sets or clears the detection at an existing place.
     pub(super) fn set(&mut self, place: Place, detection: Option<usize>) {
         self.detection[place.row as usize * self.cols + place.col as usize] = detection.map(|m| m as u32);
     }
 
-    /// The detection at a place, if one was found there.
+    /// Detection at a place, if any.
     #[must_use]
     pub fn at(&self, place: Place) -> Option<usize> {
         let (row, col) = (usize::try_from(place.row).ok()?, usize::try_from(place.col).ok()?);

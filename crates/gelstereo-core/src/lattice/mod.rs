@@ -1,7 +1,7 @@
 //! Row and column of every marker: foresight sort (Algorithm 1) and the rest lattice.
 //!
-//! Both refuse rather than mislabel: what they return is a lattice in which every marker stands where its neighbours
-//! say.
+//! Both return an error rather than wrong labels: in a returned lattice, every marker agrees with its
+//! neighbours.
 
 mod anchor;
 mod beyond;
@@ -54,12 +54,12 @@ pub enum LabelError {
         /// Markers of a row.
         expected: usize,
     },
-    /// No marker has four neighbours as in a lattice.
+    /// No marker has the regular neighbours of a lattice.
     NoLattice {
         /// Markers found.
         found: usize,
     },
-    /// The lattice found is not the one configured.
+    /// The lattice found differs from the configured one.
     Shape {
         /// Rows found.
         rows: usize,
@@ -81,7 +81,7 @@ pub enum LabelError {
         /// Markers that lost their place.
         dropped: usize,
     },
-    /// A border row or column that may be printed or not.
+    /// A border row or column that may or may not be printed.
     Border {
         /// Upper row, left column, lower row, right column.
         side: usize,
@@ -89,12 +89,12 @@ pub enum LabelError {
         seen: usize,
         /// Markers it would have.
         length: usize,
-        /// Rows found, this one with them.
+        /// Rows found, including this one.
         rows: usize,
-        /// Columns found, this one with them.
+        /// Columns found, including this one.
         cols: usize,
     },
-    /// No turn of the lattice leaves all the places of `lattice.missing` empty.
+    /// No turn of the lattice leaves all places of `lattice.missing` empty.
     NeverPrinted {
         /// Row of a place where a marker was found.
         row: usize,
@@ -105,24 +105,24 @@ pub enum LabelError {
         /// Columns found.
         cols: usize,
     },
-    /// A marker does not stand where its neighbours say.
+    /// A marker disagrees with its neighbours.
     Irregular {
         /// Its row.
         row: usize,
         /// Its column.
         col: usize,
-        /// Distance from where its neighbours say, pixels; infinite where the lattice folds over.
+        /// Distance from its prediction by its neighbours, pixels; infinite where the lattice folds over.
         off_px: f64,
         /// Largest valid one.
         most_px: f64,
     },
-    /// A marker was filled in although a detection that has no label stands there: labels have slipped.
+    /// A marker was filled in although an unlabelled detection lies there: labels have slipped.
     Slipped {
         /// Its row.
         row: usize,
         /// Its column.
         col: usize,
-        /// Distance of the detection from where it was filled in, pixels.
+        /// Distance of the detection from the filled-in position, pixels.
         off_px: f64,
     },
 }
@@ -194,13 +194,13 @@ impl core::fmt::Display for LabelError {
 
 impl core::error::Error for LabelError {}
 
-/// Two different numbers with as many decimals as it takes to tell them apart.
+/// Two different numbers, with as many decimals as are needed to distinguish them.
 fn told_apart(one: f64, other: f64) -> (String, String) {
     let with = |decimals: usize| (format!("{one:.decimals$}"), format!("{other:.decimals$}"));
     (1..=DECIMALS).map(with).find(|(a, b)| a != b).unwrap_or_else(|| (format!("{one}"), format!("{other}")))
 }
 
-/// Most decimals of a pixel that are worth a look before all are shown.
+/// Most decimals of a pixel to try before all are printed.
 const DECIMALS: usize = 6;
 
 /// The rest lattice, complete.
@@ -212,16 +212,19 @@ pub struct RestLattice {
     pub cols: usize,
     /// Position of marker `row * cols + col`, pixels.
     pub positions_px: Vec<DVec2>,
-    /// Its index among the detections; none where it was filled in from its neighbours (never printed or not detected).
+    /// Its detection index; `None` where it was filled in from its neighbours (never printed or not
+    /// detected).
     pub detection: Vec<Option<u32>>,
     /// Median distance of neighbours, pixels.
     pub pitch_px: f64,
 }
 
-/// Whether a labelling is a lattice: no cell folds over, and every marker lies within `most_px` of the middle of
-/// its left and right, and of its upper and lower, neighbours. `at(row, col)` may be unknown; such markers are not checked.
+/// Checks that a labelling is a lattice: no cell folds over, and every marker lies within `most_px` of
+/// the midpoint of its left and right, and of its upper and lower, neighbours. `at(row, col)` may be
+/// unknown; such markers are not checked.
 ///
-/// A marker that took its neighbour's label, or a row that slips into the next one, is at least half a pitch off.
+/// A marker with its neighbour's label, or a row that slips into the next one, is at least half a pitch
+/// off.
 fn check_regular(
     rows: usize,
     cols: usize,
@@ -254,7 +257,7 @@ fn check_regular(
     Ok(())
 }
 
-/// Whether a cell, given in the order of its outline, turns the wrong way at one of its corners.
+/// Whether a cell, given in the order of its outline, has a reversed orientation at one of its corners.
 fn folds(corners: [Option<DVec2>; 4]) -> bool {
     if let [Some(a), Some(b), Some(c), Some(d)] = corners {
         let sides = [b - a, c - b, d - c, a - d];

@@ -1,4 +1,4 @@
-//! The rest lattice: rows and columns counted, every marker labelled, missing ones filled in.
+//! The rest lattice: counts rows and columns, labels every marker and fills in missing ones.
 
 use super::beyond::with_lines_beyond;
 use super::fill::Partial;
@@ -10,24 +10,27 @@ use crate::params::LatticeParams;
 use crate::spatial::Grid;
 use alloc::vec::Vec;
 
-/// A border row or column of at least so many places in which one marker is seen, or one in twelve, is a row of specks. In a
-/// shorter one it may as well be what is left of a row.
+/// A border row or column of at least this length with a single detection consists of false detections.
+/// So does any row with at most one place in twelve detected. In a shorter row, one detection may be the
+/// remainder of a printed row.
 const LONG: usize = 8;
 
-/// Counts rows and columns of a frame, labels it, and fills in up to `lattice.max_missing_share` of its markers where none
-/// was detected. The frame should be undisturbed, as it is what later ones are compared with; it is labelled all the same
-/// under contact.
+/// Counts the rows and columns of a frame, labels it, and fills in up to `lattice.max_missing_share` of
+/// its markers where none was detected. The frame should be undisturbed, as later frames are compared
+/// with it; a frame under contact is labelled as well.
 ///
-/// The lattice is that of [`LatticeFinder`]. A border row of which at least half is seen is a row; one with a single marker, or
-/// one in twelve, is none but specks; between the two, `lattice.rows` and `lattice.cols` decide, or the frame is refused.
+/// The lattice is that of [`LatticeFinder`]. A border row counts if at least half of it is detected. It
+/// is discarded as false detections if it has a single marker, or one in twelve. In between,
+/// `lattice.rows` and `lattice.cols` decide; without them the frame is refused.
 ///
-/// Of the four ways to turn the labels (two where rows and columns are set and differ) the one is taken whose rows run
-/// most nearly from left to right; `lattice.missing` goes before that: a turn that finds a marker where none was printed
-/// is wrong. At 45 degrees two ways are as near: [`RestLattice::turned_like`] turns the labels of one view like those of another.
+/// The labels can be turned in four ways (two where rows and columns are set and differ). The turn whose
+/// rows run most nearly from left to right is taken, except that `lattice.missing` has priority: a turn
+/// with a marker where none was printed is wrong. At 45 degrees two turns are equally near;
+/// [`RestLattice::turned_like`] aligns the labels of one view with those of another.
 ///
 /// # Errors
-/// [`LabelError`] naming what was found: a lattice with other rows or columns than the settings say, if they do, with too
-/// many gaps, or with fewer than 3 x 3 markers.
+/// [`LabelError`] with what was found: a lattice whose rows or columns differ from the settings, if set,
+/// one with too many gaps, or one with fewer than 3 x 3 markers.
 pub fn rest_lattice(
     detected_px: &[DVec2],
     lattice: &LatticeParams,
@@ -37,10 +40,12 @@ pub fn rest_lattice(
     label_all(finder, detected_px, detected_px.len(), lattice, tolerance_pitches)
 }
 
-/// As [`rest_lattice`]; where the whole markers make no lattice, those that the image's border cuts tell that their rows and
-/// columns are printed. Where such a marker is the border hides, so that it is filled in and held until it is seen.
+/// As [`rest_lattice`], but if the whole markers form no valid lattice, markers cut by the image border
+/// are added as evidence that their rows and columns are printed. The centre of a cut marker is not
+/// measured: it is filled in and held until the marker is seen whole.
 ///
-/// A border row without any whole marker counts only if `lattice.rows` or `lattice.cols` says so: it gives no point anyway.
+/// A border row without any whole marker counts only if `lattice.rows` or `lattice.cols` requires it: it
+/// contributes no point.
 ///
 /// # Errors
 /// As [`rest_lattice`].
@@ -52,7 +57,7 @@ pub fn rest_lattice_of(
     rest_lattice_by(&mut LatticeFinder::default(), detected, lattice, tolerance_pitches)
 }
 
-/// As [`rest_lattice_of`], in the room of a finder that has perhaps found another lattice.
+/// As [`rest_lattice_of`], reusing the memory of a finder.
 pub(crate) fn rest_lattice_by(
     finder: &mut LatticeFinder,
     detected: &Markers,
@@ -68,11 +73,11 @@ pub(crate) fn rest_lattice_by(
     }
     let all_px: Vec<DVec2> =
         whole.iter().copied().chain(detected.cut.iter().map(|cut| cut.centre_px)).collect();
-    // What cut markers do not help is best told by the whole ones.
+    // If cut markers do not help, the error of the whole markers is the clearer one.
     label_all(finder, &all_px, whole.len(), lattice, tolerance_pitches).or(without)
 }
 
-/// Labels detections of which the first `whole` are as good as they get; the others only show that there is a marker.
+/// Labels detections. The first `whole` are whole markers; the others only show that a marker exists.
 fn label_all(
     finder: &mut LatticeFinder,
     detected_px: &[DVec2],
@@ -97,15 +102,15 @@ fn label_all(
     turn_as_printed(&rest, lattice)
 }
 
-/// Quarter turns that make columns rows: rows then run from top to bottom or from bottom to top, whichever is nearer to
-/// left to right; from top to bottom where both are as near, to 5 degrees, so that noise does not decide.
+/// Quarter turns that make columns rows. Of the two directions, the one nearer to left to right is taken.
+/// If both are equally near, to 5 degrees, rows run from top to bottom, so that noise does not decide.
 pub(super) fn sideways(row_step: DVec2, col_step: DVec2) -> u8 {
-    // Where the columns would run without shear.
+    // Direction of the columns without shear.
     let across = col_step.normalize_or_zero() + row_step.perp().normalize_or_zero();
     if across.x > -0.087 * across.length() { 1 } else { 3 }
 }
 
-/// A rectangle of places, ends not included.
+/// A rectangle of places; ends are exclusive.
 #[derive(Clone, Copy, Debug)]
 struct Window {
     top: usize,
@@ -128,7 +133,7 @@ impl Window {
         (top..bottom).flat_map(move |r| (left..right).map(move |c| Place::new(r as i32, c as i32)))
     }
 
-    /// The rows and columns that are printed.
+    /// Selects the printed rows and columns.
     fn choose(found: &Sites, whole_markers: usize, lattice: &LatticeParams) -> Result<Self, LabelError> {
         let counted = lattice.rows.is_none() && lattice.cols.is_none();
         let mut whole = Self { top: 0, bottom: found.rows, left: 0, right: found.cols };
@@ -143,13 +148,13 @@ impl Window {
             }
         }
         let upright = whole.with_settings(found, lattice, [lattice.rows, lattice.cols]);
-        // Turned by a quarter, the columns are the rows.
+        // After a quarter turn, the columns are the rows.
         upright.or_else(|error| {
             whole.with_settings(found, lattice, [lattice.cols, lattice.rows]).map_err(|_| error)
         })
     }
 
-    /// Without outer rows and columns that the settings say are none, if they are known.
+    /// Removes outer rows and columns that exceed the configured numbers, if these are set.
     fn with_settings(
         mut self,
         found: &Sites,
@@ -244,8 +249,8 @@ impl Line {
     }
 }
 
-/// Refuses a marker that was filled in although a detection without a label lies within the tolerance of it: the labels
-/// around it have slipped. (The middle of two merged dots is half a pitch from both.)
+/// Refuses a filled-in marker if an unlabelled detection lies within the tolerance of it: the labels
+/// around it have slipped. (The midpoint of two merged dots is half a pitch from both.)
 fn check_gaps(
     points: &[DVec2],
     positions_px: &[DVec2],
@@ -297,7 +302,8 @@ fn turn_as_printed(rest: &RestLattice, lattice: &LatticeParams) -> Result<RestLa
 }
 
 impl RestLattice {
-    /// The same lattice with its columns read as rows so many times: what was down is then right, what was right is up.
+    /// The same lattice after reading columns as rows `quarter_turns` times: down becomes right, and
+    /// right becomes up.
     #[must_use]
     pub fn turned(&self, quarter_turns: u8) -> Self {
         if quarter_turns.is_multiple_of(4) {
@@ -326,7 +332,8 @@ impl RestLattice {
         }
     }
 
-    /// Mean direction of the rows from their first marker to their last, and of the columns; not unit vectors.
+    /// Mean direction of the rows from their first marker to their last, and of the columns; not unit
+    /// vectors.
     #[must_use]
     pub fn directions(&self) -> [DVec2; 2] {
         let at = |r: usize, c: usize| self.positions_px.get(r * self.cols + c).copied().unwrap_or_default();
@@ -336,8 +343,8 @@ impl RestLattice {
         [row, col]
     }
 
-    /// Turned by quarters so that its rows run as nearly as they can as those of `other`: the two views of one print get the
-    /// same labels, at 45 degrees too.
+    /// The lattice after the quarter turns that best align its rows with those of `other`. The two views
+    /// of one print get the same labels, even at 45 degrees.
     #[must_use]
     pub fn turned_like(&self, other: &Self) -> Self {
         let angle = |[row, col]: [DVec2; 2]| {

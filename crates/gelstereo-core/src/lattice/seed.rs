@@ -1,17 +1,17 @@
-//! Where a lattice can start: a marker with regular surroundings.
+//! Seed of a lattice: a marker with regular surroundings.
 
 use crate::math::{DVec2, median};
 use crate::spatial::Grid;
 use alloc::vec::Vec;
 
-/// Most neighbours of a marker that are looked at.
+/// Most neighbours considered per marker.
 const AROUND: usize = 16;
 
-/// Longest shorter step, in distances to the nearest neighbour: less than the diagonal of a square, so that every second marker
-/// is not taken for the lattice.
+/// Upper bound of the shorter step, in distances to the nearest neighbour. It is below the diagonal of a
+/// square, which excludes the lattice of every second marker.
 const LONGEST: f64 = 1.3;
 
-/// A marker and the steps to the next one of its row and of its column.
+/// A marker and the steps to the next marker of its row and of its column.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Seed {
     pub centre: usize,
@@ -31,7 +31,7 @@ pub(super) fn neighbour_distance(
 ) -> Option<f64> {
     scratch.clear();
     for n in (0..points.len()).step_by(points.len().div_ceil(sample).max(1)) {
-        // Hardly ever farther than in an even spread.
+        // Rarely farther than in a uniform distribution.
         let within = |radius_px: f64| grid.nearest(points, points[n], radius_px, |m| m != n);
         let nearest = within(1.5 * spacing_px).or_else(|| within(3.0 * spacing_px));
         scratch.extend(nearest.map(|m| points[n].distance(points[m])));
@@ -39,21 +39,22 @@ pub(super) fn neighbour_distance(
     median(scratch).filter(|&d| d > 0.0 && d.is_finite())
 }
 
-/// How much of a seed's surroundings must be there.
+/// Which neighbours of a seed must be present.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Around {
     /// All eight neighbours.
     All,
-    /// Those of two cells side by side: two opposite neighbours, one across, and the corners between them. For small lattices
-    /// with gaps.
+    /// Those of two adjacent cells: two opposite neighbours, one across, and the corners between them.
+    /// For small lattices with gaps.
     Half,
 }
 
-/// The lattice about a point, if its surroundings are regular: the two shortest steps that lead to markers both
-/// forwards and backwards, and whose sums lead to markers as well; of `Half`, the second step and its sums only forwards.
+/// Local lattice around a point, if its surroundings are regular. The two steps are the shortest ones
+/// with markers both forwards and backwards whose sums also lead to markers. With `Half`, the second step
+/// and its sums are only checked forwards.
 ///
-/// The middle of two merged dots and a lattice of every second marker fail by the sums, or by a marker that lies within
-/// a cell.
+/// The midpoint of two merged dots and the lattice of every second marker fail the sum check, or have a
+/// marker inside a cell.
 pub(super) fn seed_at(
     points: &[DVec2],
     grid: &Grid,
@@ -110,7 +111,7 @@ fn shortest(steps: impl Iterator<Item = DVec2>) -> Option<DVec2> {
     steps.min_by(|a, b| a.length_squared().total_cmp(&b.length_squared()))
 }
 
-/// Half the difference of two opposite steps, the shortest that is wanted.
+/// Half the difference of two opposite steps: the shortest one that `wanted` accepts.
 fn shortest_both_ways(around: &[DVec2], wanted: impl Fn(DVec2) -> bool) -> Option<DVec2> {
     let mut best: Option<DVec2> = None;
     for (n, &step) in around.iter().enumerate().filter(|&(_, &step)| wanted(step)) {
@@ -125,12 +126,12 @@ fn shortest_both_ways(around: &[DVec2], wanted: impl Fn(DVec2) -> bool) -> Optio
     best
 }
 
-/// Of the eight ways to name two axes, the one whose columns are a clockwise turn (y down) from the rows and whose rows run
-/// most nearly to the right.
+/// Of the eight ways to name two axes, returns the one whose columns are a clockwise turn (y down) from
+/// the rows and whose rows run most nearly to the right.
 pub(super) fn rows_to_the_right(first: DVec2, second: DVec2) -> (DVec2, DVec2) {
     let (mut row, mut col) = if first.perp_dot(second) > 0.0 { (first, second) } else { (first, -second) };
     for _ in 0..3 {
-        // Rows less columns points to the upper right when neither axis is more than 45 degrees off.
+        // Accepts a mean angle of the two axes within 45 degrees of upright.
         let (a, b) = (row.normalize_or_zero(), col.normalize_or_zero());
         if a.x + b.y >= (a.y - b.x).abs() && a.x + b.y > 0.0 {
             break;
@@ -140,7 +141,7 @@ pub(super) fn rows_to_the_right(first: DVec2, second: DVec2) -> (DVec2, DVec2) {
     (row, col)
 }
 
-/// Whether no neighbour lies well within one of the four cells or on the middle of an edge.
+/// Whether no neighbour lies well inside one of the four cells or near the midpoint of an edge.
 fn cells_are_empty(around: &[DVec2], row_step: DVec2, col_step: DVec2) -> bool {
     let area = row_step.perp_dot(col_step);
     around.iter().all(|s| {

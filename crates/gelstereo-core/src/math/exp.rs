@@ -1,15 +1,15 @@
-//! The exponential of many non-positive numbers: without branches, tables and divisions, so that loops over it vectorise.
+//! Branch-free exponential of non-positive numbers, without tables or divisions, so that loops vectorise.
 
 use core::f64::consts::LOG2_E;
 
-/// The exponential falls below the least normal number soon after: e^-708.4 = 2^-1022.
+/// Slightly above the exponent at which the result becomes subnormal: e^-708.4 = 2^-1022.
 const LEAST: f64 = -708.0;
-/// ln 2 to 32 bits, of which multiples up to 2^21 are exact, and the rest.
+/// ln 2 rounded to 32 bits, whose multiples up to 2^21 are exact, and the remainder.
 const LN_2_HIGH: f64 = 0.6931471803691238;
 const LN_2_LOW: f64 = 1.9082149292705877e-10;
-/// 1.5 · 2^52: a sum with it is rounded to an integer, which stands in its lowest bits.
+/// 1.5 · 2^52: adding it rounds to an integer, held in the lowest bits.
 const ROUND: f64 = 6_755_399_441_055_744.0;
-/// 1/k! from k = 2; the first one left out, (ln 2 / 2)^14 / 14! = 4e-18, is a thirtieth of the last place.
+/// 1/k! from k = 2. The first omitted term, (ln 2 / 2)^14 / 14! = 4e-18, is a thirtieth of an ulp.
 const INVERSE_FACTORIALS: [f64; 12] = [
     0.5,
     0.16666666666666666,
@@ -25,11 +25,10 @@ const INVERSE_FACTORIALS: [f64; 12] = [
     1.6059043836821613e-10,
 ];
 
-/// e^x for x <= 0; below -708, where it is less than 2^-1021, 0. Numbers above 0 and NaN have no meaning here.
+/// e^x for x <= 0; 0 below -708, where e^x is less than 2^-1021. Undefined for x > 0 and NaN.
 ///
-/// With x = k ln 2 + r, |r| <= ln 2 / 2, it is 2^k (1 + r + r² q(r)). In units of the result's last place the roundings
-/// of r, of r² q and of r + r² q come to at most a quarter each where the result is least, and that of the sum to a
-/// half: within 1.5 ulp.
+/// With x = k ln 2 + r, |r| <= ln 2 / 2, it is 2^k (1 + r + r² q(r)). The roundings of r, r² q and r + r² q
+/// are at most a quarter ulp each where the result is smallest, and the final sum adds half: within 1.5 ulp.
 #[inline]
 pub(crate) fn exp_nonpositive(x: f64) -> f64 {
     let rounded = x * LOG2_E + ROUND;
@@ -40,7 +39,7 @@ pub(crate) fn exp_nonpositive(x: f64) -> f64 {
     if x >= LEAST { scaled } else { 0.0 }
 }
 
-/// (e^r - 1 - r) / r² = Σ r^k / (k + 2)!, in pairs (Estrin), which wait less for each other than one by one.
+/// (e^r - 1 - r) / r² = Σ r^k / (k + 2)!, in pairs (Estrin), which shortens the dependency chain.
 #[inline]
 fn quotient(r: f64) -> f64 {
     let c = &INVERSE_FACTORIALS;
@@ -67,7 +66,7 @@ mod tests {
             (-1e-300, 1.0),
             (-1e-17, 1.0),
             (-0.1, 0.9048374180359595),
-            // On either side of where k changes.
+            // On both sides of a change of k.
             (-0.3465, 0.7071588192872713),
             (-0.3466, 0.7070881069410189),
             (-1.0, 0.36787944117144233),

@@ -2,7 +2,7 @@
 
 use super::linalg::Symmetric;
 
-/// L and D of a symmetric matrix that is clearly positive definite (L D Lᵀ, Golub and Van Loan, section 4.1).
+/// L D Lᵀ factorisation of a clearly positive definite matrix (Golub and Van Loan, section 4.1).
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Factor<const N: usize> {
     lower: Symmetric<N>,
@@ -10,8 +10,8 @@ pub(crate) struct Factor<const N: usize> {
 }
 
 impl<const N: usize> Factor<N> {
-    /// From the lower triangle of `matrix`; `None` when a pivot loses all but 1e-9 of its diagonal entry: the direction
-    /// is not determined.
+    /// From the lower triangle of `matrix`. `None` if a pivot falls below 1e-9 of its diagonal entry:
+    /// that direction is not determined.
     pub fn new(matrix: &Symmetric<N>) -> Option<Self> {
         let (mut lower, mut diagonal) = ([[0.0; N]; N], [0.0; N]);
         for j in 0..N {

@@ -1,9 +1,9 @@
 //! Small dense symmetric linear algebra.
 
-/// A symmetric N x N matrix, stored whole, row by row.
+/// A symmetric N x N matrix, stored in full, row by row.
 pub type Symmetric<const N: usize> = [[f64; N]; N];
 
-/// The upper triangle of a symmetric matrix; below it there is nothing.
+/// The upper triangle of a symmetric matrix; entries below the diagonal stay zero.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Triangle<const N: usize>(pub Symmetric<N>);
 
@@ -34,8 +34,8 @@ pub struct Eigen<const N: usize> {
 
 /// Eigen-decomposition of a symmetric matrix by cyclic Jacobi rotations (Golub and Van Loan, section 8.5).
 ///
-/// Only finite input is meaningful; the sweeps are bounded, so it always returns. Eigenvalues are accurate to a few
-/// ulp of the largest. The sign of a vector makes its largest component positive.
+/// Only meaningful for finite input; the number of sweeps is bounded, so it always returns. Eigenvalues
+/// are accurate to a few ulp of the largest. Each vector's largest component is positive.
 #[must_use]
 pub fn eigen<const N: usize>(matrix: &Symmetric<N>) -> Eigen<N> {
     let mut a = *matrix;
@@ -63,12 +63,12 @@ pub fn eigen<const N: usize>(matrix: &Symmetric<N>) -> Eigen<N> {
     }
 }
 
-/// Whether rounding may have left that much of zero beside these diagonal entries. Relative to both, so that small
-/// eigenvalues of a graded matrix keep their digits (Demmel and Veselić 1992).
+/// Whether this off-diagonal entry is zero up to rounding. The test is relative to both diagonal entries,
+/// so that small eigenvalues of a graded matrix stay accurate (Demmel and Veselić 1992).
 fn is_zero(off: f64, diagonal: [f64; 2]) -> bool {
     let rounding = 0.25 * f64::EPSILON;
     let [a, d] = diagonal.map(f64::abs);
-    // Mostly the larger one tells. Two roots, as the product may underflow.
+    // The larger one usually decides. Two roots, as the product may underflow.
     off == 0.0
         || (off.abs() <= rounding * a.max(d) && off.abs() <= rounding * (libm::sqrt(a) * libm::sqrt(d)))
 }
@@ -77,12 +77,12 @@ fn is_zero(off: f64, diagonal: [f64; 2]) -> bool {
 fn rotate<const N: usize>(a: &mut Symmetric<N>, v: &mut [[f64; N]; N], p: usize, q: usize) {
     let off = a[p][q];
     let tau = (a[q][q] - a[p][p]) / (2.0 * off);
-    // Where the square is infinite the turn is too small to tell.
+    // If the square overflows, the rotation is negligible.
     let root = libm::sqrt(1.0 + tau * tau);
     let t = if tau >= 0.0 { 1.0 / (tau + root) } else { 1.0 / (tau - root) };
     let c = 1.0 / libm::sqrt(1.0 + t * t);
     let s = t * c;
-    // As corrections: c² a - 2 c s b + s² d would cancel for a small eigenvalue beside a large one.
+    // As corrections: c² a - 2 c s b + s² d would cancel for a small eigenvalue next to a large one.
     let (low, high) = (a[p][p] - t * off, a[q][q] + t * off);
     let (row_p, row_q) = (a[p], a[q]);
     a[p] = core::array::from_fn(|i| c * row_p[i] - s * row_q[i]);
@@ -98,7 +98,7 @@ fn rotate<const N: usize>(a: &mut Symmetric<N>, v: &mut [[f64; N]; N], p: usize,
     }
 }
 
-/// The vector or its opposite, whichever has a positive largest component.
+/// The vector, negated if needed so that its largest component is positive.
 fn oriented<const N: usize>(vector: [f64; N]) -> [f64; N] {
     let largest = vector.iter().fold(0.0_f64, |best, &x| if x.abs() > best.abs() { x } else { best });
     if largest < 0.0 { vector.map(|x| -x) } else { vector }

@@ -1,7 +1,7 @@
-//! The only door to libm, and the small geometry built on it.
+//! The only use of libm, and the basic geometry built on it.
 //!
-//! libm is used in place of std's functions because std's differ between machines with and without FMA, and the
-//! same input must give the same bits everywhere.
+//! libm replaces std's functions because those differ between machines with and without FMA; the same
+//! input must give the same bits everywhere.
 
 mod exp;
 mod factor;
@@ -25,7 +25,7 @@ pub fn centroid(points: &[DVec3]) -> DVec3 {
     if points.is_empty() {
         return DVec3::ZERO;
     }
-    // Summed relative to the first point, so that an offset of 1e9 mm costs no digits of the shape.
+    // Relative to the first point, so that an offset of 1e9 mm does not cost precision.
     let origin = points[0];
     let sum = points.iter().fold(DVec3::ZERO, |sum, &point| sum + (point - origin));
     origin + sum / points.len() as f64

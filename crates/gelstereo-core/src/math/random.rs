@@ -1,4 +1,4 @@
-//! Random streams keyed by (seed, name): a stream's numbers never depend on which other streams exist.
+//! Random streams keyed by (seed, name): a stream's numbers are independent of other streams.
 
 use super::{cos, ln, sin, sqrt};
 use crate::digest::Digest;
@@ -10,7 +10,7 @@ pub struct Stream {
 }
 
 impl Stream {
-    /// The stream of that seed and name.
+    /// The stream of this seed and name.
     #[must_use]
     pub fn new(seed: u64, name: &str) -> Self {
         let mut key = seed ^ Digest::new().bytes(name.as_bytes()).value();
@@ -54,13 +54,13 @@ impl Stream {
     }
 }
 
-/// 64 uniform bits that depend on key and index alone: the index-th of SplitMix64 from that key.
+/// 64 uniform bits that depend only on key and index: the index-th output of SplitMix64 from that key.
 #[must_use]
 pub const fn keyed(key: u64, index: usize) -> u64 {
     split_mix(&mut key.wrapping_add((index as u64).wrapping_mul(GOLDEN)))
 }
 
-/// Odd, and 2^64 over the golden ratio: the step of SplitMix64 (Steele, Lea and Flood 2014).
+/// 2^64 over the golden ratio, made odd: the increment of SplitMix64 (Steele, Lea and Flood 2014).
 const GOLDEN: u64 = 0x9E37_79B9_7F4A_7C15;
 
 const fn split_mix(key: &mut u64) -> u64 {

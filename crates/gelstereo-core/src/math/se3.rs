@@ -28,10 +28,10 @@ pub enum PoseError {
         column: usize,
         /// What it is.
         value: f64,
-        /// How many of the 16 are.
+        /// How many of the 16 are not finite.
         count: usize,
     },
-    /// A file's quaternion is far from unit length: it is another quantity.
+    /// A file's quaternion is far from unit length, so it is probably another quantity.
     QuaternionLength {
         /// Its length.
         length: f64,
@@ -75,7 +75,7 @@ impl From<RotationError> for PoseError {
 }
 
 impl Pose {
-    /// The motion that moves nothing.
+    /// The identity motion.
     pub const IDENTITY: Self = Self { rotation: DQuat::IDENTITY, translation_mm: DVec3::ZERO };
 
     /// A pure translation.
@@ -87,7 +87,8 @@ impl Pose {
     /// From the rows of a homogeneous 4x4 matrix.
     ///
     /// # Errors
-    /// [`PoseError`] when the matrix is no rigid motion: scaled, sheared, reflected, transposed or not finite.
+    /// [`PoseError`] when the matrix is not a rigid motion: scaled, sheared, reflected, transposed or not
+    /// finite.
     pub fn from_rows(rows: &[[f64; 4]; 4]) -> Result<Self, PoseError> {
         let bad = || rows.as_flattened().iter().enumerate().filter(|(_, x)| !x.is_finite());
         if let Some((first, &value)) = bad().next() {
@@ -121,7 +122,7 @@ impl Pose {
         DMat3::from_quat(self.rotation)
     }
 
-    /// The motion that undoes this one.
+    /// The inverse motion.
     #[must_use]
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation.conjugate();
@@ -140,7 +141,7 @@ impl Pose {
         self.rotation * vector
     }
 
-    /// The same motion with its quaternion at unit length and w >= 0; call it after long chains of products.
+    /// The same motion with a unit quaternion and w >= 0; use it after long chains of products.
     ///
     /// # Errors
     /// [`PoseError`] when the quaternion has no direction or a component is not finite.
@@ -177,7 +178,7 @@ impl Mul for Pose {
     }
 }
 
-/// How a pose is written in a file: as a quaternion, because a matrix does not come back with the same bits.
+/// File format of a pose: a quaternion, because a matrix does not round-trip bit for bit.
 #[cfg(feature = "serde")]
 #[derive(serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -189,7 +190,7 @@ struct PoseFields {
     translation_mm: [f64; 3],
 }
 
-/// What a file may hold: the above, or the four rows of a homogeneous matrix.
+/// Accepted in files: the above, or the four rows of a homogeneous matrix.
 #[cfg(feature = "serde")]
 #[derive(serde::Deserialize)]
 #[serde(
@@ -225,7 +226,7 @@ impl Pose {
     fn from_fields(fields: &PoseFields) -> Result<Self, PoseError> {
         let rotation = DQuat::from_array(fields.rotation_xyzw);
         let pose = Self { rotation, translation_mm: DVec3::from_array(fields.translation_mm) };
-        // What this type wrote is taken bit for bit; what somebody typed is brought to unit length.
+        // Quaternions written by this type are kept bit for bit; others are normalised.
         let written = (rotation.length_squared() - 1.0).abs() <= 4.0 * f64::EPSILON;
         let normalized = pose.normalized()?;
         let length = rotation.length();

@@ -1,7 +1,7 @@
 //! Rotations: exponential, logarithm and the left Jacobian of SO(3), stable at 0 and at π.
 //!
-//! Formulas: T. Barfoot, *State Estimation for Robotics* (2017), chapter 7. Every coefficient is evaluated
-//! without cancellation: as a product of sines where one exists, as an alternating series where none does.
+//! Formulas: T. Barfoot, *State Estimation for Robotics* (2017), chapter 7. Coefficients are evaluated
+//! without cancellation: as a product of sines if possible, otherwise as an alternating series.
 
 use super::{DMat3, DQuat, DVec3, atan2, cos, sin, sqrt};
 
@@ -10,7 +10,7 @@ use super::{DMat3, DQuat, DVec3, atan2, cos, sin, sqrt};
 pub enum RotationError {
     /// A component is NaN or infinite.
     NotFinite,
-    /// The quaternion's norm is too small to have a direction.
+    /// The quaternion's norm is too small to define a direction.
     ZeroNorm {
         /// The norm found.
         norm: f64,
@@ -42,13 +42,14 @@ impl core::fmt::Display for RotationError {
 
 impl core::error::Error for RotationError {}
 
-/// How far R Rᵀ may be from the identity: single-precision files (6e-8) pass, a scaled or sheared matrix does not.
+/// Tolerance for R Rᵀ - I: single-precision files (6e-8) pass, a scaled or sheared matrix does not.
 pub const ORTHONORMAL_TOLERANCE: f64 = 1e-6;
 
 /// Unit quaternion with w >= 0 from any quaternion that has a direction.
 ///
 /// # Errors
-/// [`RotationError::NotFinite`], or [`RotationError::ZeroNorm`] below a norm of 1e-150 (its square underflows).
+/// [`RotationError::NotFinite`], or [`RotationError::ZeroNorm`] below a norm of 1e-150 (its square
+/// underflows).
 pub fn canonical(q: DQuat) -> Result<DQuat, RotationError> {
     if !q.is_finite() {
         return Err(RotationError::NotFinite);
@@ -59,7 +60,7 @@ pub fn canonical(q: DQuat) -> Result<DQuat, RotationError> {
     }
     let (x, y, z, w) = (q.x / scale, q.y / scale, q.z / scale, q.w / scale);
     let norm = sqrt(x * x + y * y + z * z + w * w);
-    // q and -q are one rotation. At exactly π (w = 0) the first non-zero component decides.
+    // q and -q are the same rotation. At exactly π (w = 0) the first non-zero component decides.
     let negative = w < 0.0 || (w == 0.0 && (x < 0.0 || (x == 0.0 && (y < 0.0 || (y == 0.0 && z < 0.0)))));
     let signed = if negative { -norm } else { norm };
     Ok(DQuat::from_xyzw(x / signed, y / signed, z / signed, w / signed))
@@ -82,7 +83,7 @@ pub fn log(q: DQuat) -> DVec3 {
     if n == 0.0 {
         return DVec3::ZERO;
     }
-    // atan2 keeps full relative accuracy at both ends: near 0 it is n / w, near π the angle's error is that of w.
+    // atan2 keeps full relative accuracy at both ends: n / w near 0; near π the angle's error is that of w.
     v * (2.0 * atan2(n, q.w) / n)
 }
 
@@ -133,7 +134,8 @@ pub fn hat(omega: DVec3) -> DMat3 {
     )
 }
 
-/// Left Jacobian V of SO(3): exp((ω + δ)) ≈ exp(V δ) exp(ω), and the translation of an SE(3) exponential is V v.
+/// Left Jacobian V of SO(3): exp((ω + δ)) ≈ exp(V δ) exp(ω), and the translation of an SE(3) exponential
+/// is V v.
 #[must_use]
 pub fn left_jacobian(omega: DVec3) -> DMat3 {
     let theta = norm(omega);
@@ -162,8 +164,8 @@ fn sinc(x: f64) -> f64 {
     if x.abs() < 1e-9 { 1.0 } else { sin(x) / x }
 }
 
-/// (θ - sin θ) / θ³. Below 1.5 the difference loses digits, so the series 1/3! - θ²/5! + ... is summed instead
-/// (its first omitted term is 3e-17 there); above, the difference loses less than two bits.
+/// (θ - sin θ) / θ³. Below 1.5 the difference loses digits, so the series 1/3! - θ²/5! + ... is used
+/// instead (its first omitted term is 3e-17 there); above, the difference loses less than two bits.
 fn third_coefficient(theta: f64) -> f64 {
     if theta > 1.5 {
         return (theta - sin(theta)) / (theta * theta * theta);
@@ -177,7 +179,7 @@ fn third_coefficient(theta: f64) -> f64 {
     sum / 6.0
 }
 
-/// (sin h - h cos h) / h³ = 1/3 - h²/30 + h⁴/840 - ..., from h². 14 terms leave 1e-19 at h = 2.
+/// (sin h - h cos h) / h³ = 1/3 - h²/30 + h⁴/840 - ..., from h². The error of 14 terms is 1e-19 at h = 2.
 fn sine_minus_cosine_series(h2: f64) -> f64 {
     // term k (from 1) is 2k / (2k+1)! h^(2k-2); the ratio of term k+1 to term k is -h² / (2k (2k+3)).
     let mut sum = 0.0;
@@ -188,7 +190,7 @@ fn sine_minus_cosine_series(h2: f64) -> f64 {
     sum / 3.0
 }
 
-/// Length, without underflow or overflow of the squares.
+/// Length, safe against underflow and overflow of the squares.
 fn norm(v: DVec3) -> f64 {
     let scale = v.abs().max_element();
     if scale == 0.0 || (scale > 1e-140 && scale < 1e140) {

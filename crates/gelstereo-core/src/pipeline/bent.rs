@@ -1,21 +1,21 @@
-//! What a gel that bends within a dot does to the point that is seen in the dot's place.
+//! Covariance of the points due to bending of the gel within a dot.
 
 use crate::math::DVec3;
 use crate::math::linalg::Symmetric;
 
-/// Radius of a dot over the pitch where it is not known: 0.2 to 0.3 are usual.
+/// Radius of a dot in pitches where it is unknown: 0.2 to 0.3 are usual.
 const USUAL_RADIUS_PITCHES: f64 = 0.25;
-/// Mean square, for a fold anywhere within a pitch of a dot's centre, of the offset of the dot's mean place from its
-/// centre, over the cube of its radius in pitches and the square of the fold: half the integral of
-/// (E max(x - t, 0) - max(-t, 0))² over t, for x across a disc of radius 1.
+/// Mean square offset of a dot's mean position from its centre, for a fold anywhere within a pitch of the
+/// centre, divided by the cube of the radius in pitches and the square of the fold. It is half the
+/// integral of (E max(x - t, 0) - max(-t, 0))² over t, for x across a disc of radius 1.
 const FOLD: f64 = 0.5 * 0.015_6;
 
-/// Adds to the points' covariances what bends within their dots may have moved them by.
+/// Adds the effect of bending within the dots to the points' covariances.
 ///
-/// At the rim of a contact the gel folds, and a fold within a dot moves the dot's mean place against its centre. How much it
-/// folds near a marker is what second differences of the motion since rest have there and not at the markers beside it: a
-/// smooth bend is the same at all three. Markers are in rows of `cols`; those of the two outermost rows and columns count the
-/// folds along them alone.
+/// At the rim of a contact the gel folds, and a fold within a dot shifts the dot's mean position from its
+/// centre. The fold near a marker is the second difference there of the motion since rest, minus the mean
+/// of those at its neighbours: a smooth bend is equal at all three. Rows have `cols` markers. Markers in
+/// the two outermost rows and columns only count the folds along them.
 pub(super) fn add(
     cols: usize,
     radius_pitches: Option<f64>,
@@ -57,7 +57,7 @@ mod tests {
         (0..COLS * COLS).map(|i| DVec3::new((i % COLS) as f64, (i / COLS) as f64, 0.0)).collect()
     }
 
-    /// Variance along z that is added at the middle of a lattice of pitch 1 whose markers rise by this.
+    /// Variance along z added at the centre of a lattice of pitch 1 whose markers rise by this.
     fn added(rise_mm: impl Fn(DVec3) -> f64) -> f64 {
         let rest_mm = rest_mm();
         let points_mm: Vec<DVec3> = rest_mm.iter().map(|&p| p + DVec3::Z * rise_mm(p)).collect();
@@ -71,8 +71,8 @@ mod tests {
         assert!(added(|p| 0.3 - 0.1 * p.x + 0.02 * p.x * p.x - 0.05 * p.x * p.y) < 1e-28);
     }
 
-    /// Against the mean over folds anywhere within a pitch of the middle, of the squared offset of a disc's mean height
-    /// from that of its centre: sums over strips of the disc.
+    /// Compared with the squared offset of a disc's mean height from its centre's height, averaged over
+    /// folds anywhere within a pitch of the centre, by sums over strips of the disc.
     #[test]
     fn a_fold_adds_the_mean_square_of_what_it_moves() {
         let (radius, folds, strips) = (0.25, 800, 400);

@@ -1,26 +1,28 @@
-//! Points of the dots' own centres, made of the centres of their images.
+//! Points of the dots' centres, corrected for the bias of their images' centres.
 
 use crate::math::{DVec2, DVec3, median, sqrt};
 use crate::rig::{Disc, View};
 use crate::triangulate::{Centre, Centres, Ready};
 use alloc::vec::Vec;
 
-/// Takes off each point what its dot's tilt and stretch put on the centres of its images ([`Disc`]).
+/// Removes from each point the bias that its dot's tilt and stretch cause in the centres of its images
+/// ([`Disc`]).
 ///
-/// The dots are printed on the gel and go with it, so that a dot's half diameters are a fixed share of the steps to the
-/// markers beside it: no surface has to be known.
+/// The dots are printed on the gel and deform with it, so a dot's half diameters are a fixed share of the
+/// steps to its neighbours: no surface model is needed.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Discs {
     rows: usize,
     cols: usize,
-    /// Radius over pitch, at rest; none while nothing is to be corrected.
+    /// Radius in pitches, at rest; `None` while nothing is corrected.
     share: Option<f64>,
-    /// Markers whose points are made of this frame's centres.
+    /// Markers whose points were triangulated from this frame's centres.
     pub fresh: Vec<usize>,
 }
 
 impl Discs {
-    /// For the lattice at rest, whose dots have this radius, or else this median area in the left view.
+    /// Starts from the lattice at rest. The dots have this radius or, without one, this median area in
+    /// the left view.
     pub fn start(
         &mut self,
         (rows, cols): (usize, usize),
@@ -45,21 +47,21 @@ impl Discs {
         });
     }
 
-    /// For a lattice whose dots are known already ([`Self::radius_pitches`]).
+    /// Starts from a lattice with a known dot radius ([`Self::radius_pitches`]).
     pub const fn resume(&mut self, (rows, cols): (usize, usize), radius_pitches: Option<f64>) {
         (self.rows, self.cols, self.share) = (rows, cols, radius_pitches);
     }
 
-    /// Radius of the dots over their pitch, at rest; none while nothing is corrected.
+    /// Radius of the dots in pitches, at rest; `None` while nothing is corrected.
     pub const fn radius_pitches(&self) -> Option<f64> {
         self.share
     }
 
-    /// Corrects the fresh points and leaves those that have no answer.
+    /// Corrects the fresh points; points without a solution are left unchanged.
     pub fn correct(&self, ready: &Ready<'_>, left: Centres<'_>, right: Centres<'_>, points_mm: &mut [DVec3]) {
         let Some(share) = self.share else { return };
         for &i in &self.fresh {
-            // Neighbours that are corrected already and those that are not differ by a thousandth of the step.
+            // Using a mix of corrected and uncorrected neighbours changes the step by a thousandth.
             let half_mm = self.steps_mm(points_mm, i).map(|step| step * share);
             let disc = Disc { centre_mm: points_mm[i], half_mm };
             let moved = |view, centre: Centre| {
@@ -73,7 +75,7 @@ impl Discs {
         }
     }
 
-    /// Steps along a row and along a column, at a marker.
+    /// Steps along the row and along the column at a marker.
     fn steps_mm(&self, points_mm: &[DVec3], i: usize) -> [DVec3; 2] {
         let step = |place: usize, end: usize, stride: usize| {
             let before = if place > 0 { i - stride } else { i };

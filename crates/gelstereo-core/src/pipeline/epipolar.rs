@@ -1,39 +1,41 @@
-//! How much noisier the centres are than they state, from the rest frame.
+//! Ratio of the actual to the stated noise of the centres, from the rest frame.
 //!
-//! A marker's rows in both views fit together but for the noise of its centres, whatever the print and the gel. So
-//! the epipolar residuals of the rest frame measure that noise, with all that the model of the image leaves out: a
-//! marker's place within the pixel, the lens, compression, noise that was measured beside the gel. What the rig's
-//! calibration leaves is smooth over the image, and a polynomial takes it away.
+//! A marker's rows in both views agree up to the noise of its centres, whatever the print and the gel. So
+//! the epipolar residuals of the rest frame measure that noise, including everything the image model
+//! omits: a marker's place within the pixel, the lens, compression, and errors of the noise measured
+//! beside the gel. Errors of the rig's calibration are smooth over the image and are removed by a
+//! polynomial.
 
 use crate::math::{Factor, abs, median, sqrt};
 use crate::track::MarkerState;
 use crate::triangulate::{Centres, StereoPoint};
 use alloc::vec::Vec;
 
-/// Order of the polynomial along rows and columns together. On path-traced images 3 leaves refraction in the
-/// residuals, up to ten times the noise; 4 to 8 agree to 4 %.
+/// Total order of the polynomial over rows and columns. On path-traced images order 3 leaves refraction
+/// in the residuals, up to ten times the noise; 4 to 8 agree to 4 %.
 const ORDER: usize = 4;
-/// Its terms.
+/// Number of its terms.
 pub(super) const TERMS: usize = (ORDER + 1) * (ORDER + 2) / 2;
-/// Rows and columns from which it is determined, with some to spare.
+/// Fewest rows and columns that determine it, with a margin.
 const MIN_SIDE: usize = ORDER + 3;
-/// Residuals of more times the median one are of no marker that was measured well, such as one under a glint.
+/// Outlier limit: residuals above this multiple of the median one are of badly measured markers, such as
+/// under a glint.
 const MAX_OFF: f64 = 6.0;
-/// Rounds of leaving such out.
+/// Rounds of outlier rejection.
 const ROUNDS: usize = 3;
-/// Standard deviations of a residual that are chance: beyond are 1 in 16 000.
+/// Residuals up to this many standard deviations are chance; 1 in 16 000 is above.
 const CHANCE: f64 = 4.0;
-/// Standard deviations by which the mean squared residual must exceed 1 to be believed.
+/// Standard deviations by which the mean squared residual must exceed 1 to be significant.
 const SURE: f64 = 4.0;
-/// Largest factor that is believed. Path-traced images have shown up to 1.5, and 35 with JPEG.
+/// Largest accepted factor. Path-traced images have shown up to 1.5, and 35 with JPEG.
 const MOST: f64 = 1000.0;
 
-/// What the rest frame's epipolar residuals say of the centres.
+/// Noise of the centres, estimated from the rest frame's epipolar residuals.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Epipolar {
-    /// What the variances of the centres are to be multiplied by; 1 where too little is seen to say, or nothing is wrong.
+    /// Factor for the variances of the centres; 1 where it is unknown or not significant.
     pub scale: f64,
-    /// What the calibration leaves, as coefficients of [`terms`]; `None` where too little is seen to say.
+    /// Residual of the calibration as coefficients of [`terms`]; `None` where it is unknown.
     pub smooth: Option<[f64; TERMS]>,
     /// The same at every marker, px.
     smooth_px: Vec<f64>,
@@ -46,7 +48,7 @@ impl Default for Epipolar {
 }
 
 impl Epipolar {
-    /// From the rest frame of a lattice of so many rows and columns.
+    /// From the rest frame of a lattice of `rows` by `cols` markers.
     pub fn learn(
         (rows, cols): (usize, usize),
         stereo: &[StereoPoint],
@@ -83,7 +85,8 @@ impl Epipolar {
         };
         let scale = samples.iter().map(squared).sum::<f64>() / (free + 1) as f64;
         let chance = SURE * sqrt(2.0 / (free + 1) as f64);
-        // Errors that both views share, by the grid of pixels, cancel in the residuals: smaller ones prove nothing.
+        // Errors shared by both views, from the pixel grid, cancel in the residuals, so a smaller factor
+        // proves nothing.
         let is_noisier = scale - 1.0 > chance;
         Self::resume((rows, cols), if is_noisier { scale.min(MOST) } else { 1.0 }, Some(smooth))
     }
@@ -95,9 +98,9 @@ impl Epipolar {
         Self { scale, smooth, smooth_px: smooth.map(|smooth| at(smooth).collect()).unwrap_or_default() }
     }
 
-    /// What the variance of a marker's point is to be multiplied by, with this epipolar residual: more than the scale where
-    /// the residual is more than chance. Something else than noise moved a centre then, a light's reflection or dirt, and
-    /// along the row about as far (Birge 1932).
+    /// Factor for the variance of a marker's point with this epipolar residual. It exceeds the scale
+    /// where the residual is not chance: then something other than noise, a reflection or dirt, moved a
+    /// centre, and about as far along the row (Birge 1932).
     pub fn widening(&self, i: usize, epipolar_px: f64, variance_px2: f64) -> f64 {
         let Some(smooth_px) = self.smooth_px.get(i) else { return self.scale };
         let off_px = epipolar_px - smooth_px;
@@ -106,7 +109,7 @@ impl Epipolar {
     }
 }
 
-/// Variance of a marker's epipolar residual as its centres state it, px².
+/// Variance of a marker's epipolar residual from the stated covariances of its centres, px².
 pub(super) fn variance_px2(left: Centres<'_>, right: Centres<'_>, i: usize) -> f64 {
     left.covariance_px2[i][1][1] + right.covariance_px2[i][1][1]
 }
@@ -124,7 +127,7 @@ struct Sample {
     variance_px2: f64,
 }
 
-/// Products of Chebyshev's polynomials up to the order, for coordinates from -1 to 1.
+/// Products of Chebyshev polynomials up to the order, for coordinates from -1 to 1.
 fn terms(x: f64, y: f64) -> [f64; TERMS] {
     let chebyshev = |x: f64| {
         let mut values = [1.0; ORDER + 1];
@@ -145,7 +148,7 @@ fn terms(x: f64, y: f64) -> [f64; TERMS] {
     terms
 }
 
-/// Least squares; `None` where the samples leave a term open.
+/// Least squares; `None` where the samples do not determine a term.
 fn fit(samples: &[Sample]) -> Option<[f64; TERMS]> {
     let (mut matrix, mut right) = ([[0.0; TERMS]; TERMS], [0.0; TERMS]);
     for Sample { terms, residual_px, .. } in samples {
@@ -175,7 +178,7 @@ mod tests {
     const MARKERS: usize = SIDE * SIDE;
     const STATED_PX2: f64 = 4e-4;
 
-    /// Residuals of centres that are `factor` times as noisy as they state, with what a poor calibration leaves.
+    /// Residuals of centres with `factor` times the stated variance, plus a calibration error.
     fn residuals_px(seed: u64, factor: f64, calibration_px: f64) -> Vec<f64> {
         let mut stream = Stream::new(seed, "epipolar residuals");
         let sigma_px = sqrt(2.0 * STATED_PX2 * factor);
@@ -200,7 +203,7 @@ mod tests {
     }
 
     proptest! {
-        /// The mean of 610 squares is known to 6 %; five times that is believed.
+        /// The mean of 610 squares has a standard error of 6 %; five times that is allowed.
         #[test]
         fn the_noise_is_found_whatever_the_calibration_leaves(
             seed in any::<u64>(),
@@ -222,7 +225,7 @@ mod tests {
             prop_assert_eq!(scale, 1.0);
         }
 
-        /// Markers under a glint, and those that are not seen, do not count.
+        /// Markers under a glint and unseen ones do not count.
         #[test]
         fn wild_residuals_do_not_count(seed in any::<u64>(), at in prop::collection::vec(0..MARKERS, 60)) {
             let mut residuals_px = residuals_px(seed, 1.0, 0.3);
@@ -238,7 +241,8 @@ mod tests {
         }
     }
 
-    /// A marker whose rows do not fit together is as uncertain as that says; chance changes nothing, and a record keeps it.
+    /// The uncertainty of a marker with inconsistent rows follows its residual; chance changes nothing,
+    /// and a record keeps the model.
     #[test]
     fn a_residual_beyond_chance_widens_its_own_point() {
         let factor = 4.0;

@@ -8,10 +8,10 @@ use crate::params::ParamsError;
 pub use crate::rig::View;
 use crate::triangulate::TriangulateError;
 
-/// Why a frame gave no result. Tracks and rest surface are then as after the last good frame.
+/// Why a frame gave no result. Tracks and rest surface are unchanged since the last good frame.
 #[derive(Clone, Debug, PartialEq)]
 pub enum PipelineError {
-    /// A setting makes no sense.
+    /// A setting is invalid.
     Params(ParamsError),
     /// An image is not of the size that the rig was calibrated for.
     Size {
@@ -36,9 +36,9 @@ pub enum PipelineError {
         /// Why.
         error: LabelError,
     },
-    /// The rest frame's views make no points, or the rig is none.
+    /// Triangulation of the rest frame failed, or the rig is invalid.
     Triangulate(TriangulateError),
-    /// The rest frame's points make no surface.
+    /// The rest frame's points span no surface.
     Contact(ContactError),
     /// The views' rest frames show lattices of different sizes.
     Lattices {
@@ -47,7 +47,7 @@ pub enum PipelineError {
         /// Rows and columns found in the right view.
         right: (usize, usize),
     },
-    /// A record of a rest frame is none, or not of this pipeline.
+    /// A record of a rest frame is invalid, or from another pipeline.
     Record(RestRecordError),
     /// The rest frame's rows disagree between the views.
     Epipolar {
@@ -56,11 +56,11 @@ pub enum PipelineError {
         /// Largest valid one, pixels.
         max_px: f64,
     },
-    /// The rest frame's markers stand much closer together, or farther apart, than `lattice.pitch_mm` says.
+    /// The markers' pitch in the rest frame differs strongly from `lattice.pitch_mm`.
     Pitch {
         /// Median distance of neighbours, millimetres.
         found_mm: f64,
-        /// What is set, millimetres.
+        /// Configured value, millimetres.
         expected_mm: f64,
     },
 }

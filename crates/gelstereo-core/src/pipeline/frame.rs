@@ -1,4 +1,4 @@
-//! What one stereo frame gave.
+//! Results of one stereo frame.
 
 use crate::digest::Digest;
 use crate::math::linalg::Symmetric;
@@ -7,7 +7,7 @@ use crate::register::Contact;
 use crate::track::MarkerState;
 use alloc::vec::Vec;
 
-/// Where the rows and columns of a frame come from.
+/// Source of the rows and columns of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum LabelSource {
@@ -18,13 +18,13 @@ pub enum LabelSource {
     Foresight,
     /// The tracks since the rest frame.
     Tracks,
-    /// Tracks that were checked against the lattice and found certain.
+    /// Tracks verified against the lattice and found certain.
     Lattice,
-    /// Nowhere: no labels were certain, and all markers are held.
+    /// None: no labels were certain, and all markers are held.
     Held,
 }
 
-/// Where a view's markers were searched for.
+/// Where a view's markers were searched.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Searched {
@@ -35,25 +35,26 @@ pub enum Searched {
     Windows,
 }
 
-/// What one view contributed to a frame.
+/// Evidence from one view of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct ViewEvidence {
     /// Markers detected.
     pub detected: usize,
-    /// Where the labels come from; `Tracks` under `label.method = foresight` means that the sort refused.
+    /// Source of the labels; `Tracks` under `label.method = foresight` means that the sort failed.
     pub labels: LabelSource,
-    /// Markers whose label by the sort differs from that by their track.
+    /// Markers whose label from the sort differs from that of their track.
     pub relabelled: usize,
-    /// Where markers were searched for; `Whole` under `detect.search = windows` means that windows would not do.
+    /// Where markers were searched; `Whole` under `detect.search = windows` means that windows were not
+    /// sufficient.
     pub searched: Searched,
 }
 
-/// Everything that one stereo frame gave; marker `row * cols + col` stands at that index in every list.
+/// All results of one stereo frame. Marker `row * cols + col` has that index in every list.
 #[derive(Clone, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Frame {
-    /// Frames since the last reset, from 0 (the rest frame, also where it was recorded).
+    /// Frames since the last reset, from 0 (the rest frame, even if it is a recorded one).
     pub index: u64,
     /// Markers from top to bottom, as found in the rest frame.
     pub rows: usize,
@@ -63,25 +64,28 @@ pub struct Frame {
     pub left_px: Vec<DVec2>,
     /// Positions in the right image, pixels.
     pub right_px: Vec<DVec2>,
-    /// Seen only when both views saw it and agree on which one it is.
+    /// States; seen only if both views saw the marker and agree on its identity.
     pub state: Vec<MarkerState>,
-    /// Positions in the sensor frame, millimetres; of a marker that is not seen, from its last good positions.
+    /// Positions in the sensor frame, millimetres; for a marker that is not seen, from its last good
+    /// positions.
     pub points_mm: Vec<DVec3>,
-    /// Covariances of the points, mm²; of a marker that is not seen, from when it last was.
+    /// Covariances of the points, mm²; for a marker that is not seen, from when it last was.
     pub covariance_mm2: Vec<Symmetric<3>>,
     /// Height above the rest surface, towards the camera, millimetres.
     pub indentation_mm: Vec<f64>,
-    /// Indented by more than the threshold (Eq. 4).
+    /// Saliency by the method of `contact.saliency`: indented by more than the threshold (Eq. 4), or by
+    /// pressure.
     pub salient: Vec<bool>,
-    /// Salient and in the contact patch, which is what registration is given.
+    /// Salient and in the contact patch, which is the input of registration.
     pub patch: Vec<bool>,
-    /// Length over which the gel comes back to rest beside a contact, as the contact was judged by it, millimetres:
-    /// `contact.decay_mm`, or what was learned since.
+    /// Decay length used to detect the contact, over which the gel returns to rest beside it,
+    /// millimetres: `contact.decay_mm`, or the value learned since.
     pub decay_mm: f64,
     /// Mean motion of the seen markers of the left view since the reference, pixels.
     pub motion_px: f64,
-    /// Markers that both views saw, but that no point of space explains (rows or disparity disagree), or none of the gel's surface
-    /// (labels of the views have slipped against each other, see [`StereoMismatch`](crate::contact::StereoMismatch)).
+    /// Markers seen in both views that correspond to no point in space (rows or disparity disagree), or
+    /// to none on the gel's surface (labels of the views have slipped relative to each other, see
+    /// [`StereoMismatch`](crate::contact::StereoMismatch)).
     pub mismatched: usize,
     /// The left view's evidence.
     pub left: ViewEvidence,
@@ -114,14 +118,15 @@ impl Frame {
         view(view(digest, &self.left), &self.right).value()
     }
 
-    /// The points of the contact patch in the order of the markers (sensor frame, millimetres); `out` is cleared first.
+    /// Points of the contact patch in the order of the markers (sensor frame, millimetres); `out` is
+    /// cleared first.
     pub fn patch_points_mm(&self, out: &mut Vec<DVec3>) {
         out.clear();
         out.extend(self.points_mm.iter().zip(&self.patch).filter(|&(_, &p)| p).map(|(&point, _)| point));
     }
 }
 
-/// What registration is given of a frame, in lists that are kept from frame to frame.
+/// Input of registration from a frame, in lists that are kept from frame to frame.
 #[derive(Clone, Debug, Default)]
 pub struct Touch {
     points_mm: Vec<DVec3>,
@@ -130,8 +135,8 @@ pub struct Touch {
 }
 
 impl Touch {
-    /// The contact of a frame: its patch, and all other markers that are seen. Allocates nothing once a frame as large has
-    /// been seen.
+    /// The contact of a frame: its patch and all other seen markers. No allocation once a frame as large
+    /// has been processed.
     pub fn of(&mut self, frame: &Frame) -> Contact<'_> {
         frame.patch_points_mm(&mut self.points_mm);
         let all = frame.points_mm.iter().zip(&frame.covariance_mm2).zip(&frame.patch).zip(&frame.state);

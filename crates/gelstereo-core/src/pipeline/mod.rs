@@ -1,4 +1,4 @@
-//! The sensing stages in order, over scratch that is allocated once.
+//! The sensing stages in order, with scratch memory allocated once.
 
 mod bent;
 mod discs;
@@ -54,11 +54,11 @@ pub struct Pipeline {
     covariance_mm2: Vec<Symmetric<3>>,
     heights: Heights,
     frames: u64,
-    /// No frame was processed since the rest frame was taken from a record.
+    /// Whether no frame was processed since resuming from a record.
     resumes: bool,
 }
 
-/// How well the heights of one frame are known.
+/// Uncertainty of the heights of one frame.
 #[derive(Clone, Debug, Default)]
 struct Heights {
     variance_mm2: Vec<f64>,
@@ -67,11 +67,12 @@ struct Heights {
 }
 
 impl Pipeline {
-    /// For this rig, with these settings. The first frame processed is the rest frame: nothing may touch the gel.
+    /// For this rig and these settings. The first frame processed is the rest frame: nothing may touch
+    /// the gel.
     ///
     /// # Errors
-    /// [`PipelineError::Params`], [`PipelineError::Triangulate`] for an invalid rig, or [`PipelineError::Detect`] for a
-    /// region of interest beyond a camera's image.
+    /// [`PipelineError::Params`], [`PipelineError::Triangulate`] for an invalid rig, or
+    /// [`PipelineError::Detect`] for a region of interest that exceeds a camera's image.
     pub fn new(rig: &Rig, params: &Params) -> Result<Self, PipelineError> {
         params.validate().map_err(PipelineError::Params)?;
         let triangulator = Triangulator::new(rig, &params.triangulate).map_err(PipelineError::Triangulate)?;
@@ -106,13 +107,13 @@ impl Pipeline {
         })
     }
 
-    /// The settings it was made with.
+    /// The settings in use.
     #[must_use]
     pub const fn params(&self) -> &Params {
         &self.params
     }
 
-    /// The rig it was made for.
+    /// The rig in use.
     #[must_use]
     pub const fn rig(&self) -> &Rig {
         self.triangulator.rig()
@@ -124,28 +125,28 @@ impl Pipeline {
         self.rest.as_ref()
     }
 
-    /// The gel's decay length as the contacts since the rest frame tell it; `None` while they do not, or without
-    /// `contact.learn_decay`.
+    /// The gel's decay length estimated from the contacts since the rest frame; `None` until they
+    /// suffice, or without `contact.learn_decay`.
     #[must_use]
     pub fn decay(&self) -> Option<Decay> {
         self.decay.decay()
     }
 
-    /// The rule by which the last frame's contact was found with `contact.saliency = adaptive`; `None` without it, and when
-    /// nothing touched the gel.
+    /// The rule that found the last frame's contact with `contact.saliency = adaptive`; `None` otherwise,
+    /// and without contact.
     #[must_use]
     pub const fn contact_rule(&self) -> Option<ContactRule> {
         self.contact_rule
     }
 
-    /// What the variances of the centres are multiplied by: how much noisier they are than they state, as the epipolar
-    /// residuals of the rest frame show. 1 before it, and where the difference may be chance.
+    /// Factor applied to the variances of the centres: actual over stated noise, from the epipolar
+    /// residuals of the rest frame. 1 before the rest frame, and where the difference may be chance.
     #[must_use]
     pub const fn noise_scale(&self) -> f64 {
         self.epipolar.scale
     }
 
-    /// Forgets tracks, rest surface and reference: the next frame is the rest frame.
+    /// Clears tracks, rest surface and reference: the next frame is the rest frame.
     pub fn reset(&mut self) {
         self.rest = None;
         self.decay.start(0);
@@ -157,8 +158,8 @@ impl Pipeline {
         self.right.forget();
     }
 
-    /// Measures [`Frame::motion_px`] from the last processed frame on: the paper's "moment before grasping" or
-    /// "before insertion". Until it is called, motion is measured from the rest frame.
+    /// Measures [`Frame::motion_px`] from the last processed frame on: the paper's "moment before
+    /// grasping" or "before insertion". Before the first call, motion is measured from the rest frame.
     pub fn mark_reference(&mut self) {
         copy_into(&self.left.labelled().positions_px, &mut self.reference_px);
     }
@@ -166,7 +167,7 @@ impl Pipeline {
     /// Runs all sensing stages on one stereo frame; the lists of `out` are reused.
     ///
     /// # Errors
-    /// [`PipelineError`] naming stage and view.
+    /// [`PipelineError`] with stage and view.
     pub fn process(
         &mut self,
         left: GrayView<'_>,
@@ -179,11 +180,11 @@ impl Pipeline {
         })
     }
 
-    /// As [`Self::process`], with the detection of the two views handed to `join`, which may run them on two threads
-    /// and must run both to the end. The result has the same bits whichever way they are run.
+    /// As [`Self::process`], with the detection of the two views passed to `join`, which may run them on
+    /// two threads and must run both to completion. The result is bit-identical either way.
     ///
     /// # Errors
-    /// [`PipelineError`] naming stage and view.
+    /// [`PipelineError`] with stage and view.
     pub fn process_with(
         &mut self,
         left: GrayView<'_>,
@@ -198,7 +199,7 @@ impl Pipeline {
         join(&mut || left_stages.detect(left, params, follows), &mut || {
             right_stages.detect(right, params, follows);
         });
-        // Nothing that lasts has changed so far: a frame that fails here leaves the tracks alone.
+        // No persistent state has changed so far: a frame that fails here leaves the tracks unchanged.
         self.left.check_detected()?;
         self.right.check_detected()?;
         if self.rest.is_none() {
@@ -217,7 +218,7 @@ impl Pipeline {
         self.finish(out)
     }
 
-    /// The rest frame: here a pair that makes no point is an error.
+    /// Processes the rest frame: here a pair without a point is an error.
     fn start(&mut self, out: &mut Frame) -> Result<(), PipelineError> {
         let mut finder = LatticeFinder::default();
         let left_rest = self.left.start(&self.params, &mut finder, None)?;
@@ -287,7 +288,7 @@ impl Pipeline {
         self.rest_on(rest)
     }
 
-    /// Takes this surface, of the views' present tracks, for the one that nothing touches.
+    /// Uses this surface, of the views' present tracks, as the rest surface.
     fn rest_on(&mut self, rest: RestSurface) -> Result<(), PipelineError> {
         let (left, right) = (self.left.labelled(), self.right.labelled());
         let (rows, cols, decay_mm) = (self.left.rows, self.left.cols, self.params.contact.decay_mm);
@@ -313,11 +314,12 @@ impl Pipeline {
         Ok(())
     }
 
-    /// Later frames: a pair that makes no point, or none of this surface, is not this marker, which is then held where it was.
+    /// Processes later frames. A pair without a point, or off this surface, is a mismatch, and the marker
+    /// is held in place.
     fn follow_points(&mut self, out: &mut Frame) -> Result<(), PipelineError> {
         let Some(rest) = &self.rest else { return Ok(()) };
         if self.frames == 1 {
-            // Not in the rest frame itself, so that a single frame costs no fit.
+            // Not in the rest frame itself, so that a single frame needs no fit.
             self.triangulator.begin_map(rest.points_mm());
         } else {
             self.triangulator.continue_map();
@@ -363,7 +365,7 @@ impl Pipeline {
         Ok(())
     }
 
-    /// Adds what this frame says of the decay length, which later ones are judged by.
+    /// Updates the decay length for later frames.
     fn learn_decay(&mut self, out: &Frame) -> Result<(), PipelineError> {
         if !self.params.contact.learn_decay || self.rest.is_none() {
             return Ok(());
@@ -379,7 +381,8 @@ impl Pipeline {
         }
     }
 
-    /// Variances of the heights above rest, and which of the markers are known well enough to judge contact by.
+    /// Computes the variances of the heights above rest, and which markers are known well enough for
+    /// contact detection.
     fn judge_heights(&mut self, state: &[MarkerState]) {
         let Self { heights, covariance_mm2, rest_variance_mm2, rest, .. } = self;
         let normal = rest.as_ref().map_or(DVec3::Z, RestSurface::normal);
@@ -426,10 +429,12 @@ impl Pipeline {
     }
 }
 
-/// How well the decay length must be known to be taken, and from what change on, over itself.
+/// Relative accuracy from which a learned decay length is used, and relative change from which it is
+/// updated.
 const DECAY_KNOWN: f64 = 0.02;
 
-/// By how much the pitch that is seen may be off: a rig that ignores its layers is off by less.
+/// Largest ratio of measured and configured pitch, either way: a rig that ignores its layers stays below
+/// it.
 const PITCH_OFF: f64 = 2.0;
 
 fn centres(tracks: &Tracks) -> Centres<'_> {

@@ -1,4 +1,4 @@
-//! What is kept of a rest frame, so that a later run may begin under contact.
+//! Record of a rest frame, from which a later run can start under contact.
 
 use super::epipolar::TERMS;
 use crate::math::{DVec2, DVec3};
@@ -6,11 +6,11 @@ use crate::params::{DetectParams, LatticeParams, TriangulateParams};
 use crate::rig::{Rig, View};
 use alloc::vec::Vec;
 
-/// A sensor's rest state: where its markers are when nothing touches the gel, and what they were measured
+/// A sensor's rest state: marker positions without contact, and the configuration they were measured
 /// with.
 ///
-/// It is good for as long as gel and cameras stay where they are in the sensor. [`super::Pipeline::rest_record`]
-/// makes it, [`super::Pipeline::resume`] takes it.
+/// It is valid as long as gel and cameras do not move in the sensor. It is made by
+/// [`super::Pipeline::rest_record`] and used by [`super::Pipeline::resume`].
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
 pub struct RestRecord {
@@ -22,27 +22,27 @@ pub struct RestRecord {
     pub points_mm: Vec<DVec3>,
     /// Variances of the points along the rest plane's normal, mm².
     pub variance_mm2: Vec<f64>,
-    /// Radius of the dots over their pitch; absent unless `triangulate.disc_bias` corrects for it.
+    /// Radius of the dots in pitches; absent unless `triangulate.disc_bias` corrects for it.
     #[cfg_attr(feature = "serde", serde(default, skip_serializing_if = "Option::is_none"))]
     pub dot_radius_pitches: Option<f64>,
-    /// What the variances of the centres were multiplied by ([`super::Pipeline::noise_scale`]); 1 when absent.
+    /// Factor applied to the variances of the centres ([`super::Pipeline::noise_scale`]); 1 when absent.
     #[cfg_attr(feature = "serde", serde(default = "unscaled", skip_serializing_if = "is_unscaled"))]
     pub noise_scale: f64,
-    /// What the calibration leaves of the epipolar residuals, px: coefficients of a polynomial over rows and columns, or
-    /// none where it is not known.
+    /// Calibration residual of the epipolar residuals, px: coefficients of a polynomial over rows and
+    /// columns, or empty where unknown.
     #[cfg_attr(feature = "serde", serde(default, skip_serializing_if = "Vec::is_empty"))]
     pub epipolar_px: Vec<f64>,
     /// The left view.
     pub left: RestView,
     /// The right view.
     pub right: RestView,
-    /// What the points were triangulated with.
+    /// The rig used for triangulation.
     pub rig: Rig,
-    /// The lattice's settings.
+    /// Settings of the lattice.
     pub lattice: LatticeParams,
-    /// How the markers were found.
+    /// Settings of detection.
     pub detect: DetectParams,
-    /// How the points were made.
+    /// Settings of triangulation.
     pub triangulate: TriangulateParams,
 }
 
@@ -54,8 +54,8 @@ pub struct RestView {
     pub pitch_px: f64,
     /// Positions of all markers, row by row, pixels.
     pub positions_px: Vec<DVec2>,
-    /// Which of them the rest frame showed; the others were filled in, since they are not printed or were
-    /// hidden.
+    /// Whether the rest frame showed each marker; the others were filled in, as they are not printed or
+    /// were hidden.
     pub shown: Vec<bool>,
 }
 
@@ -69,7 +69,7 @@ pub enum RestRecordError {
         /// Columns found.
         cols: usize,
     },
-    /// A list has not one entry for each marker.
+    /// A list does not have one entry per marker.
     Length {
         /// Which list.
         list: &'static str,
@@ -85,7 +85,7 @@ pub enum RestRecordError {
         /// Which marker.
         index: usize,
     },
-    /// A pitch is not a length between 1 pixel and the image's size.
+    /// A pitch is not between 1 pixel and the image's width.
     Pitch {
         /// In which view.
         view: View,
@@ -135,10 +135,10 @@ impl core::fmt::Display for RestRecordError {
 impl core::error::Error for RestRecordError {}
 
 impl RestRecord {
-    /// Checks that the numbers describe a rest state.
+    /// Checks that the values describe a rest state.
     ///
     /// # Errors
-    /// [`RestRecordError`] but for the two that are about another pipeline.
+    /// [`RestRecordError`], except the two variants about another pipeline.
     pub fn validate(&self) -> Result<(), RestRecordError> {
         let Self { rows, cols, .. } = *self;
         if !(3..=1000).contains(&rows) || !(3..=1000).contains(&cols) {

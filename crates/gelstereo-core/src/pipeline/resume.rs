@@ -1,4 +1,4 @@
-//! A pipeline that begins with a recorded rest frame.
+//! Starts a pipeline from a recorded rest frame.
 
 use super::epipolar::Epipolar;
 use super::{Pipeline, PipelineError, RestRecord, RestRecordError};
@@ -7,7 +7,7 @@ use crate::params::{DetectParams, Search};
 use alloc::vec::Vec;
 
 impl Pipeline {
-    /// What [`Self::resume`] needs to begin without a rest frame; `None` before the rest frame.
+    /// Data that [`Self::resume`] needs to start without a rest frame; `None` before the rest frame.
     #[must_use]
     pub fn rest_record(&self) -> Option<RestRecord> {
         let rest = self.rest.as_ref()?;
@@ -28,16 +28,16 @@ impl Pipeline {
         })
     }
 
-    /// Begins with a recorded rest frame: the next frame is index 1, whatever touches the gel in it.
+    /// Starts from a recorded rest frame: the next frame has index 1, with or without contact.
     ///
-    /// Rows and columns are found as after a gap in tracking: those of the record that agree with the lattice
-    /// in the image, its border, and the places of `lattice.missing`, where nothing was printed. Until that
-    /// is certain all markers are held, and [`LabelSource::Held`](super::LabelSource::Held) says so.
+    /// Rows and columns are found as after a gap in tracking: the record's labels must agree with the
+    /// lattice in the image, its border, and the unprinted places of `lattice.missing`. Until that is
+    /// certain all markers are held, with the source [`LabelSource::Held`](super::LabelSource::Held).
     ///
     /// # Errors
     /// [`PipelineError::Record`] for a record that is damaged, or was made with another rig, lattice,
-    /// detection or triangulation; [`PipelineError::Contact`] for points that are no surface. The pipeline is
-    /// then as before.
+    /// detection or triangulation; [`PipelineError::Contact`] for points that span no surface. The
+    /// pipeline is then unchanged.
     pub fn resume(&mut self, record: &RestRecord) -> Result<(), PipelineError> {
         self.check_record(record).map_err(PipelineError::Record)?;
         let rest = RestSurface::new(&record.points_mm).map_err(PipelineError::Contact)?;
@@ -52,7 +52,7 @@ impl Pipeline {
         self.rest_variance_mm2.clone_from(&record.variance_mm2);
         let smooth = record.epipolar_px.as_slice().try_into().ok();
         self.epipolar = Epipolar::resume(lattice, record.noise_scale, smooth);
-        // The least certain direction is the normal's, nearly.
+        // The variance along the normal, nearly the least certain direction, for all axes.
         self.covariance_mm2.clear();
         self.covariance_mm2.extend(
             record
@@ -69,7 +69,7 @@ impl Pipeline {
         if record.rig != *self.rig() {
             return Err(RestRecordError::Rig);
         }
-        // Where a marker is searched for says nothing of where it is.
+        // The search region does not affect a marker's position.
         let detect = |params: &DetectParams| DetectParams { search: Search::Whole, ..params.clone() };
         for (table, same) in [
             ("lattice", record.lattice == self.params.lattice),

@@ -25,17 +25,17 @@ pub(super) struct ViewStages {
     tracks: Tracks,
     windows: Windows,
     searched: Searched,
-    /// Of the lattice, as found in the rest frame.
+    /// Lattice size and pitch, as found in the rest frame.
     pub rows: usize,
     pub cols: usize,
     pub pitch_px: f64,
-    /// Where the markers are when nothing touches the gel, and which of them the rest frame showed.
+    /// Marker positions without contact, and which of them the rest frame showed.
     rest_px: Vec<DVec2>,
     shown: Vec<bool>,
-    /// Labels of a recorded rest frame were not found again so far.
+    /// Whether the labels of a recorded rest frame are still to be found again.
     resumes: bool,
     order: Vec<usize>,
-    /// The tracks in the order of the sort, if that stands.
+    /// The tracks in the order of the sort, if that succeeded.
     sorted: Tracks,
     is_sorted: bool,
     pub evidence: ViewEvidence,
@@ -67,7 +67,7 @@ impl ViewStages {
         }
     }
 
-    /// Forgets what detection learned of earlier images.
+    /// Clears detection state from earlier images.
     pub fn forget(&mut self) {
         self.detector.reset();
     }
@@ -81,7 +81,8 @@ impl ViewStages {
         }
     }
 
-    /// Finds markers, as `detect.search` says if this frame follows another. Leaves the tracks alone.
+    /// Finds markers, by the method of `detect.search` if this frame follows another. Leaves the tracks
+    /// unchanged.
     pub fn detect(&mut self, image: GrayView<'_>, params: &Params, follows: bool) {
         let windows = follows && params.detect.search == Search::Windows && is_certain(params, &self.tracks);
         self.searched = if windows && self.detect_in_windows(image, params) {
@@ -93,7 +94,8 @@ impl ViewStages {
         };
     }
 
-    /// Whether windows and the tracks through them are as certain as the frame before; tracks are then ready in `windows`.
+    /// Runs detection and tracking in windows. Returns whether they are as certain as the previous frame;
+    /// the tracks are then in `windows`.
     fn detect_in_windows(&mut self, image: GrayView<'_>, params: &Params) -> bool {
         let Self { windows, detector, tracker, checked, tracks, .. } = self;
         let predicted_px = match params.label.method {
@@ -101,7 +103,7 @@ impl ViewStages {
             LabelMethod::Foresight => tracks.positions_px.as_slice(),
         };
         let lattice = (self.cols, self.pitch_px);
-        // What fails here fails on the whole image too, which then says so.
+        // A failure here also occurs on the whole image, which then reports it.
         if !windows.look(detector, image, predicted_px, lattice, tracks).unwrap_or(false) {
             return false;
         }
@@ -116,7 +118,7 @@ impl ViewStages {
         }
     }
 
-    /// Makes room for windows, in the rest frame, so that no later frame has to.
+    /// Reserves memory for windows in the rest frame, so that no later frame allocates.
     pub fn prepare(&mut self, image: GrayView<'_>, params: &Params) {
         if params.detect.search == Search::Windows {
             let Self { windows, detector, markers, tracks, .. } = self;
@@ -128,7 +130,7 @@ impl ViewStages {
         }
     }
 
-    /// Of the markers found afresh; 0 when there are none.
+    /// Median area of the markers found in the whole image; 0 when there are none.
     pub fn median_area_px2(&self) -> f64 {
         let mut areas: Vec<f64> = self.markers.area_px2.iter().map(|&area| f64::from(area)).collect();
         crate::math::median(&mut areas).unwrap_or(0.0)
@@ -138,7 +140,7 @@ impl ViewStages {
         self.detected.map_err(|error| PipelineError::Detect { view: self.view, error })
     }
 
-    /// Labels the rest frame, with rows that run as those of the other view, if that was labelled before.
+    /// Labels the rest frame, with rows aligned to those of the other view, if that was labelled before.
     pub fn start(
         &mut self,
         params: &Params,
@@ -156,7 +158,7 @@ impl ViewStages {
         Ok(rest)
     }
 
-    /// Starts from a labelled rest frame, made of the present markers.
+    /// Starts from a rest frame labelled from the present markers.
     fn begin(&mut self, params: &Params, rest: &RestLattice) {
         (self.rows, self.cols, self.pitch_px) = (rest.rows, rest.cols, rest.pitch_px);
         self.rest_px.clone_from(&rest.positions_px);
@@ -174,13 +176,13 @@ impl ViewStages {
         self.take_tracks(LabelSource::Rest);
     }
 
-    /// What to record of the rest frame.
+    /// Record of this view's rest frame.
     pub fn rest_view(&self) -> RestView {
         RestView { pitch_px: self.pitch_px, positions_px: self.rest_px.clone(), shown: self.shown.clone() }
     }
 
-    /// Starts from a recorded rest frame: labels are those of the checked tracker until it has found all again, whatever
-    /// `label.method` says.
+    /// Starts from a recorded rest frame: the verified tracker labels the markers until it has found all
+    /// again, whatever `label.method` is.
     pub fn resume(&mut self, params: &Params, (rows, cols): (usize, usize), record: &RestView) {
         (self.rows, self.cols, self.pitch_px) = (rows, cols, record.pitch_px);
         self.rest_px.clone_from(&record.positions_px);
@@ -190,12 +192,12 @@ impl ViewStages {
         self.take_tracks(LabelSource::Held);
     }
 
-    /// Puts the tracks where the markers are at rest, as after a gap in which nothing was certain.
+    /// Sets the tracks to the rest positions, as after a gap in which nothing was certain.
     fn restart(&mut self, params: &Params) {
         let detection = (0..).zip(&self.shown).map(|(n, &shown)| shown.then_some(n)).collect();
         let (rows, cols, pitch_px) = (self.rows, self.cols, self.pitch_px);
         let rest = RestLattice { rows, cols, positions_px: self.rest_px.clone(), detection, pitch_px };
-        // Where the markers are now is known to the gate at best.
+        // Present positions are known to the gate at best.
         let markers = Markers::at(self.rest_px.clone(), params.track.gate_pitches * pitch_px);
         let most = most_markers(&params.detect, self.size_px);
         if params.label.method != LabelMethod::Lattice {
@@ -206,14 +208,14 @@ impl ViewStages {
         self.checked.hold(&mut self.tracks);
     }
 
-    /// Follows the first frames after a record, until labels are certain.
+    /// Tracks the first frames after a record, until labels are certain.
     fn follow_record(&mut self, params: &Params) {
         let certain = self.track(params) == Certainty::Certain;
         let printed = |&[row, col]: &[usize; 2]| {
             self.tracks.state.get(row * self.cols + col).is_some_and(|&state| state == MarkerState::Seen)
         };
         if certain && params.lattice.missing.iter().any(printed) {
-            // The lattice looks as it did, but is turned or shifted: a marker stands where none was printed.
+            // The lattice fits but is turned or shifted: a marker was seen where none was printed.
             self.restart(params);
         } else {
             self.resumes = !certain;
@@ -236,7 +238,7 @@ impl ViewStages {
         }
     }
 
-    /// Brings the tracks to this frame.
+    /// Updates the tracks to this frame.
     fn track(&mut self, params: &Params) -> Certainty {
         if self.searched == Searched::Windows {
             core::mem::swap(&mut self.tracks, &mut self.windows.tracks);
@@ -267,7 +269,8 @@ impl ViewStages {
         self.evidence = self.evidence(labels, 0);
     }
 
-    /// Labels as the paper does; where the sort refuses, the tracks' labels stand and the evidence says so.
+    /// Labels as in the paper; where the sort fails, the tracks' labels are kept and recorded as the
+    /// source.
     fn sort(&mut self, tolerance_pitches: f64) {
         let (rows, cols, tolerance_px) = (self.rows, self.cols, tolerance_pitches * self.pitch_px);
         let all_found = self.searched == Searched::Whole && self.markers.centres_px.len() == rows * cols;
@@ -297,8 +300,8 @@ impl ViewStages {
     }
 }
 
-/// Whether the tracks tell where each marker is. They are all that decides where to search: a replay from a checkpoint
-/// decides alike.
+/// Whether the tracks give the position of each marker. Where to search depends on them alone, so a
+/// replay from a checkpoint decides alike.
 fn is_certain(params: &Params, tracks: &Tracks) -> bool {
     match params.label.method {
         LabelMethod::Lattice => tracks.is_current(),

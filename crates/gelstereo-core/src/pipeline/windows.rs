@@ -8,35 +8,38 @@ use crate::math::DVec2;
 use crate::track::{MarkerState, Tracks};
 use alloc::vec::Vec;
 
-/// Half a window's side: two windows then meet between their markers.
+/// Half a window's side: adjacent windows then meet between their markers.
 const REACH_PITCHES: f64 = 0.5;
 
-/// One marker in so many that were seen may be missing from its window: a smear covers few, a motion that was not expected
-/// uncovers many. Where parts turn or lift within a frame 8 to 10 of 625 are missing, all in the contact (path-traced); with 32
-/// that was let pass, and F1 of these frames fell from 0.8 to 0.2.
+/// At most one previously seen marker in this many may be missing from its window: a smear covers few,
+/// unexpected motion exposes many. Where parts turn or lift within a frame, 8 to 10 of 625 are missing,
+/// all in the contact (path-traced); with 32 that was accepted, and F1 of these frames fell from 0.8 to
+/// 0.2.
 const ONE_MISSING_IN: usize = 200;
 
-/// One sentinel of a side in so many may be unclear, by dirt or the gel's edge. Where more are, such as along a tray's wall,
-/// at most one marker in so many of the opposite border may be missing.
+/// At most one sentinel of a side in this many may be unclear, from dirt or the gel's edge. With more,
+/// such as along a tray's wall, at most one marker in this many of the opposite border may be missing.
 const ONE_UNCLEAR_IN: usize = 4;
 
-/// Windows around the markers, and around sentinels: places one pitch outside the lattice, where nothing should be.
+/// Windows around the markers, and around sentinels: places one pitch outside the lattice, which should
+/// be empty.
 ///
-/// A lattice that moved by a pitch fills all windows but those along one side. A sentinel on the other side then sees a
-/// marker, or what is around the gel hides it.
+/// A lattice that moved by a pitch fills all windows except those along one side. On the other side, a
+/// sentinel then detects a marker, or the surroundings of the gel hide it.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Windows {
     /// Markers row by row, then sentinels.
     places_px: Vec<DVec2>,
     pub found: Found,
-    /// What markers look like, if that is enough to search each window by its own light.
+    /// Appearance of the markers, if it suffices to threshold each window locally.
     pub marker_size: Option<MarkerSize>,
-    /// The tracks of this frame, which stand only when they are certain.
+    /// The tracks of this frame, valid only when they are certain.
     pub tracks: Tracks,
 }
 
 impl Windows {
-    /// Starts from the markers of a rest frame of `lattice` (columns, pitch in pixels), and makes room for later frames.
+    /// Starts from the markers of a rest frame of `lattice` (columns, pitch in pixels), and reserves
+    /// memory for later frames.
     pub fn begin(
         &mut self,
         detector: &mut Detector,
@@ -54,8 +57,8 @@ impl Windows {
         }
     }
 
-    /// Looks around the predicted positions, row by row; whether what is seen there is as expected. No allocation after the
-    /// first frame of a lattice.
+    /// Searches around the predicted positions, row by row; returns whether the observations are as
+    /// expected. No allocation after the first frame of a lattice.
     ///
     /// # Errors
     /// [`DetectError`].
@@ -132,7 +135,8 @@ impl Side {
     }
 }
 
-/// First and last row, first and last column, in the order of [`add_sentinels`]; none of a single row or column.
+/// First and last row, first and last column, in the order of [`add_sentinels`]; `None` for a single row
+/// or column.
 fn sides(markers: usize, cols: usize) -> Option<[Side; 4]> {
     let rows = lattice_rows(markers, cols)?;
     let side = |count, first_sentinel, first_opposite, stride| Side {
@@ -161,7 +165,7 @@ fn usual_area_px2(markers: &Markers) -> f64 {
     crate::math::median(&mut areas).unwrap_or(0.0)
 }
 
-/// Adds the places one pitch outside the lattice's four sides, each in line with its two nearest markers.
+/// Adds the places one pitch outside the lattice's four sides, extrapolated from the two nearest markers.
 fn add_sentinels(lattice_px: &[DVec2], cols: usize, out: &mut Vec<DVec2>) {
     let Some(rows) = lattice_rows(lattice_px.len(), cols) else { return };
     let at = |row: usize, col: usize| lattice_px[row * cols + col];
@@ -184,7 +188,8 @@ mod tests {
     const COLS: usize = 205;
     const ROWS: usize = 36;
 
-    /// What windows see of a lattice that has moved by so many columns: gel where it was, and beside it gel or a wall.
+    /// Window observations of a lattice that has moved by `moved_cols` columns: gel in its former place,
+    /// and gel or a wall beside it.
     fn seen(moved_cols: usize, is_walled: bool) -> (Windows, Tracks) {
         let lattice_px: Vec<DVec2> = (0..ROWS * COLS)
             .map(|k| DVec2::new(20.0 + 3.0 * (k % COLS) as f64, 20.0 + 3.0 * (k / COLS) as f64))
@@ -212,7 +217,7 @@ mod tests {
         (windows, tracks)
     }
 
-    /// The 36 markers of a border are few of 7380.
+    /// The 36 markers of a border are a small share of 7380.
     #[test]
     fn a_lattice_that_moved_by_a_pitch_is_told_from_one_beside_a_wall() {
         for is_walled in [false, true] {
@@ -227,7 +232,7 @@ mod tests {
         }
     }
 
-    /// Of markers that leave the view nothing is missing; as many within it are.
+    /// Markers that leave the view do not count as missing; as many inside it do.
     #[test]
     fn markers_may_leave_the_view() {
         for (y_px, expected) in [(479.5, true), (470.0, false)] {

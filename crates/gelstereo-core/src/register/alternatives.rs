@@ -1,14 +1,13 @@
-//! Other poses that explain a contact about as well as the best.
+//! Other poses that explain a contact about as well as the best one.
 
 use crate::math::Pose;
 
-/// Another pose that explains the contact about as well as the best: at least 1 % as likely, and apart from it and from
-/// every other one by five standard deviations over what the contact determines. It stands where the best one does along
-/// the directions that the contact leaves free, or where a turn that shows the part alike puts that pose. How far the guess
-/// is off counts in the likelihood.
+/// Another pose that explains the contact about as well as the best: at least 1 % as likely, and five
+/// standard deviations apart from it and all others over the determined directions. Along free directions
+/// it equals the best pose or its copy under a symmetry. The likelihood includes the prior of the guess.
 ///
-/// Turns after which the whole part looks the same are tried on every answer, and motions that brought one answer to
-/// another. A pose that looks the same in this contact alone is missing if no start came near it.
+/// Symmetry rotations of the whole part are tried on every optimum, as are motions that relate two
+/// optima. A pose that is equivalent in this contact only is missing if no start converged near it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Alternative {
@@ -18,8 +17,8 @@ pub struct Alternative {
     pub log_likelihood: f64,
 }
 
-/// The other poses, the likelier one first, up to [`Self::MOST`] of them, without allocation; it reads, and prints, as a
-/// slice.
+/// The other poses, most likely first, at most [`Self::MOST`], without allocation. Dereferences to, and
+/// prints as, a slice.
 #[derive(Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Alternatives {
@@ -29,24 +28,24 @@ pub struct Alternatives {
 }
 
 impl Alternatives {
-    /// Most that are kept.
+    /// Largest number kept.
     pub const MOST: usize = 8;
 
-    /// None.
+    /// No other poses.
     pub const NONE: Self = Self {
         all: [Alternative { t_sensor_object: Pose::IDENTITY, log_likelihood: 0.0 }; Self::MOST],
         count: 0,
         is_cut: false,
     };
 
-    /// Whether there may be more: there was no room for all, or the budget of work was spent before all were looked at. The
-    /// likelier ones come first.
+    /// Whether there may be more: the list was full, or the work budget ran out first. The most likely
+    /// ones are kept.
     #[must_use]
     pub const fn is_cut(&self) -> bool {
         self.is_cut
     }
 
-    /// None yet of a list.
+    /// An empty list.
     pub(super) const fn none_of(is_cut: bool) -> Self {
         Self { is_cut, ..Self::NONE }
     }

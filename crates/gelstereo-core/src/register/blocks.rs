@@ -1,19 +1,19 @@
-//! A template's points and normals in the order of its tree, a few at a time, for sums that run over them.
+//! A template's points and normals in tree order, in small blocks for vectorised sums.
 
 use crate::math::DVec3;
 use crate::spatial::{KdTree, LEAF};
 use alloc::vec::Vec;
 
-/// Points that are handled together.
+/// Points processed together.
 pub(super) const LANES: usize = 4;
 
-// A leaf's points have blocks of their own.
+// Each leaf's points start a new block.
 const _: () = assert!(LEAF.is_multiple_of(LANES));
 
-/// One number of each of the points of a block.
+/// One number per point of a block.
 pub(super) type Lanes = [f64; LANES];
 
-/// Farther than any point, and its square still a number: a lane without a point.
+/// Coordinate of an unused lane: farther than any point, and its square is finite.
 const NOWHERE_MM: f64 = 1e100;
 
 /// Neighbouring points and their normals, by coordinate.
@@ -23,7 +23,7 @@ pub(super) struct Block {
     pub normals: [Lanes; 3],
 }
 
-/// Of these points, in the order of the tree; lanes of the last block that are left stand nowhere.
+/// Blocks of these points, in tree order; unused lanes of the last block are at [`NOWHERE_MM`].
 pub(super) fn blocks(points_mm: &[DVec3], normals: &[DVec3], tree: &KdTree) -> Vec<Block> {
     let mut out = Vec::with_capacity(points_mm.len().div_ceil(LANES));
     let order: Vec<u32> = tree.indices().collect();

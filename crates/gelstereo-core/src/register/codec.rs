@@ -1,4 +1,4 @@
-//! A template as bytes, for files: little-endian, version 1.
+//! Serialised templates, for files: little-endian, version 1.
 //!
 //! ```text
 //! magic 8 | version u32 | flags u32 (1 surface, 2 grid, 4 squares of the points, made again) | spacing f64
@@ -24,24 +24,24 @@ const SURFACE: u32 = 1;
 const GRID: u32 = 2;
 const SURFELS: u32 = 4;
 
-/// Why bytes are no template.
+/// Why bytes are not a template.
 #[derive(Clone, Debug, PartialEq)]
 pub enum TemplateBytesError {
-    /// They do not begin as a template does.
+    /// They do not start with the magic bytes.
     NotATemplate,
-    /// A version that is not known here.
+    /// An unsupported version.
     Version {
         /// The version found.
         found: u32,
     },
-    /// They end early, or were changed.
+    /// They are truncated or modified.
     Damaged {
-        /// Where it showed.
+        /// Where the damage was detected.
         byte: usize,
     },
-    /// Whole, but the points are no template.
+    /// Undamaged, but the points are not a template.
     Template(TemplateError),
-    /// Whole, but the triangles are no surface.
+    /// Undamaged, but the triangles are not a surface.
     Mesh(MeshError),
 }
 
@@ -76,7 +76,7 @@ impl From<Stopped> for TemplateBytesError {
 }
 
 impl Template {
-    /// All of the template as bytes.
+    /// The whole template as bytes.
     #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut out = MAGIC.to_vec();
@@ -109,7 +109,7 @@ impl Template {
         out
     }
 
-    /// The template that [`Self::to_bytes`] wrote, with the same digest.
+    /// The template written by [`Self::to_bytes`], with the same digest.
     ///
     /// # Errors
     /// [`TemplateBytesError`].
@@ -120,7 +120,7 @@ impl Template {
     /// As [`Self::from_bytes`], unless it is stopped.
     ///
     /// # Errors
-    /// [`TemplateBytesError`]; [`TemplateError::Stopped`] in it says that it was stopped.
+    /// [`TemplateBytesError`]; it contains [`TemplateError::Stopped`] if it was stopped.
     pub fn from_bytes_unless(bytes: &[u8], stop: Stop<'_>) -> Result<Self, TemplateBytesError> {
         if !bytes.starts_with(MAGIC) {
             return Err(TemplateBytesError::NotATemplate);
@@ -137,7 +137,7 @@ impl Template {
         }
         read.bytes = &bytes[..end];
         let flags = read.u32()?;
-        // A grid is a surface's; squares stand for one.
+        // A grid requires a mesh surface; surfels replace one.
         if ![0, SURFACE, SURFACE | GRID, SURFELS].contains(&flags) {
             return Err(read.damaged());
         }
@@ -154,7 +154,7 @@ impl Template {
         if flags & GRID != 0 {
             let asked = (read.f64()?, read.f64()?);
             template = template.with_field_unless(asked.0, asked.1, stop)?;
-            // Made again it has the numbers that it had.
+            // Rebuilding gives the same numbers.
             if template.field().map(|field| (field.cell_mm(), field.reach_mm())) != Some(asked) {
                 return Err(read.damaged());
             }
@@ -208,7 +208,7 @@ impl Reader<'_> {
         Ok(DVec3::new(self.f64()?, self.f64()?, self.f64()?))
     }
 
-    /// A number of things of so many bytes each that can still come.
+    /// Reads a count of items of `each` bytes; fails if the remaining bytes cannot hold them.
     fn count(&mut self, each: usize) -> Result<usize, TemplateBytesError> {
         let count = self.u64()?;
         let most = (self.bytes.len() - self.at) / each;
@@ -219,7 +219,7 @@ impl Reader<'_> {
         (0..self.count(24)?).map(|_| self.vector()).collect()
     }
 
-    /// As it was written, to the bit; an axis that is none is refused.
+    /// Reads a symmetry, bit for bit; rejects an invalid axis.
     fn symmetry(&mut self) -> Result<Symmetry, TemplateBytesError> {
         let (axis, centre_mm) = (self.vector()?, self.vector()?);
         let order = Some(self.u32()?).filter(|&n| n > 0);

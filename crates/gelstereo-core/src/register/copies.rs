@@ -1,4 +1,4 @@
-//! Symmetric copies of a pose are one answer: the one nearest to the guess.
+//! Reduces symmetric copies of a pose to one: the copy nearest to the guess.
 
 use super::alternatives::{Alternative, Alternatives};
 use super::free::FreeDirections;
@@ -7,11 +7,11 @@ use super::registration::Registration;
 use super::symmetry::{Symmetry, nearest_copy};
 use crate::math::Pose;
 
-/// Poses whose difference is this many standard deviations over the determined directions are two.
+/// Poses this many standard deviations apart over the determined directions count as distinct.
 pub(super) const APART: f64 = 5.0;
 
-/// Brings a registration and its alternatives to the copies nearest to `guess`, drops alternatives that
-/// are none then, and names the part's own turns among the free directions.
+/// Replaces a registration and its alternatives by the copies nearest to `guess` and drops alternatives
+/// that then coincide. Marks the part's own symmetry rotations among the free directions.
 pub(super) fn honour(found: &mut Registration, symmetries: &[Symmetry], guess: &Pose, resolution_mm: f64) {
     if symmetries.is_empty() {
         return;
@@ -25,7 +25,7 @@ pub(super) fn honour(found: &mut Registration, symmetries: &[Symmetry], guess: &
     let mut kept = Alternatives::none_of(found.alternatives.is_cut());
     for one in found.alternatives.iter() {
         let t_sensor_object = nearest_copy(symmetries, &one.t_sensor_object, guess);
-        // Nearest to each other: in the middle between two copies noise chooses which is nearest to the guess.
+        // Nearest to each other: midway between two copies, noise decides which is nearest to the guess.
         let is_copy =
             |other: &Pose| !are_apart(&seen, &nearest_copy(symmetries, &t_sensor_object, other), other);
         if !is_copy(&best) && !kept.iter().any(|k| is_copy(&k.t_sensor_object)) {

@@ -1,11 +1,11 @@
-//! What can be wrong with a template or with a patch, said so that the reader knows what to do.
+//! Errors of templates and patches, with messages that state the remedy.
 
 use super::limits::{MAX_POINTS, MIN_POINTS, REACH_MM};
 use crate::params::ParamsError;
 use crate::stop::Stopped;
 use crate::surface::SolidError;
 
-/// Why points or a mesh are no template.
+/// Why points or a mesh are not a template.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TemplateError {
     /// Too few points, or a mesh that gives too few at this spacing.
@@ -15,14 +15,14 @@ pub enum TemplateError {
         /// Points needed.
         least: usize,
     },
-    /// More points than a template holds.
+    /// More points than a template may hold.
     TooMany {
         /// Points found, or expected from the mesh's area.
         found: f64,
         /// The spacing.
         spacing_mm: f64,
     },
-    /// Points and normals are not equally many.
+    /// The numbers of points and normals differ.
     Lengths {
         /// Points found.
         points: usize,
@@ -39,9 +39,9 @@ pub enum TemplateError {
         /// Which one.
         index: usize,
     },
-    /// The mesh has no exact surface.
+    /// The mesh is not a valid exact surface.
     Solid(SolidError),
-    /// The spacing is not positive, or does not go with the size of the points.
+    /// The spacing is not positive, or does not fit the extent of the points.
     Spacing {
         /// The spacing found.
         found_mm: f64,
@@ -102,10 +102,10 @@ impl From<SolidError> for TemplateError {
     }
 }
 
-/// Why a registration has no answer.
+/// Why a registration failed.
 #[derive(Clone, Debug, PartialEq)]
 pub enum RegisterError {
-    /// A setting makes no sense.
+    /// A setting is invalid.
     Params(ParamsError),
     /// Too few salient points.
     TooFewPoints {
@@ -121,7 +121,8 @@ pub enum RegisterError {
     },
     /// The guess has a component that is NaN, infinite or beyond 1e12 mm, or its quaternion has no direction.
     BadGuess,
-    /// The rung needs the part's surface, and the template was made of points alone, or its grid was taken away.
+    /// The rung needs the part's surface, but the template was made from points only, or its grid was
+    /// removed.
     NoSurface,
     /// A marker that is not salient is NaN, infinite or beyond 1e12 mm.
     MarkerNotFinite {
@@ -139,23 +140,23 @@ pub enum RegisterError {
         /// All markers.
         all: usize,
     },
-    /// The way of the press is no unit vector.
+    /// The press direction is not a unit vector.
     PressDirection,
-    /// The patch lies across the way of the press: no part pressed that way leaves it.
+    /// The patch is too oblique to the press direction; no part pressed in that direction leaves it.
     PatchAside {
-        /// Angle between the patch's normal and the way of the press.
+        /// Angle between the patch's normal and the press direction.
         angle_deg: f64,
-        /// The largest that is taken.
+        /// The largest valid angle.
         most_deg: f64,
-        /// The way of the press.
+        /// The press direction.
         press_direction: [f64; 3],
     },
-    /// A decay length that no gel has.
+    /// An invalid decay length of the gel.
     Decay {
         /// The length found.
         found_mm: f64,
     },
-    /// Points and covariances are not equally many.
+    /// The numbers of points and covariances differ.
     Covariances {
         /// Points found.
         points: usize,
@@ -264,5 +265,5 @@ impl From<ParamsError> for RegisterError {
     }
 }
 
-/// Points that a rigid motion in space needs.
+/// Points needed for a rigid motion in space.
 pub(crate) const MIN_PATCH: usize = MIN_POINTS;

@@ -1,4 +1,4 @@
-//! Names for the directions of motion that a contact leaves free.
+//! Readable names for the free directions of a contact.
 
 use super::observe::{Observability, Vector6, dot, halves, stack};
 use super::symmetry::Symmetry;
@@ -9,18 +9,19 @@ use crate::math::{DVec3, sqrt};
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct FreeDirection {
-    /// Rotation part of the twist about [`Self::centre_mm`]: of length 1 (rad), or zero for a pure translation.
+    /// Rotation part of the twist about [`Self::centre_mm`]: of length 1 (rad), or zero for a pure
+    /// translation.
     pub omega: DVec3,
     /// Translation part: mm per radian, or of length 1 for a pure translation.
     pub v: DVec3,
-    /// The point that the rotation turns about (object frame): the patch's centroid.
+    /// Centre of rotation (object frame): the patch's centroid.
     pub centre_mm: DVec3,
-    /// Whether it turns the part about an axis of its own, after any turn about which it looks the same: no contact
-    /// determines it.
+    /// Whether it is a rotation about an axis of continuous symmetry of the part, which no contact
+    /// determines.
     pub is_own: bool,
 }
 
-/// A free direction as a person would say it, in the object's frame.
+/// A free direction in readable form, in the object's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Motion {
     /// Translation along a unit vector.
@@ -42,7 +43,7 @@ pub enum Motion {
 impl FreeDirection {
     const NONE: Self = Self { omega: DVec3::ZERO, v: DVec3::ZERO, centre_mm: DVec3::ZERO, is_own: false };
 
-    /// Whether it slides, spins or screws, along or about which axis.
+    /// Classifies it as a slide, spin or screw, with its axis.
     #[must_use]
     pub fn motion(&self) -> Motion {
         if self.omega == DVec3::ZERO {
@@ -57,8 +58,8 @@ impl FreeDirection {
 }
 
 impl core::fmt::Display for FreeDirection {
-    /// For example `slide along z`, `spin about (0.71, 0.71, 0.00) through (0.0, 0.0, 4.0) mm` or `spin about z, the
-    /// part's own axis`.
+    /// For example `slide along z`, `spin about (0.71, 0.71, 0.00) through (0.0, 0.0, 4.0) mm` or `spin
+    /// about z, the part's own axis`.
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self.motion() {
             Motion::Slide { along } => {
@@ -66,7 +67,7 @@ impl core::fmt::Display for FreeDirection {
                 write_axis(f, along)
             }
             Motion::Screw { about, through_mm: p, pitch_mm_per_rad: pitch } => {
-                // A pitch that prints as zero is none.
+                // A pitch that prints as zero counts as none.
                 let screws = pitch.abs() >= 0.005;
                 write!(f, "{} about ", if screws { "screw" } else { "spin" })?;
                 write_axis(f, about)?;
@@ -93,7 +94,7 @@ fn write_axis(f: &mut core::fmt::Formatter<'_>, axis: DVec3) -> core::fmt::Resul
     write!(f, "({:.2}, {:.2}, {:.2})", rounded.x, rounded.y, rounded.z)
 }
 
-/// Up to six free directions, without allocation; it reads, and prints, as a slice.
+/// Up to six free directions, without allocation. Dereferences to, and prints as, a slice.
 #[derive(Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct FreeDirections {
@@ -102,16 +103,16 @@ pub struct FreeDirections {
 }
 
 impl FreeDirections {
-    /// None: all six are determined.
+    /// No free directions: all six are determined.
     pub const NONE: Self = Self { directions: [FreeDirection::NONE; 6], count: 0 };
 
-    /// The free directions of a patch on which places are told apart to `resolution_mm`, all in the object's frame.
+    /// The free directions of a patch with position resolution `resolution_mm`, all in the object's frame.
     ///
-    /// Any basis of the free space would be right. This one has pure translations first, then rotations, each
-    /// turned so that it lies as near as it can to the object's own axes. A translation is pure when over its way
-    /// across the patch its rotation moves the points by less than the resolution; a rotation is a pure spin when its
-    /// advance in a radian is less than that. Turns about the part's own axes, among the `symmetries`, come before other
-    /// rotations.
+    /// Any basis of the free space is valid. This one has pure translations first, then rotations, each
+    /// as close as possible to the object's axes. A translation counts as pure if, over one patch radius,
+    /// its rotation part moves the points by less than the resolution. A rotation counts as a pure spin
+    /// if its advance per radian is less than that. Rotations about continuous `symmetries` come before
+    /// other rotations.
     #[must_use]
     pub(super) fn new(seen: &Observability, resolution_mm: f64, symmetries: &[Symmetry]) -> Self {
         let mut space = Subspace::free(seen);
@@ -170,7 +171,7 @@ impl Axes {
         self.axes[..self.count].iter()
     }
 
-    /// What a vector has across all of them.
+    /// The component of a vector orthogonal to all of them.
     fn without(&self, v: DVec3) -> DVec3 {
         self.iter().fold(v, |v, axis| v - *axis * v.dot(*axis))
     }
@@ -201,7 +202,7 @@ impl Subspace {
         core::array::from_fn(|i| core::array::from_fn(|j| self.projection[row + i][col + j]))
     }
 
-    /// Translations whose share in the space is at least `least`.
+    /// Translations of which at least the share `least` lies in the space.
     fn pure_translations(&self, least: f64) -> Axes {
         let eigen = linalg::eigen(&self.block(3, 3));
         let count = eigen.values.iter().filter(|&&share| share >= least).count();
@@ -214,7 +215,7 @@ impl Subspace {
         }
     }
 
-    /// Takes the twist (ω, v) out of the space, if its share in there is at least `least`.
+    /// Removes the twist (ω, v) from the space if at least the share `least` of it lies in there.
     fn take(&mut self, omega: DVec3, v: DVec3, radius_mm: f64, least: f64) -> bool {
         let z = stack(omega * radius_mm, v);
         let mut inside: Vector6 = core::array::from_fn(|row| dot(&self.projection[row], &z));
@@ -227,8 +228,8 @@ impl Subspace {
         is_inside
     }
 
-    /// For each of `count` axes q of rotation in the space, its twist (q, v): u = P[.., ω] W⁺ q, W the block of
-    /// rotations.
+    /// For each of `count` rotation axes q in the space, its twist (q, v): u = P[.., ω] W⁺ q, W the
+    /// rotation block.
     fn rotations(&self, radius_mm: f64, count: usize) -> [Option<(DVec3, DVec3)>; 3] {
         let eigen = linalg::eigen(&self.block(0, 0));
         let count = count.min(eigen.values.iter().filter(|&&share| share > 0.0).count());
@@ -249,8 +250,8 @@ impl Subspace {
     }
 }
 
-/// An orthonormal basis of the span of the last `count` vectors, each the projection of the coordinate axis that has
-/// most left in it.
+/// An orthonormal basis of the span of the last `count` vectors. Each basis vector is the projection of
+/// the coordinate axis with the largest remaining component.
 fn along_axes(vectors: &[[f64; 3]; 3], count: usize) -> Axes {
     let mut span = [DVec3::ZERO; 3];
     for v in vectors.iter().skip(3 - count).map(|&v| DVec3::from_array(v)) {
@@ -261,7 +262,7 @@ fn along_axes(vectors: &[[f64; 3]; 3], count: usize) -> Axes {
     let mut axes = Axes { axes: [DVec3::ZERO; 3], count };
     for k in 0..count {
         let share = |axis: usize| span[axis][axis];
-        // Of equal shares, all that a ball leaves, rounding does not choose.
+        // Equal shares, as for a ball, are not decided by rounding.
         let axis = (1..3).fold(0, |best, axis| if share(axis) > share(best) + 1e-9 { axis } else { best });
         let unit = span[axis] / sqrt(span[axis].length_squared());
         axes.axes[k] = unit;

@@ -1,14 +1,14 @@
 //! Fusion of two estimates of one pose, each with its information (Barfoot and Furgale 2014), and of an
-//! estimate with a plane that a point of the part touches.
+//! estimate with a plane contact of a point of the part.
 //!
-//! An estimate says that the true pose is exp(e) T with e normal, of zero mean and information Λ. The fused
-//! pose is the one with the least e₁ᵀ Λ₁ e₁ + e₂ᵀ Λ₂ e₂, by Gauss-Newton on SE(3). Either information may be
-//! singular: along what a contact leaves free, the other estimate alone counts.
+//! In an estimate, the true pose is exp(e) T with e normal, of zero mean and information Λ. The fused
+//! pose minimises e₁ᵀ Λ₁ e₁ + e₂ᵀ Λ₂ e₂, by Gauss-Newton on SE(3). Either information may be singular:
+//! along free directions of one contact only the other estimate counts.
 
 use crate::math::linalg::{Symmetric, eigen};
 use crate::math::{DVec3, Pose, so3, sqrt};
 
-/// A pose with the information about it.
+/// A pose with its information matrix.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseEstimate {
     /// Maps coordinates of frame b to frame a.
@@ -17,7 +17,7 @@ pub struct PoseEstimate {
     pub information: Symmetric<6>,
 }
 
-/// A plane that a point of the part touches: normal · (T point) = offset, known to one standard deviation.
+/// A plane that a point of the part touches: normal · (T point) = offset, with a standard deviation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlaneContact {
     /// The point, frame b, mm.
@@ -30,15 +30,14 @@ pub struct PlaneContact {
     pub sigma_mm: f64,
 }
 
-/// What two sources say together of one pose.
+/// The pose fused from two sources.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FusedPose {
-    /// The fused pose, with its information. Along what neither source knows it is the first one's.
+    /// The fused pose, with its information. Along directions unknown to both it is the first one's.
     pub estimate: PoseEstimate,
-    /// Least sum of eᵀ Λ e: how far the sources contradict each other. Of two estimates that know all six
-    /// directions and are right, it is distributed as chi-squared with six degrees of freedom. Of an
-    /// estimate that knows the direction that a plane contact constrains, it is so with one degree of
-    /// freedom.
+    /// Minimum of the sum of eᵀ Λ e: the disagreement of the sources. For two correct estimates that
+    /// determine all six directions it is chi-squared with six degrees of freedom. For a plane contact it
+    /// has one degree of freedom, if the estimate determines the constrained direction.
     pub squared_distance: f64,
 }
 
@@ -50,12 +49,12 @@ pub enum FusionError {
         /// Which estimate, 0 or 1.
         index: usize,
     },
-    /// An information is not symmetric, or knows less than nothing along a direction.
+    /// An information matrix is not symmetric, or is negative along a direction.
     Information {
         /// Which estimate, 0 or 1.
         index: usize,
     },
-    /// A number of a plane contact is not valid.
+    /// A number of a plane contact is invalid.
     Plane {
         /// Which number.
         name: &'static str,
@@ -64,33 +63,32 @@ pub enum FusionError {
         /// What is valid, in words.
         valid: &'static str,
     },
-    /// The poses differ by more than two looks at one part can.
+    /// The poses differ by more than two estimates of one part can.
     Apart {
         /// Angle between them, rad.
         turn_rad: f64,
     },
-    /// The iterations did not come to rest: the estimates contradict each other.
+    /// The iterations did not converge: the estimates contradict each other.
     NotConverged {
-        /// Turn of the last step, rad.
+        /// Rotation of the last step, rad.
         step_rad: f64,
-        /// Shift of the last step, mm.
+        /// Translation of the last step, mm.
         step_mm: f64,
     },
 }
 
-/// Estimates that differ by a larger angle are not fused: the series of the Jacobian is cut for angles up to
-/// this.
+/// Largest angle between fused estimates; the series of the Jacobian is truncated for angles up to this.
 const MAX_TURN_RAD: f64 = 0.5;
-/// Gauss-Newton converges in a few steps; estimates that contradict each other take more.
+/// Gauss-Newton converges in a few steps; contradictory estimates take more.
 const MAX_STEPS: usize = 60;
-/// A last step that is longer is not at rest. A thousandth of what a contact tells at best, 1e-3 mm and, over
-/// 10 mm, 1e-4 rad.
+/// Longest last step of a converged solution: a thousandth of the best accuracy of a contact, 1e-3 mm
+/// and, over 10 mm, 1e-4 rad.
 const MAX_REST_RAD: f64 = 1e-7;
-/// The same for the shift.
+/// As [`MAX_REST_RAD`], for translation.
 const MAX_REST_MM: f64 = 1e-6;
-/// A direction with less of the scaled information than this is free. Carried through a frame that is L away,
-/// information about a part of size l keeps a round-off of 1e-16 (L / l)²: 1e-12 for a robot's base. A height
-/// is known to 1e-3 mm at best, so that what is known to worse than 100 mm is left alone.
+/// Directions with less scaled information than this are free. Information about a part of size l,
+/// transformed to a frame at distance L, has a round-off of 1e-16 (L / l)²: 1e-12 for a robot's base.
+/// Heights are accurate to 1e-3 mm at best, so directions known to worse than 100 mm are ignored.
 const FREE: f64 = 1e-10;
 
 impl core::fmt::Display for FusionError {
@@ -131,8 +129,8 @@ impl PoseEstimate {
         Self { pose: *t_c_a * self.pose, information: sandwiched(&self.information, &back) }
     }
 
-    /// The same estimate after the pose was disturbed about a point of frame a, by independent normal turns
-    /// about and shifts along the axes of frame a with these standard deviations.
+    /// The same estimate after a random disturbance of the pose about a point of frame a: independent
+    /// normal rotations about and translations along the axes of frame a, with these standard deviations.
     #[must_use]
     pub fn disturbed(&self, point_mm: DVec3, sigma_rad: DVec3, sigma_mm: DVec3) -> Self {
         let there = Pose::from_translation_mm(point_mm);
@@ -151,7 +149,7 @@ impl PoseEstimate {
     }
 }
 
-/// Fuses two estimates of one pose, with the same frames.
+/// Fuses two estimates of one pose, in the same frames.
 ///
 /// # Errors
 /// [`FusionError`].
@@ -181,7 +179,7 @@ pub fn fuse_plane(estimate: &PoseEstimate, contact: &PlaneContact) -> Result<Fus
     })
 }
 
-/// Gauss-Newton from a pose to where the normal equations are at rest.
+/// Gauss-Newton from a pose until the steps vanish.
 fn settled(first: Pose, normal_at: impl Fn(&Pose) -> Normal) -> Result<FusedPose, FusionError> {
     let mut pose = first;
     let (mut step_rad, mut step_mm) = (0.0, 0.0);
@@ -196,7 +194,7 @@ fn settled(first: Pose, normal_at: impl Fn(&Pose) -> Normal) -> Result<FusedPose
             break;
         }
     }
-    // The negated form refuses a NaN too.
+    // The negated form also rejects NaN.
     if !(step_rad <= MAX_REST_RAD && step_mm <= MAX_REST_MM) {
         return Err(FusionError::NotConverged { step_rad, step_mm });
     }
@@ -216,7 +214,7 @@ impl PlaneContact {
     fn check(&self) -> Result<(), FusionError> {
         let refuse = |name, found, valid| Err(FusionError::Plane { name, found, valid });
         let length = self.normal.length();
-        // The negated forms refuse a NaN too.
+        // The negated forms also reject NaN.
         if !((length - 1.0).abs() <= 1e-6) {
             return refuse("the length of normal", length, "1");
         }
@@ -241,7 +239,7 @@ fn check(index: usize, estimate: &PoseEstimate) -> Result<(), FusionError> {
     if !finite {
         return Err(FusionError::NotFinite { index });
     }
-    // Round-off of a sum of some thousand points, carried through frames.
+    // Tolerance for round-off of a sum over some thousand points, transformed between frames.
     let scaled = scaled(information).matrix;
     let symmetric = (0..6).all(|i| (0..6).all(|j| (scaled[i][j] - scaled[j][i]).abs() <= 1e-9));
     if symmetric && eigen(&scaled).values[0] >= -1e-9 {
@@ -251,7 +249,7 @@ fn check(index: usize, estimate: &PoseEstimate) -> Result<(), FusionError> {
     }
 }
 
-/// The normal equations of Gauss-Newton at a pose.
+/// The Gauss-Newton normal equations at a pose.
 struct Normal {
     information: Symmetric<6>,
     gradient: [f64; 6],
@@ -277,8 +275,8 @@ impl Normal {
         normal
     }
 
-    /// A left perturbation (ω, v) moves the point q = T p by ω x q + v, and its distance by (q x n) · ω + n
-    /// · v.
+    /// A left perturbation (ω, v) moves the point q = T p by ω x q + v, and its distance by
+    /// (q x n) · ω + n · v.
     fn add_plane(&mut self, pose: &Pose, contact: &PlaneContact) {
         let turn = pose.transform_point(contact.point_mm).cross(contact.normal);
         let n = contact.normal;
@@ -291,7 +289,7 @@ impl Normal {
         self.squared_distance += error * error;
     }
 
-    /// The least step to the minimum of the quadratic, by eigenvectors of the scaled information.
+    /// The minimum-norm step to the minimum of the quadratic, by eigenvectors of the scaled information.
     fn step(&self) -> [f64; 6] {
         let Scaled { matrix, scale } = scaled(&self.information);
         let parts = eigen(&matrix);
@@ -306,8 +304,9 @@ impl Normal {
     }
 }
 
-/// D⁻¹ M D⁻¹ and D's diagonal: the largest entry of turns is 1, and that of shifts. Radians and millimetres
-/// are not comparable otherwise. Each entry by itself would blow up the round-off of one that is free.
+/// D⁻¹ M D⁻¹ and D's diagonal, so that the largest rotation and translation entries are 1; radians and
+/// millimetres are not comparable otherwise. Scaling each entry alone would amplify the round-off of a
+/// free one.
 struct Scaled {
     matrix: Symmetric<6>,
     scale: [f64; 6],
@@ -328,7 +327,7 @@ fn sandwiched(information: &Symmetric<6>, jacobian: &[[f64; 6]; 6]) -> Symmetric
     matrix(|i, j| 0.5 * (whole[i][j] + whole[j][i]))
 }
 
-/// Takes twists (ω, v) through a pose: T exp(ξ) T⁻¹ = exp(Ad ξ).
+/// Maps twists (ω, v) through a pose: T exp(ξ) T⁻¹ = exp(Ad ξ).
 fn adjoint(pose: &Pose) -> [[f64; 6]; 6] {
     let rotation = pose.matrix();
     let moved = so3::hat(pose.translation_mm) * rotation;

@@ -1,18 +1,18 @@
-//! Back to the guess along what a contact leaves free.
+//! Moves a pose back to the guess along free directions.
 //!
-//! A search starts all over the uncertainty of its guess, and along a free direction every start ends where it began:
-//! chance would choose among them. A free direction is a motion of the part's surface within itself, a slide, a spin or a
-//! screw, so that the whole of it can be taken back, not a small step alone.
+//! Starts are spread over the uncertainty of the guess, and along a free direction each ends where it
+//! began, so the result would be random. A free direction moves the part's surface within itself (slide,
+//! spin or screw). The whole motion can therefore be undone, not just a small step.
 
 use super::observe::{Observability, PatchFrame};
 use crate::math::Pose;
 
-/// Projections; each leaves a small share of what the one before left.
+/// Largest number of projections; each leaves a small share of the previous remainder.
 const MAX_STEPS: u32 = 12;
-/// Shorter ones, over the patch, are none.
+/// Motions shorter than this over the patch count as zero.
 const SHORTEST_MM: f64 = 1e-9;
 
-/// The pose nearest to another one, over the patch, that free motions lead to.
+/// The pose reachable by free motions that is nearest to `other` over the patch.
 pub(super) fn nearest(seen: &Observability, t_sensor_object: &Pose, other: &Pose) -> Pose {
     let frame = PatchFrame { centre_mm: seen.centre_mm, radius_mm: seen.radius_mm };
     let about = Pose::from_translation_mm(seen.centre_mm);
@@ -22,7 +22,7 @@ pub(super) fn nearest(seen: &Observability, t_sensor_object: &Pose, other: &Pose
         let (omega, v) = frame.twist(&(pose * back));
         let (fixed_omega, fixed_v) = seen.determined((omega, v));
         let (omega, v) = (fixed_omega - omega, fixed_v - v);
-        // As a screw: seen from the sensor, the surface is then where it was.
+        // As a screw, which leaves the surface in place as seen from the sensor.
         let product = about * Pose::exp(omega, v) * about.inverse() * pose;
         pose = product.normalized().unwrap_or(pose);
         if (omega * frame.radius_mm).length_squared() + v.length_squared() < SHORTEST_MM * SHORTEST_MM {

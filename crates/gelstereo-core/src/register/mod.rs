@@ -1,7 +1,7 @@
 //! Registration of a contact patch to a part's template (Eq. 5 to 7).
 //!
-//! The source is the patch of salient points, the target the template at the guess; what is returned maps the
-//! object's frame to the sensor's, so it is Eq. 7's inverse already.
+//! The source is the patch of salient points, the target the template at the guess. The result maps the
+//! object's frame to the sensor's, so it is already the inverse of Eq. 7.
 
 mod alternatives;
 mod blocks;

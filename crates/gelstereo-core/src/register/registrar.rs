@@ -9,7 +9,7 @@ use crate::math::{DVec3, Pose};
 use crate::params::{RegisterMethod, RegisterParams};
 use crate::stop::{NEVER, Stop};
 
-/// The registration stage and its scratch.
+/// The registration stage and its scratch memory.
 #[derive(Clone, Debug)]
 pub struct Registrar {
     params: RegisterParams,
@@ -34,14 +34,14 @@ impl Registrar {
         &self.params
     }
 
-    /// Goes on with other settings, in the memory that it has: the answers are those of a new one.
+    /// Changes the settings and keeps the memory; results are those of a new stage.
     pub fn set_params(&mut self, params: &RegisterParams) {
         self.params.clone_from(params);
     }
 
     /// Registers a patch of salient points (sensor frame) to the template, from a guess.
     ///
-    /// Allocates nothing once a patch as large has been seen. The same input gives the same bits.
+    /// Does not allocate once a patch as large has been seen. The same input gives the same bits.
     ///
     /// # Errors
     /// [`RegisterError`].
@@ -54,7 +54,7 @@ impl Registrar {
         self.register(&Contact::new(points_mm), template, guess)
     }
 
-    /// As [`Self::run`], with all that was sensed of the contact.
+    /// As [`Self::run`], with all measurements of the contact.
     ///
     /// # Errors
     /// [`RegisterError`].
@@ -70,7 +70,7 @@ impl Registrar {
     /// As [`Self::register`], unless it is stopped.
     ///
     /// # Errors
-    /// [`RegisterError`]; [`RegisterError::Stopped`] leaves nothing behind.
+    /// [`RegisterError`]; [`RegisterError::Stopped`] leaves no side effects.
     pub fn register_unless(
         &mut self,
         contact: &Contact<'_>,
@@ -85,7 +85,7 @@ impl Registrar {
             FilterregPlane, FilterregPoint, RansacIcp, SurfaceClose, SurfaceSearch, SurfaceTrack,
         };
         let Self { params, scratch, surface } = self;
-        // Normals are read at samples, and so at most half a spacing off.
+        // Normals are read at samples, hence up to half a spacing away.
         let by_samples_mm = params.point_sigma_mm.max(0.5 * template.spacing_mm());
         let (mut found, resolution_mm) = match params.method {
             FilterregPoint | FilterregPlane | RansacIcp => {
@@ -101,9 +101,9 @@ impl Registrar {
         Ok(found)
     }
 
-    /// How far markers are from what the gel does at a pose of a contact that has been registered, after as few steps
-    /// as make it usual, or else after all. `None` where it is not known: not all markers are given, the part has holes,
-    /// or the gel comes back to rest within a pitch.
+    /// Deviation of the markers from the gel model at a pose of a registered contact. Stops as soon as it
+    /// is typical, otherwise takes all steps. `None` if unknown: not all markers are given, the part has
+    /// holes, or the gel returns to rest within a pitch.
     pub(super) fn misfit(
         &mut self,
         of: (&Contact<'_>, &Template),
@@ -114,7 +114,7 @@ impl Registrar {
     }
 }
 
-/// Refuses what has no answer; returns the guess at unit length.
+/// Rejects invalid input; returns the normalised guess.
 fn check(points_mm: &[DVec3], guess: &Pose) -> Result<Pose, RegisterError> {
     let far = |v: &DVec3| !v.is_finite() || v.abs().max_element() > limits::REACH_MM;
     if let Some(index) = points_mm.iter().position(far) {

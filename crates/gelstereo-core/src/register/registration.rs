@@ -1,4 +1,4 @@
-//! What registration found.
+//! The result of registration.
 
 use super::alternatives::Alternatives;
 use super::free::FreeDirections;
@@ -10,75 +10,78 @@ use crate::math::Pose;
 use crate::math::linalg::Symmetric;
 use crate::params::GuessSigma;
 
-/// What registration found, with its evidence.
+/// The result of registration, with its evidence.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Registration {
     /// Maps object coordinates to sensor coordinates.
     pub t_sensor_object: Pose,
-    /// Information matrix of a left perturbation (ω, v) of `t_sensor_object` in the sensor frame:
-    /// T_true = exp(ω, v) T; order ωx ωy ωz (rad) vx vy vz (mm). It is singular along [`Self::free`] directions:
-    /// ask [`Self::covariance`] or [`Self::determined_covariance`] instead of inverting it.
+    /// Information matrix of a left perturbation (ω, v) of `t_sensor_object` in the sensor frame: T_true
+    /// = exp(ω, v) T; order ωx ωy ωz (rad) vx vy vz (mm). It is singular along [`Self::free`] directions:
+    /// use [`Self::covariance`] or [`Self::determined_covariance`] instead of inverting it.
     pub information: Symmetric<6>,
     /// The same information about the patch's centroid, by eigenvectors.
     pub observability: Observability,
-    /// How well the pose was known before: `register.start_sigma_deg` and `register.start_sigma_mm`.
+    /// Prior accuracy of the pose: `register.start_sigma_deg` and `register.start_sigma_mm`.
     pub guess_sigma: GuessSigma,
-    /// Whether the steps fell below `register.step_tolerance` before the iterations, or the budget, ran out. Where they did
-    /// not, the covariance adds the step that was not taken, in every direction.
+    /// Whether the steps fell below `register.step_tolerance` before the iterations, or the budget, ran
+    /// out. Otherwise the covariance includes the remaining step, in every direction.
     pub converged: bool,
-    /// Iterations done by the last stage.
+    /// Iterations of the last stage.
     pub iterations: u32,
     /// Points within `register.max_distance_mm` of the template.
     pub inliers: usize,
-    /// Points given.
+    /// Number of points given.
     pub points: usize,
-    /// Root mean square distance of the inliers; for point-to-plane rungs along the normal, each by its probability of
-    /// being in contact.
+    /// Root mean square distance of the inliers; for point-to-plane rungs along the normal, weighted by
+    /// the probability of contact.
     pub rmse_mm: f64,
-    /// Directions that the contact leaves free; empty when all six are determined.
+    /// Free directions of the contact; empty when all six are determined.
     pub free: FreeDirections,
-    /// Natural logarithm of the pose's likelihood over that of a perfect fit, known to
-    /// the rungs on the surface alone. It compares poses of one contact, and no more.
+    /// Log-likelihood of the pose relative to a perfect fit; surface rungs only. It only compares poses
+    /// of one contact.
     pub log_likelihood: Option<f64>,
-    /// Natural logarithm of the odds that the part is here over something else, both as likely beforehand; known to
-    /// the rungs on the surface alone. At 0 or below the pose does not explain the contact: the part is elsewhere, or
-    /// another. [`Self::verdict`] asks for more than that.
+    /// Log evidence ratio: natural logarithm of the odds that the part is here rather than something
+    /// else, with equal priors; surface rungs only. At 0 or below the pose does not explain the contact:
+    /// the part is elsewhere, or another. [`Self::verdict`] requires more.
     ///
-    /// Where the gel's model was used, markers that touch or are lifted tell whatever the law of the gel. The markers beside
-    /// the part count where they agree with the model. Elsewhere distances from the part, and the gel's shoulder, as far
-    /// beside the part as twice the contact's decay length, say little of either. A search takes the pose that fits best of
-    /// all within `register.start_sigma_deg` and `register.start_sigma_mm`, and its odds are charged for that: noise seldom
-    /// has odds above 0. Those of the rungs from one start are not: of noise they have odds above 0
-    /// once in 25 times (`surface_close`) or in 100 (`surface_track`; simulated).
+    /// With the gel model, markers in contact or lifted are evidence whatever the gel's law; markers
+    /// beside the part count where they agree with the model. Otherwise there is little evidence in
+    /// distances from the part, and in the gel's shoulder, up to twice the contact's decay length beside
+    /// the part. A search returns the best pose within `register.start_sigma_deg` and
+    /// `register.start_sigma_mm`, and its odds are corrected for that selection: noise seldom has odds
+    /// above 0. Those of single-start rungs are not corrected: noise has odds above 0 once in 25 times
+    /// (`surface_close`) or in 100 (`surface_track`; simulated).
     pub log_odds: Option<f64>,
     /// Whether the pose explains the contact.
     pub verdict: Verdict,
-    /// The gel's decay length that explains the contact best; `None` where the gel was not asked, which `surface_search`
-    /// alone does, and it only where markers show what the gel does.
+    /// The gel's decay length that explains the contact best. `None` unless `surface_search` used the gel
+    /// model, which requires markers that show the gel's shape.
     pub gel_decay: Option<GelDecay>,
-    /// The other poses that explain the contact about as well, the likelier one first; `surface_search` alone looks for
-    /// them. What starts from one guess returns none, whatever there is.
+    /// Other poses that explain the contact about as well, most likely first. Only `surface_search` looks
+    /// for them; single-start rungs return none.
     pub alternatives: Alternatives,
 }
 
 impl Registration {
-    /// Covariance of the perturbation that [`Self::information`] speaks of: the contact's information joined with
-    /// [`Self::guess_sigma`]. It is finite and positive definite, and along [`Self::free`] directions it has the variance of
-    /// the guess. To join it with another source, take [`Self::information`] instead: the guess would count twice.
+    /// Covariance of the perturbation of [`Self::information`]: the contact's information combined with
+    /// [`Self::guess_sigma`]. It is finite and positive definite; along [`Self::free`] directions it has
+    /// the variance of the guess. To fuse with another source use [`Self::information`] instead, or the
+    /// guess would count twice.
     ///
-    /// It takes for given that the points touch the faces that the pose puts them on. `surface_search` asks the gel, and
-    /// counts no marker that may as well hang. `surface_close` and `surface_track` add what is not known of which salient
-    /// points touch, and cannot know of a row of the gel's shoulder that passes for a face: there, and beside a wrong
-    /// thread or edge, errors are larger than it says. The rungs on samples add what their residuals exceed the noise by.
-    /// How large errors are is measured in `docs/localization.md`.
+    /// It assumes that points touch the faces on which the pose puts them. `surface_search` uses the gel
+    /// model and omits markers whose contact is uncertain. `surface_close` and `surface_track` add the
+    /// uncertainty of which salient points are in contact, but cannot detect a row of the gel's shoulder
+    /// mistaken for a face. There, and at a wrong thread or edge, errors exceed the covariance. The rungs
+    /// on samples scale it by the excess of their residuals over the noise. Actual errors are measured in
+    /// `docs/localization.md`.
     #[must_use]
     pub fn covariance(&self) -> Symmetric<6> {
         self.observability.covariance(&self.guess_sigma)
     }
 
-    /// Covariance over the determined directions alone, the pseudo-inverse of [`Self::information`]: zero along
-    /// [`Self::free`] directions, where the contact sets no bound.
+    /// Covariance of the determined directions only, the pseudo-inverse of [`Self::information`]: zero
+    /// along [`Self::free`] directions, which the contact does not bound.
     #[must_use]
     pub fn determined_covariance(&self) -> Symmetric<6> {
         self.observability.determined_covariance()

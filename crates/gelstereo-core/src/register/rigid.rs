@@ -3,10 +3,10 @@
 use crate::math::linalg::{self, Symmetric};
 use crate::math::{DQuat, DVec3, Pose, so3};
 
-/// The best motion, and how much of it the points determine.
+/// The best motion, and how far the points determine it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RigidFit {
-    /// Least squares motion, source to target. Where several are equally good, the one that turns least.
+    /// Least squares motion, source to target; among equally good ones, that with the smallest rotation.
     pub t_target_source: Pose,
     /// Rotations that change the sum of squares by less than round-off: 0 for points that span a plane, 1 for
     /// collinear points (spin about their line), 3 for a single or identical points.
@@ -18,7 +18,7 @@ pub struct RigidFit {
 pub enum RigidFitError {
     /// No points.
     Empty,
-    /// Sources, targets and weights are not equally many.
+    /// The numbers of sources, targets and weights differ.
     Lengths {
         /// Source points found.
         source: usize,
@@ -64,21 +64,22 @@ impl core::fmt::Display for RigidFitError {
 
 impl core::error::Error for RigidFitError {}
 
-/// Sums over pairs of which the largest weight, source radius and target radius are the units, so that nothing
-/// overflows and the answer does not depend on the units of the input.
+/// Sums over pairs, in units of the largest weight, source radius and target radius. Nothing overflows,
+/// and the result does not depend on the units of the input.
 struct Moments {
     source_mean: DVec3,
     target_mean: DVec3,
-    /// Rows of Σ w a bᵀ, with a and b measured from the means.
+    /// Rows of Σ w a bᵀ, with a and b relative to the means.
     correlation: [DVec3; 3],
-    /// Most by which round-off, the input's included, parts two eigenvalues of Horn's matrix.
+    /// Largest difference of two eigenvalues of Horn's matrix due to round-off, including that of the input.
     round_off: f64,
 }
 
-/// The rotation and translation with the least weighted sum of squared distances R aᵢ + t to bᵢ. Never a reflection.
+/// The rotation and translation with the least weighted sum of squared distances R aᵢ + t to bᵢ. Never a
+/// reflection.
 ///
-/// `weights` empty means that all pairs count alike; a weight of zero leaves a pair out. Sums are taken from the
-/// means, so that an offset of the clouds costs only the digits that it took from the input.
+/// Empty `weights` means equal weights; a weight of zero omits a pair. Sums are relative to the means, so
+/// an offset of the clouds costs only the precision already lost in the input.
 ///
 /// # Errors
 /// [`RigidFitError`].
@@ -99,7 +100,7 @@ fn check(source: &[DVec3], target: &[DVec3], weights: &[f64]) -> Result<(), Rigi
         return Err(RigidFitError::Empty);
     }
     let good = |p: &DVec3| p.abs().max_element() <= 1e150;
-    // A NaN fails the comparison of max_element only where it is not masked, hence is_finite as well.
+    // max_element may mask a NaN, hence is_finite as well.
     let bad = |(a, b): (&DVec3, &DVec3)| !(a.is_finite() && b.is_finite() && good(a) && good(b));
     if let Some(index) = source.iter().zip(target).position(bad) {
         return Err(RigidFitError::NotFinite { index });
@@ -126,8 +127,9 @@ fn moments(source: &[DVec3], target: &[DVec3], weights: &[f64]) -> Result<Moment
         for (axis, row) in correlation.iter_mut().enumerate() {
             *row += b * wa[axis];
         }
-        // A point x was rounded by eps/2 |x|, the offset of its cloud included; each product and sum adds another. Two
-        // eigenvalues part by at most twice the sum of singular values of the correlation's error.
+        // The rounding of a point x is eps/2 |x|, including the offset of its cloud; each product and sum
+        // adds another. Two eigenvalues differ by at most twice the sum of singular values of the
+        // correlation's error.
         let offset = from.length() / source_radius * weight(i) * b.length()
             + to.length() / target_radius * wa.length();
         lost += offset + 8.0 * wa.length() * b.length();
@@ -135,12 +137,13 @@ fn moments(source: &[DVec3], target: &[DVec3], weights: &[f64]) -> Result<Moment
     Ok(Moments { source_mean, target_mean, correlation, round_off: f64::EPSILON * lost })
 }
 
-/// Weighted mean, and the largest distance along an axis from it (1 where all points are one).
+/// Weighted mean, and the largest distance along an axis from it (1 if all points coincide).
 fn mean_and_radius(points: &[DVec3], weight: &impl Fn(usize) -> f64, total: f64) -> (DVec3, f64) {
-    // From a heaviest point: one that does not count may be so far away that no digit of the mean is left beside it.
+    // Relative to a point of largest weight: a zero-weight point may be so far away that the mean loses
+    // all digits.
     let heaviest = (0..points.len()).find(|&i| weight(i) == 1.0).unwrap_or(0);
     let origin = points[heaviest];
-    // Twice, because the first mean of far-off points is itself rounded.
+    // Twice, because the first mean of distant points is itself rounded.
     let mean = (0..2).fold(origin, |about, _| {
         let sum = points.iter().enumerate().fold(DVec3::ZERO, |sum, (i, &p)| sum + (p - about) * weight(i));
         about + sum / total
@@ -153,7 +156,7 @@ fn mean_and_radius(points: &[DVec3], weight: &impl Fn(usize) -> f64, total: f64)
     (mean, if radius > 0.0 { radius } else { 1.0 })
 }
 
-/// Unit quaternion with the largest qᵀ N q, and how many more directions of q are as good.
+/// Unit quaternion with the largest qᵀ N q, and the number of further directions of q that are equally good.
 fn best_rotation(moments: &Moments) -> (DQuat, usize) {
     let [x, y, z] = moments.correlation;
     // Horn's N for the order (x, y, z, w).
@@ -164,15 +167,16 @@ fn best_rotation(moments: &Moments) -> (DQuat, usize) {
         [y.z - z.y, z.x - x.z, x.y - y.x, x.x + y.y + z.z],
     ];
     let eigen = linalg::eigen(&n);
-    // A bound that is no number is more than every number.
+    // The negated form counts a NaN bound as a tie.
     let tied = |k: &usize| !(eigen.values[3] - eigen.values[*k] > moments.round_off);
     let free = (0..3).filter(tied).count();
-    // The identity's share in the space of best quaternions is the best rotation that turns least.
+    // The projection of the identity onto the space of best quaternions is the best rotation of smallest
+    // angle.
     let nearest = (0..4).filter(tied).fold([0.0; 4], |sum: [f64; 4], k| {
         core::array::from_fn(|i| sum[i] + eigen.vectors[k][3] * eigen.vectors[k][i])
     });
     let quaternion = |q: [f64; 4]| so3::canonical(DQuat::from_array(q));
-    // Where that space hardly holds the identity, its share is round-off, and one half turn is as good as another.
+    // A nearly zero projection is round-off; then all half turns are equally good.
     let share = nearest.iter().fold(0.0_f64, |m, q| m.max(q.abs()));
     let rotation = if free > 0 && share > 1e-8 { quaternion(nearest) } else { quaternion(eigen.vectors[3]) };
     (rotation.unwrap_or(DQuat::IDENTITY), free)

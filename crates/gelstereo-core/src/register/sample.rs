@@ -8,13 +8,13 @@ use crate::stop::{Stop, ask};
 use crate::surface::{TriangleMesh, area_vector};
 use alloc::vec::Vec;
 
-/// Darts per point wanted. Random discs of diameter r jam at a cover of 0.547 (Feder 1980), which is 0.70 A / r²
-/// points on an area A; this many darts come to 0.66.
+/// Darts per wanted point. Random discs of diameter r jam at a coverage of 0.547 (Feder 1980), which is
+/// 0.70 A / r² points on an area A; this many darts reach 0.66.
 const DARTS_PER_POINT: f64 = 30.0;
-/// Least distance in spacings: with it there is one point for every spacing², as 0.66 / 0.81² = 1.
+/// Least point distance in spacings, which gives one point per spacing², as 0.66 / 0.81² = 1.
 const MIN_DISTANCE: f64 = 0.81;
 
-/// Points and unit normals, spread evenly over the mesh.
+/// Points and unit normals, sampled evenly on the mesh.
 pub(super) fn evenly(
     mesh: &TriangleMesh,
     spacing_mm: f64,
@@ -38,7 +38,7 @@ pub(super) fn evenly(
     let mut darts = Darts::new(MIN_DISTANCE * spacing_mm, expected as usize);
     for dart in 0..(expected * DARTS_PER_POINT) as usize {
         ask(stop, dart)?;
-        // Every dart draws three numbers whether it lands or not.
+        // Every dart draws three numbers, accepted or not.
         let (pick, u, v) = (random.uniform() * area_mm2, random.uniform(), random.uniform());
         let triangle = cumulative_mm2.partition_point(|&sum| sum <= pick).min(cumulative_mm2.len() - 1);
         let corners = mesh.triangles()[triangle].map(|i| mesh.vertices_mm()[i as usize]);
@@ -61,29 +61,29 @@ fn cumulative_areas(mesh: &TriangleMesh) -> Vec<f64> {
         .collect()
 }
 
-/// The point of a triangle at two uniform numbers, evenly by area.
+/// The point of a triangle for two uniform numbers, uniform by area.
 fn inside([a, b, c]: &[DVec3; 3], u: f64, v: f64) -> DVec3 {
     let (u, v) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };
     *a + (*b - *a) * u + (*c - *a) * v
 }
 
-/// No further point.
+/// End of a list.
 const NONE: u32 = u32::MAX;
 
-/// Points accepted so far, in cells as wide as their least distance.
+/// Accepted points, in cells as wide as their least distance.
 struct Darts {
     least_mm: f64,
-    /// The last point of every list of cells; cells that share a list cost time and change nothing, as their points
-    /// are too far from each other's.
+    /// Last point of each hash list of cells. Collisions cost time but do not change the result, because
+    /// points of other cells are too far away.
     last: Vec<u32>,
-    /// The point before each in its list.
+    /// The previous point in the list of each point.
     before: Vec<u32>,
     points_mm: Vec<DVec3>,
     normals: Vec<DVec3>,
 }
 
 impl Darts {
-    /// For about so many points.
+    /// Sized for about `expected` points.
     fn new(least_mm: f64, expected: usize) -> Self {
         let last = alloc::vec![NONE; (2 * expected).next_power_of_two()];
         Self { least_mm, last, before: Vec::new(), points_mm: Vec::new(), normals: Vec::new() }
@@ -101,7 +101,7 @@ impl Darts {
         }
     }
 
-    /// The list of a cell: a hash, by multipliers that are odd and without a pattern.
+    /// The list of a cell: a hash with odd, patternless multipliers.
     fn list(&self, [x, y, z]: [i64; 3]) -> usize {
         let mixed = (x as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15)
             ^ (y as u64).wrapping_mul(0xC2B2_AE3D_27D4_EB4F)
@@ -109,7 +109,8 @@ impl Darts {
         (mixed >> 32) as usize & (self.last.len() - 1)
     }
 
-    /// Faces that look different ways keep their own points, so that edges stay sharp and thin plates two-sided.
+    /// Faces of different orientation are sampled separately, so that edges stay sharp and thin plates
+    /// two-sided.
     fn is_free(&self, [x, y, z]: &[[i64; 3]; 3], point: DVec3, normal: DVec3) -> bool {
         let least_squared = self.least_mm * self.least_mm;
         let blocks = |k: usize| {
@@ -125,12 +126,12 @@ impl Darts {
             }
             false
         };
-        // Nearest cells first: nearly all darts come too close to a point, most of them in their own cell.
+        // Nearest cells first: almost all darts are too close to a point, most of them in their own cell.
         !NEAREST_FIRST.iter().any(|&[i, j, k]| in_list(self.list([x[i], y[j], z[k]])))
     }
 }
 
-/// Places along three axes, each of 0 to 2, by their sum.
+/// Index triples along three axes, each 0 to 2, ordered by their sum.
 const NEAREST_FIRST: [[usize; 3]; 27] = {
     let (mut out, mut count, mut sum) = ([[0; 3]; 27], 0, 0);
     while sum <= 6 {
@@ -148,7 +149,8 @@ const NEAREST_FIRST: [[usize; 3]; 27] = {
     out
 };
 
-/// Along one axis the cell of a place, in cells, its neighbour on the nearer side and the other one.
+/// Along one axis: the cell of a coordinate in cell units, the neighbour on the nearer side, and the
+/// other one.
 fn nearest_cells(at: f64) -> [i64; 3] {
     let below = floor(at);
     let cell = below as i64;

@@ -1,8 +1,8 @@
-//! A surface for templates that have none: a small square in the tangent plane of every sample.
+//! A surface for templates without one: a small square in the tangent plane of every sample.
 //!
-//! Scans come as points with normals. Their squares (surfels; Pfister et al. 2000) overlap where the sampling is even, and
-//! whatever is known to the triangles of a mesh is known to them: distances, sides, and which of them can be touched.
-//! Past a sharp edge of the part they reach out by up to half their diagonal.
+//! Scans are points with normals. Their squares (surfels; Pfister et al. 2000) overlap for even sampling
+//! and provide what mesh triangles do: distances, sides, and which can be touched. At a sharp edge of the
+//! part they overhang by up to half their diagonal.
 
 use super::surface::Relief;
 use crate::math::DVec3;
@@ -10,10 +10,11 @@ use crate::stop::{Stop, Stopped};
 use crate::surface::{Solid, SolidError, TriangleMesh};
 use alloc::vec::Vec;
 
-/// Half a square's side over the spacing: discs of it leave few gaps between samples that are 0.81 to 1.2 spacings apart.
+/// Half a square's side over the spacing. Discs of this radius leave few gaps between samples 0.81 to 1.2
+/// spacings apart.
 const HALF_SIDE: f64 = 0.6;
 
-/// Squares, two triangles each; none for points that give no surface, as too distant ones.
+/// Squares, two triangles each; `None` for points without a valid surface, such as too distant ones.
 pub(super) fn surfels(
     (points_mm, normals): (&[DVec3], &[DVec3]),
     curvatures_per_mm: &[f64],

@@ -1,26 +1,28 @@
-//! Rotations that a part looks the same after, and the copies of a pose that they make.
+//! Rotational symmetries of a part, and the equivalent copies of a pose.
 
 use crate::math::{DQuat, DVec3, Pose, abs, atan2, cos, round, sin, sqrt};
 use core::f64::consts::{PI, TAU};
 
-/// Turns that are put together; symmetries of a body are turns about one axis each, and declared ones two or three.
+/// Largest number of combined rotations. A symmetry is a rotation about one axis; declared generators
+/// need two or three.
 const MAX_COMBINED: usize = 8;
-/// Pairs of turns that are tried.
+/// Largest number of rotation pairs tried.
 const MAX_PAIRS: usize = 512;
 
-/// An axis about which a part can be turned and looks the same.
+/// A rotation axis of symmetry of a part.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Symmetry {
     /// Unit vector along the axis, object frame.
     pub axis: DVec3,
-    /// A point of the axis, object frame.
+    /// A point on the axis, object frame.
     pub centre_mm: DVec3,
-    /// After how many equal turns it is back; `None` if any turn will do.
+    /// Number of equal rotations in a full turn; `None` for continuous symmetry.
     pub order: Option<u32>,
 }
 
 impl Symmetry {
-    /// About an axis of any length; `None` if it has no direction, a number is not finite, or the order is below 2.
+    /// About an axis of any length; `None` if it has no direction, a number is not finite, or the order
+    /// is below 2.
     #[must_use]
     pub fn new(axis: DVec3, centre_mm: DVec3, order: Option<u32>) -> Option<Self> {
         let scaled = axis / axis.abs().max_element();
@@ -28,33 +30,33 @@ impl Symmetry {
         sound.then(|| Self { axis: scaled / sqrt(scaled.length_squared()), centre_mm, order })
     }
 
-    /// The turn by an angle, object frame to object frame.
+    /// The rotation by an angle, object frame to object frame.
     #[must_use]
     pub fn turned(&self, angle_rad: f64) -> Pose {
         let turn = Pose::exp(self.axis * angle_rad, DVec3::ZERO);
         Pose { rotation: turn.rotation, translation_mm: self.centre_mm - turn.rotation * self.centre_mm }
     }
 
-    /// Of the poses that show a part with these symmetries alike, the one nearest to another: the least turn away.
+    /// The copy of a pose under these symmetries that is nearest to another pose, by rotation angle.
     #[must_use]
     pub fn nearest_copy(symmetries: &[Self], t_sensor_object: &Pose, other: &Pose) -> Pose {
         nearest_copy(symmetries, t_sensor_object, other)
     }
 }
 
-/// The copy of a pose that is the least turn away from another.
+/// The copy of a pose with the smallest rotation from another.
 pub(super) fn nearest_copy(symmetries: &[Symmetry], t_sensor_object: &Pose, other: &Pose) -> Pose {
     let product = *t_sensor_object * nearest_turn(symmetries, t_sensor_object, other);
     product.normalized().unwrap_or(*t_sensor_object)
 }
 
-/// The turn S of the part, object frame to object frame, that brings T S nearest to the other pose by its angle.
+/// The symmetry rotation S, object frame to object frame, that brings T S nearest to the other pose by angle.
 ///
-/// Every turn of a body's group is one about one of its axes, or where these are declared by what makes them alone, mostly
-/// two put together. The best one or two are taken until none is better.
+/// Every rotation of a symmetry group is about one of its axes; if only generators are declared, most
+/// need two. The best one or two rotations are applied until none improves.
 fn nearest_turn(symmetries: &[Symmetry], t_sensor_object: &Pose, other: &Pose) -> Pose {
     let turns: usize = symmetries.iter().filter_map(|s| s.order).map(|n| n as usize).sum();
-    // A list of so many has all axes.
+    // A list this long contains all axes.
     let has_pairs = turns * symmetries.len() <= MAX_PAIRS;
     let mut turn = Pose::IDENTITY;
     for _ in 0..MAX_COMBINED {
@@ -73,19 +75,19 @@ fn nearest_turn(symmetries: &[Symmetry], t_sensor_object: &Pose, other: &Pose) -
     turn
 }
 
-/// The turn that leaves the largest cosine w of half the angle.
+/// The rotation that leaves the largest cosine w of half the angle.
 struct Best {
     w: f64,
     turn: Option<Pose>,
 }
 
 impl Best {
-    /// One turn about each axis, after `first`, which leaves the rotation `off`.
+    /// Tries one rotation about each axis, after `first`, which leaves the rotation `off`.
     fn try_one(&mut self, symmetries: &[Symmetry], off: DQuat, first: &Pose) {
         for symmetry in symmetries {
             let half_rad = best_half_turn(symmetry, off);
             let w = abs(off.w * cos(half_rad) - along(symmetry, off) * sin(half_rad));
-            // Round-off is no reason to turn.
+            // Ignores improvements within round-off.
             if w > self.w + 8.0 * f64::EPSILON {
                 *self = Self { w, turn: Some(*first * symmetry.turned(2.0 * half_rad)) };
             }
@@ -97,15 +99,16 @@ fn along(symmetry: &Symmetry, off: DQuat) -> f64 {
     DVec3::new(off.x, off.y, off.z).dot(symmetry.axis)
 }
 
-/// Half the angle h of the turn about the axis that leaves the least rotation: w cos h - (v·a) sin h is largest.
+/// Half the angle h of the rotation about the axis that leaves the smallest remainder: w cos h - (v·a)
+/// sin h is largest.
 fn best_half_turn(symmetry: &Symmetry, off: DQuat) -> f64 {
     let (w, v) = (off.w, along(symmetry, off));
-    // Where both vanish any turn is as good.
+    // If both vanish, all rotations are equally good.
     if sqrt(w * w + v * v) < 1e-9 {
         return 0.0;
     }
     let half_rad = atan2(-v, w);
-    // Within half a turn: w and -w are one rotation.
+    // Within half a turn, as w and -w are the same rotation.
     let half_rad = half_rad - PI * round(half_rad / PI);
     symmetry.order.map_or(half_rad, |n| {
         let step = PI / f64::from(n);

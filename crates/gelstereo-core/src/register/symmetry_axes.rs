@@ -1,4 +1,4 @@
-//! The axes about which a surface looks the same.
+//! Search for the symmetry axes of a surface.
 
 use super::symmetry::Symmetry;
 use crate::math::linalg::eigen;
@@ -8,20 +8,20 @@ use crate::surface::{Solid, area_vector};
 use alloc::vec::Vec;
 use core::f64::consts::{PI, TAU};
 
-/// Most equal turns of an axis that are looked for.
+/// Largest order searched.
 const MAX_TURNS: u32 = 64;
-/// Faces, by area, whose normals and their sums are looked at as axes.
+/// Number of largest faces whose normals and sums of normals are candidate axes.
 const MAX_NORMALS: usize = 24;
-/// Normals closer than this cosine are of one face.
+/// Normals within this cosine belong to one face.
 const SAME: f64 = 1.0 - 1e-8;
-/// Axes closer than this are one, found twice: those across an axis of order n are π / n apart.
+/// Axes closer than this are duplicates: those perpendicular to an axis of order n are π / n apart.
 const NEAREST_RAD: f64 = 0.5 * PI / MAX_TURNS as f64;
-/// Turns by multiples of the golden section, which no order has.
+/// Rotations use multiples of the golden section, which belong to no finite order.
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
-/// Points that a turn is tried on before all are.
+/// Points tested first for each rotation.
 const FIRST_POINTS: usize = 256;
 
-/// As [`super::Template::find_symmetries_unless`], of a surface and points on it.
+/// As [`super::Template::find_symmetries_unless`], for a surface and points on it.
 pub(super) fn symmetries(
     solid: &Solid,
     points_mm: &[DVec3],
@@ -38,7 +38,7 @@ pub(super) fn symmetries(
     let all_alike = found.values[2] - found.values[0] <= 1e-3 * trace;
     let mut candidates = Vec::new();
     add_normals(&mut candidates, &largest_normals(solid, stop)?, all_alike);
-    // Last, as they may come close to an axis by chance where the moments leave a choice.
+    // Last: with degenerate moments they may be close to a true axis by chance, and would displace it.
     candidates.extend(found.vectors.iter().map(|&v| upright(DVec3::from_array(v))));
     let part = Part { solid, points_mm, tolerance_mm, stop };
     let mut axes: Vec<Symmetry> = Vec::new();
@@ -49,7 +49,8 @@ pub(super) fn symmetries(
             continue;
         }
         let candidate = Symmetry { axis, centre_mm, order: None };
-        // Axes across a continuous one are alike: after the first, only another continuous one, of a ball, counts.
+        // Axes perpendicular to a continuous one are equivalent. After the first, only another continuous
+        // one (a ball) counts.
         let has = |is_round: bool| axes.iter().any(|a| a.order.is_none() == is_round);
         let order = if has(true) && has(false) {
             part.is_round(candidate)?.then_some(None)
@@ -66,7 +67,7 @@ pub(super) fn symmetries(
         let across = axes.iter().find(|a| a.order.is_some()).copied();
         return Ok([Some(round), across].into_iter().flatten().collect());
     }
-    // By order; the sort keeps the candidates' order of equals.
+    // By descending order; the stable sort keeps the candidates' sequence of equals.
     axes.sort_by_key(|axis| core::cmp::Reverse(axis.order));
     Ok(axes)
 }
@@ -79,12 +80,13 @@ struct Part<'a> {
 }
 
 impl Part<'_> {
-    /// How often the part looks the same around an axis, if more than once.
+    /// Order of the symmetry about an axis: `None` without symmetry, `Some(None)` if continuous.
     fn order(&self, axis: Symmetry) -> Result<Option<Option<u32>>, Stopped> {
         if self.is_round(axis)? {
             return Ok(Some(None));
         }
-        // Every turn: one by 1/17 leaves sixteen facets nearly where they were, its eighth multiple does not.
+        // All multiples: a rotation by 1/17 maps sixteen facets nearly onto themselves; its eighth
+        // multiple does not.
         let looks_the_same = |n: u32| {
             let step = TAU / f64::from(n);
             self.hold((1..=n / 2).map(|k| axis.turned(f64::from(k) * step)))
@@ -97,15 +99,17 @@ impl Part<'_> {
         Ok(None)
     }
 
-    /// Whether the part looks the same after any turn around an axis.
+    /// Whether the part is unchanged by any rotation about an axis.
     ///
-    /// Squares, as 34 of the turns by the golden section itself come back to within 1/75 of one: of any facets up to 128 one
-    /// of these turns is a quarter of a facet off or more, where a facet is off by 3/4 of its depth.
+    /// Uses squared multiples, because 34 golden-section rotations return to within 1/75 of a turn. For
+    /// up to 128 facets one of these rotations is at least a quarter facet off, where a facet deviates by
+    /// 3/4 of its depth.
     fn is_round(&self, axis: Symmetry) -> Result<bool, Stopped> {
         self.hold((1..=8).map(|k| axis.turned(f64::from(k * k) * GOLDEN * TAU)))
     }
 
-    /// Whether the part looks the same after each of these turns: some points first, which most wrong turns fail.
+    /// Whether the part is unchanged by each of these rotations. A subset of points rejects most wrong
+    /// ones first.
     fn hold(&self, turns: impl Iterator<Item = Pose>) -> Result<bool, Stopped> {
         let stride = self.points_mm.len().div_ceil(FIRST_POINTS);
         for turn in turns {
@@ -116,7 +120,7 @@ impl Part<'_> {
         Ok(true)
     }
 
-    /// Whether every so many points lie on the surface after a turn.
+    /// Whether every `stride`-th point lies on the surface after a rotation.
     fn holds(&self, turn: &Pose, stride: usize) -> Result<bool, Stopped> {
         for (step, p) in self.points_mm.iter().step_by(stride).enumerate() {
             ask(self.stop, step)?;
@@ -129,7 +133,7 @@ impl Part<'_> {
     }
 }
 
-/// Centre and second central moment of the area.
+/// Centroid and second central moment of the area.
 fn moments(solid: &Solid) -> (DVec3, [[f64; 3]; 3]) {
     let corners = |t: &[u32; 3]| t.map(|i| solid.vertices_mm()[i as usize]);
     let area = |c: &[DVec3; 3]| sqrt(area_vector(c).length_squared());
@@ -156,7 +160,7 @@ fn moments(solid: &Solid) -> (DVec3, [[f64; 3]; 3]) {
     (centre, moment)
 }
 
-/// Different directions of the largest faces, whichever way they look.
+/// Distinct directions of the largest faces, ignoring sign.
 fn largest_normals(solid: &Solid, stop: Stop<'_>) -> Result<Vec<DVec3>, Stopped> {
     let mut faces: Vec<(f64, DVec3)> = Vec::new();
     for (triangle, corners) in solid.triangles().iter().enumerate() {
@@ -167,7 +171,7 @@ fn largest_normals(solid: &Solid, stop: Stop<'_>) -> Result<Vec<DVec3>, Stopped>
         }
         let corners = corners.map(|i| solid.vertices_mm()[i as usize]);
         let area = sqrt(area_vector(&corners).length_squared());
-        // Among the first ones only: a finely divided round part has no large faces.
+        // Among the first ones only: a finely tessellated round part has no large faces.
         match faces.iter_mut().take(8 * MAX_NORMALS).find(|(_, n)| n.dot(normal).abs() > SAME) {
             Some(face) => face.0 += area,
             None => faces.push((area, upright(normal))),
@@ -178,7 +182,7 @@ fn largest_normals(solid: &Solid, stop: Stop<'_>) -> Result<Vec<DVec3>, Stopped>
     Ok(faces.into_iter().map(|(_, normal)| normal).collect())
 }
 
-/// Normals, and sums of two and, if asked for, three of them.
+/// Adds normals, and sums of two and, if `triples`, of three of them.
 fn add_normals(candidates: &mut Vec<DVec3>, normals: &[DVec3], triples: bool) {
     let mut add = |v: DVec3| {
         let length = sqrt(v.length_squared());
@@ -200,7 +204,7 @@ fn add_normals(candidates: &mut Vec<DVec3>, normals: &[DVec3], triples: bool) {
     }
 }
 
-/// The one of a direction and its opposite whose largest coordinate is positive.
+/// The vector or its opposite, whichever has a positive component of largest magnitude.
 fn upright(v: DVec3) -> DVec3 {
     let largest =
         v.to_array().into_iter().fold(0.0, |most: f64, x| if x.abs() > most.abs() { x } else { most });

@@ -1,4 +1,4 @@
-//! The surface of a part as registration sees it.
+//! The surface of a part for registration.
 
 use super::blocks::{self, Block};
 use super::error::TemplateError;
@@ -15,14 +15,12 @@ use crate::stop::{NEVER, Stop, Stopped, ask_often};
 use crate::surface::{Field, Solid, TriangleMesh};
 use alloc::vec::Vec;
 
-/// After a turn that leaves every point of the surface within this of it, less than the noise of points, a contact is as
-/// likely as before.
+/// A contact stays equally likely under a rotation that keeps all surface points within this distance of
+/// the surface, which is less than the noise of points.
 const ALIKE_MM: f64 = 0.02;
 
-/// A part's surface: points with outward unit normals in the object frame, sampled evenly, and their tree; and if a
-/// mesh is known, the exact surface.
-///
-/// It never changes after construction.
+/// A part's surface: evenly sampled points with outward unit normals in the object frame, their tree and,
+/// if a mesh is given, the exact surface. Immutable after construction.
 #[derive(Clone, Debug)]
 pub struct Template {
     points_mm: Vec<DVec3>,
@@ -34,15 +32,15 @@ pub struct Template {
     pub(super) solid: Option<Solid>,
     pub(super) field: Option<Field>,
     pub(super) symmetries: Vec<Symmetry>,
-    /// Turns after which the exact surface looks the same, declared or not.
+    /// Rotational symmetries of the exact surface, declared or not.
     pub(super) alike: Vec<Symmetry>,
     pub(super) relief: Option<Relief>,
-    /// Whether the surface is a mesh's, and not made of the points.
+    /// Whether the surface comes from a mesh, not from surfels.
     is_exact: bool,
 }
 
 impl Template {
-    /// From points and outward normals (normalised here), and the typical distance of neighbouring points.
+    /// From points, outward normals (normalised here) and the typical distance of neighbouring points.
     /// The surface rungs of registration need [`Self::with_surfels`].
     ///
     /// # Errors
@@ -65,7 +63,7 @@ impl Template {
         Ok(Self::build(points_mm.to_vec(), unit(normals)?, spacing_mm, stop)?)
     }
 
-    /// As [`Self::new`], of normals that were normalised before and keep their bits.
+    /// As [`Self::new`], for unit normals, which keep their bits.
     pub(super) fn with_unit_normals(
         points_mm: Vec<DVec3>,
         normals: Vec<DVec3>,
@@ -104,8 +102,8 @@ impl Template {
         })
     }
 
-    /// With every point taken for a small square in its tangent plane, so that the surface rungs of registration work on a
-    /// scan; unchanged with an exact surface, or if the points give none.
+    /// Replaces every point by a small square in its tangent plane, so that the surface rungs of
+    /// registration work on a scan. No effect with an exact surface, or if the points give no surface.
     #[must_use]
     pub fn with_surfels(self) -> Self {
         if self.is_exact {
@@ -139,12 +137,12 @@ impl Template {
         surfels((&self.points_mm, &self.normals), self.curvatures_per_mm(), self.spacing_mm, stop)
     }
 
-    /// Whether [`Self::with_surfels`] has made a surface.
+    /// Whether [`Self::with_surfels`] has built a surface.
     pub(super) const fn has_surfels(&self) -> bool {
         self.solid.is_some() && !self.is_exact
     }
 
-    /// With the exact surface, and none that was made of the points.
+    /// With this exact surface, replacing any surfels.
     pub(super) fn with_solid(self, solid: Solid, stop: Stop<'_>) -> Result<Self, Stopped> {
         let relief = Some(Relief::new(&solid, stop)?);
         let mut exact = Self { solid: Some(solid), relief, field: None, is_exact: true, ..self };
@@ -152,21 +150,24 @@ impl Template {
         Ok(exact)
     }
 
-    /// Spacing for a part that a hand holds: a quarter of the lattice's pitch, rounded. Default of all who sample one.
+    /// Spacing for a hand-held part: a quarter of the lattice's pitch, rounded. The default wherever
+    /// parts are sampled.
     pub const DEFAULT_SPACING_MM: f64 = 0.25;
 
-    /// Cells of a field for the surface rungs of registration ([`Self::with_field`]): under half a lattice's pitch.
+    /// Cell width of a field for the surface rungs ([`Self::with_field`]): below half a lattice pitch.
     pub const DEFAULT_CELL_MM: f64 = 0.4;
-    /// How far such a field reaches: deeper than a gel is pressed, and a guess is off.
+    /// Reach of such a field: more than the press depth and the error of a guess.
     pub const DEFAULT_REACH_MM: f64 = 4.0;
 
-    /// Samples a mesh evenly: on average one point for every `spacing_mm`² of its area, no two points of faces that
-    /// look the same way (within 60 degrees) closer than 0.81 of the spacing. The same seed gives the same points.
-    /// With the exact surface, and the field of distances that the surface rungs of registration need.
+    /// Samples a mesh evenly: on average one point per `spacing_mm`² of area. Points on faces of similar
+    /// orientation (within 60 degrees) are at least 0.81 of the spacing apart. The same seed gives the
+    /// same points. Includes the exact surface, and the distance field that the surface rungs of
+    /// registration need.
     ///
     /// # Errors
-    /// [`TemplateError::TooFew`] or [`TemplateError::TooMany`] when the spacing does not suit the mesh's area,
-    /// [`TemplateError::Spacing`] when it is not positive, [`TemplateError::Solid`] when the triangles are no surface.
+    /// [`TemplateError::TooFew`] or [`TemplateError::TooMany`] when the spacing does not suit the mesh's
+    /// area, [`TemplateError::Spacing`] when it is not positive, [`TemplateError::Solid`] when the
+    /// triangles are not a valid surface.
     pub fn from_mesh(mesh: &TriangleMesh, spacing_mm: f64, seed: u64) -> Result<Self, TemplateError> {
         Self::from_mesh_unless(mesh, spacing_mm, seed, NEVER)
     }
@@ -188,14 +189,14 @@ impl Template {
         Ok(bare.with_field_unless(Self::DEFAULT_CELL_MM, Self::DEFAULT_REACH_MM, stop)?)
     }
 
-    /// The exact surface, for a template that was made from a mesh.
+    /// The exact surface, for a template made from a mesh.
     #[must_use]
     pub fn solid(&self) -> Option<&Solid> {
         self.solid.as_ref().filter(|_| self.is_exact)
     }
 
-    /// With distances on another grid around the exact surface ([`Field::new`]) than [`Self::from_mesh`] makes; unchanged
-    /// without a surface, or if the numbers make no grid.
+    /// Replaces the distance grid of [`Self::from_mesh`] around the exact surface ([`Field::new`]). No
+    /// effect without a surface, or if the numbers give no grid.
     #[must_use]
     pub fn with_field(mut self, cell_mm: f64, reach_mm: f64) -> Self {
         self.field =
@@ -214,31 +215,30 @@ impl Template {
         Ok(self)
     }
 
-    /// Without the grid.
+    /// Without the distance grid.
     #[must_use]
     pub fn without_field(self) -> Self {
         Self { field: None, ..self }
     }
 
-    /// Distances on a grid; of points, and after [`Self::without_field`], none.
+    /// The distance grid; `None` for a template of points, and after [`Self::without_field`].
     #[must_use]
     pub fn field(&self) -> Option<&Field> {
         self.field.as_ref().filter(|_| self.is_exact)
     }
 
-    /// The surface that can be touched, its field of distances and its smooth normals: the mesh's, or what the points
-    /// stand for.
+    /// The touchable surface, its distance field and its smooth normals: from the mesh or the surfels.
     pub(super) fn touchable(&self) -> Option<(&Solid, &Field, &Relief)> {
         Some((self.solid.as_ref()?, self.field.as_ref()?, self.relief.as_ref()?))
     }
 
-    /// The axes of a template's exact surface: after a turn, every point of the template lies within `tolerance_mm`
-    /// of it.
+    /// The symmetry axes of a template's exact surface: after a rotation, every point of the template
+    /// lies within `tolerance_mm` of it.
     ///
-    /// An axis goes through the area's centre along an eigenvector of its second moment; where that leaves a choice,
-    /// normals of the largest faces and sums of two and three of them are tried. Of the axes across a continuous one,
-    /// which are all alike, one is given; of a ball, three. Facets count: a round part is continuous if they are
-    /// finer than the tolerance. None without an exact surface.
+    /// An axis passes through the area's centroid along an eigenvector of its second moment. For degenerate
+    /// moments, normals of the largest faces and sums of two and three of them are tried. Axes perpendicular
+    /// to a continuous one are equivalent, and one is returned; for a ball, three. Facets count: a round part
+    /// is continuous if they are finer than the tolerance. Empty without an exact surface.
     #[must_use]
     pub fn find_symmetries(&self, tolerance_mm: f64) -> Vec<Symmetry> {
         self.find_symmetries_unless(tolerance_mm, NEVER).unwrap_or_default()
@@ -257,21 +257,21 @@ impl Template {
         symmetries(solid, &self.points_mm, tolerance_mm, stop)
     }
 
-    /// With these symmetries instead of those it has: declared ones, or [`Self::find_symmetries`]. Registration then answers
-    /// with the copy that is nearest to the guess.
+    /// Replaces the symmetries by these: declared ones, or [`Self::find_symmetries`]. Registration then
+    /// returns the copy nearest to the guess.
     #[must_use]
     pub fn with_symmetries(mut self, symmetries: Vec<Symmetry>) -> Self {
         self.symmetries = symmetries;
         self
     }
 
-    /// Turns after which the part looks the same, as far as [`Self::with_symmetries`] has said.
+    /// Rotational symmetries given to [`Self::with_symmetries`].
     #[must_use]
     pub fn symmetries(&self) -> &[Symmetry] {
         &self.symmetries
     }
 
-    /// Of the poses that show the part alike, by its symmetries, the one nearest to another: the least turn away.
+    /// The symmetric copy of a pose that is nearest to another pose, by rotation angle.
     #[must_use]
     pub fn nearest_copy(&self, t_sensor_object: &Pose, other: &Pose) -> Pose {
         Symmetry::nearest_copy(&self.symmetries, t_sensor_object, other)
@@ -289,19 +289,18 @@ impl Template {
         &self.normals
     }
 
-    /// How fast the normal turns around each point: the largest difference of normals per distance among its
-    /// neighbours, rad/mm. 1/R on a sphere or cylinder of radius R; an edge has about twice its angle over the
-    /// spacing.
+    /// Curvature around each point: the largest difference of normals per distance among its neighbours,
+    /// rad/mm. 1/R on a sphere or cylinder of radius R; about twice the angle over the spacing at an edge.
     #[must_use]
     pub fn curvatures_per_mm(&self) -> &[f64] {
         &self.curvatures_per_mm
     }
 
-    /// τ² of the normal of point `k`, read `offset_mm` away from a point that is known to `sigma_mm`: it turns by κ
-    /// per millimetre, so κ² (σ² + t²/2) per axis, t the distance along the surface.
+    /// τ² of the normal of point `k`, read `offset_mm` away from a point that is known to `sigma_mm`. The
+    /// normal rotates by κ per millimetre, so κ² (σ² + t²/2) per axis, t the distance along the surface.
     ///
-    /// Where the surface bends within a spacing, κ s > 1, that line through a step means nothing, and the variance is
-    /// given as 0: a patch that overhangs an edge has to be able to slide back.
+    /// Where the surface bends within a spacing, κ s > 1, this linear model is invalid and the variance
+    /// is 0, so that a patch overhanging an edge can slide back.
     pub(super) fn step_variance(&self, k: usize, offset_mm: DVec3, sigma_mm: f64) -> f64 {
         let curvature = self.curvatures_per_mm[k];
         if curvature * self.spacing_mm > 1.0 {
@@ -323,13 +322,13 @@ impl Template {
         &self.tree
     }
 
-    /// Points and normals in the order of the tree.
+    /// Points and normals in tree order.
     pub(super) fn blocks(&self) -> &[Block] {
         &self.blocks
     }
 
-    /// Digest of the points, normals and spacing, of the exact surface and the grid if there are any, and of the symmetries
-    /// as they were said.
+    /// Digest of the points, normals and spacing, of any exact surface and grid, and of the symmetries as
+    /// declared.
     #[must_use]
     pub fn digest(&self) -> u64 {
         let numbers = |v: &DVec3| v.to_array();
@@ -342,7 +341,7 @@ impl Template {
         self.symmetries
             .iter()
             .fold(field, |sum, Symmetry { axis, centre_mm, order }| {
-                // No order is 0: that is any turn, as in a file.
+                // `None` is written as 0, as in files.
                 sum.f64s([*axis, *centre_mm].iter().flat_map(numbers)).u64(order.unwrap_or(0).into())
             })
             .value()
@@ -366,7 +365,7 @@ fn check(points_mm: &[DVec3], normals: &[DVec3], spacing_mm: f64) -> Result<(), 
     let (low, high) =
         points_mm.iter().fold((points_mm[0], points_mm[0]), |(low, high), &p| (low.min(p), high.max(p)));
     let extent_mm = (high - low).max_element();
-    // Squares of the spacing must be ordinary numbers.
+    // Squares of the spacing must be normal numbers.
     let fits = spacing_mm.is_finite() && spacing_mm > 1e-100;
     if !(fits && spacing_mm <= extent_mm && spacing_mm >= MIN_SPACING * extent_mm) {
         return Err(TemplateError::Spacing { found_mm: spacing_mm, extent_mm });
@@ -382,7 +381,8 @@ fn unit(normals: &[DVec3]) -> Result<Vec<DVec3>, TemplateError> {
             return Err(TemplateError::ZeroNormal { index });
         }
         let scaled = normal / largest;
-        // The quotient of a denormal by itself is good, but its neighbours may have overflowed or lost all digits.
+        // A denormal divided by itself is exact, but the other components may have overflowed or lost all
+        // digits.
         if !scaled.is_finite() {
             return Err(TemplateError::ZeroNormal { index });
         }
@@ -391,7 +391,7 @@ fn unit(normals: &[DVec3]) -> Result<Vec<DVec3>, TemplateError> {
     Ok(out)
 }
 
-/// Largest difference of normals per distance in the neighbourhood of two spacings, about a dozen points.
+/// Largest difference of normals per distance within two spacings, about a dozen points.
 fn curvatures(
     points_mm: &[DVec3],
     normals: &[DVec3],
@@ -400,14 +400,14 @@ fn curvatures(
     stop: Stop<'_>,
 ) -> Result<Vec<f64>, Stopped> {
     let radius = 2.0 * spacing_mm;
-    // Samples closer than half a spacing do not place an edge any better than the sampling does.
+    // Samples closer than half a spacing do not locate an edge better than the sampling does.
     let least = 0.25 * spacing_mm * spacing_mm;
     let mut out = Vec::with_capacity(points_mm.len());
     for (step, (&point, &normal)) in points_mm.iter().zip(normals).enumerate() {
         ask_often(stop, step)?;
         let mut largest = 0.0_f64;
         tree.within(point, radius * radius, &mut |k, distance_squared| {
-            // The far side of a thin plate is no neighbour along the surface; a right angle is.
+            // The far side of a thin plate is not a neighbour along the surface; a face at a right angle is.
             if normals[k].dot(normal) > -0.5 {
                 largest = largest.max(normals[k].distance_squared(normal) / distance_squared.max(least));
             }

@@ -1,27 +1,27 @@
-//! Whether a pose explains a contact, as a program can branch on it.
+//! Verdict on whether a pose explains a contact, for use in programs.
 
 use crate::math::sqrt;
 
-/// A right pose is called unsure for noise alone once in a hundred times: the normal deviate of 1 %.
+/// Normal deviate of 1 %: noise alone makes a correct pose unsure once in a hundred times.
 const ONE_IN_A_HUNDRED: f64 = 2.326;
 
 /// Whether a pose explains the contact.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Verdict {
-    /// The part is here: the odds are above even, the markers that touch it miss it by no more than their noise explains,
-    /// and the steps came to rest.
+    /// The part is here: the odds are above even, the residuals of markers in contact are explained by
+    /// noise, and the steps converged.
     Fits,
-    /// The part may be here. The odds are above even, but markers that touch miss it by more than noise, or the budget ran
-    /// out; or the method does not tell, as none of the methods on samples does.
+    /// The part may be here. The odds are above even, but residuals of markers in contact exceed the
+    /// noise, or the budget ran out. Also if the method gives no verdict, as all methods on samples.
     Unsure,
     /// The part is elsewhere, or another: the odds are at most even.
     DoesNotFit,
 }
 
 impl Verdict {
-    /// From the odds, the mean squared deviation of the markers that touch, in variances, with their number, and whether the
-    /// steps came to rest.
+    /// From the log odds, the mean squared residual (in variances) and number of markers in contact, and
+    /// whether the steps converged.
     pub(super) fn new(log_odds: f64, touching: Option<(f64, f64)>, converged: bool) -> Self {
         if log_odds <= 0.0 {
             return Self::DoesNotFit;
@@ -30,7 +30,7 @@ impl Verdict {
         if is_noise && converged { Self::Fits } else { Self::Unsure }
     }
 
-    /// For a program or a person: `fits`, `unsure` or `does_not_fit`.
+    /// Identifier: `fits`, `unsure` or `does_not_fit`.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -41,7 +41,7 @@ impl Verdict {
     }
 }
 
-/// What the mean of the squares of so many normal deviates exceeds once in a hundred times (Wilson and Hilferty 1931).
+/// 99 % quantile of the mean of `count` squared normal deviates (Wilson and Hilferty 1931).
 fn usual_mean_square(count: f64) -> f64 {
     let variance = 2.0 / (9.0 * count.max(1.0));
     let root = 1.0 - variance + ONE_IN_A_HUNDRED * sqrt(variance);
@@ -52,12 +52,12 @@ fn usual_mean_square(count: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Quantiles of 99 % from a table of the chi-squared distribution, over its degrees of freedom.
+    /// 99 % quantiles from a table of the chi-squared distribution, by degrees of freedom.
     #[test]
     fn the_limit_is_the_chi_squared_distributions() {
         for (count, quantile) in [(5.0, 15.086), (10.0, 23.209), (30.0, 50.892), (100.0, 135.807)] {
             let (found, wanted) = (usual_mean_square(count), quantile / count);
-            // The approximation's own error, at most 0.3 % from five degrees on.
+            // The approximation's own error is at most 0.3 % from five degrees on.
             assert!((found / wanted - 1.0).abs() < 3e-3, "{count}: {found} for {wanted}");
         }
     }

@@ -1,4 +1,4 @@
-//! Where the image of a tilted disc has its centre: not where the disc's centre is seen.
+//! Offset of the centroid of a tilted disc's image from the image of the disc's centre.
 
 use super::RigView;
 use crate::camera::{Camera, CameraError};
@@ -9,18 +9,19 @@ use crate::math::{DVec2, DVec3};
 pub struct Disc {
     /// Its centre.
     pub centre_mm: DVec3,
-    /// Two conjugate half diameters: of a stretched disc those along the lattice's row and column.
+    /// Two conjugate half diameters; for a stretched disc along the lattice's row and column.
     pub half_mm: [DVec3; 2],
 }
 
 impl RigView<'_> {
-    /// Centre (centroid) of a disc's image less the image of its centre, to second order in its radius. Take it off a measured
-    /// centre.
+    /// Centroid of a disc's image minus the image of its centre, to second order in the radius. Subtract
+    /// it from a measured centre.
     ///
-    /// Without distortion the image is an ellipse, whose centre is the image of the pole, with respect to the disc, of the
-    /// line that vanishes: the disc's centre moved by -Σ h (h · ∇ ln z) over both half diameters h, z the depth of the point
-    /// that is seen without layers. That is f r² sin a cos a / z² for a tilt a (Heikkilä and Silvén 1997). A lens that bends
-    /// adds half its second derivatives times the mean square of the disc, and the centroid of what it stretches.
+    /// Without distortion the image is an ellipse. Its centre is the image of the pole, with respect to
+    /// the disc, of the vanishing line: the disc's centre moved by -Σ h (h · ∇ ln z) over both half
+    /// diameters h, z the depth of the apparent point. That is f r² sin a cos a / z² for a tilt a
+    /// (Heikkilä and Silvén 1997). Distortion adds half its second derivatives times the disc's mean
+    /// square, and the shift of the centroid by unequal magnification.
     ///
     /// # Errors
     /// As [`Self::project`], for the disc's centre.
@@ -36,8 +37,8 @@ impl RigView<'_> {
 }
 
 impl Camera {
-    /// What the lens's second derivatives move the centroid of an ellipse by, which has these half diameters (normalised
-    /// coordinates) about a point seen.
+    /// Shift of an ellipse's centroid by the lens's second derivatives. `halves` are its half diameters
+    /// in normalised coordinates about `point`.
     fn bend_px(&self, point: DVec3, halves: [DVec2; 2]) -> DVec2 {
         if self.distortion == [0.0; 5] {
             return DVec2::ZERO;
@@ -52,7 +53,7 @@ impl Camera {
             0.5 * (xxx * square[0] + 2.0 * xxy * square[1] + xyy * square[2]),
             0.5 * (xxy * square[0] + 2.0 * xyy * square[1] + yyy * square[2]),
         );
-        // Gradient of the logarithm of the Jacobian's determinant: where the lens stretches more there is more area.
+        // Gradient of the log determinant of the Jacobian: regions of larger magnification have more area.
         let determinant = xx * yy - xy * xy;
         let stretch = DVec2::new(yy * xxx - 2.0 * xy * xxy + xx * xyy, yy * xxy - 2.0 * xy * xyy + xx * yyy)
             / determinant;

@@ -1,4 +1,4 @@
-//! Two cameras: what calibration produces and triangulation consumes.
+//! The calibrated stereo pair used by triangulation.
 
 mod disc;
 mod view;
@@ -17,15 +17,15 @@ pub struct Rig {
     pub left: Camera,
     /// The right camera.
     pub right: Camera,
-    /// Maps left camera coordinates to right camera coordinates; for a right camera that stands at +x its
-    /// translation has a negative x, as OpenCV's `T`.
+    /// Maps left camera coordinates to right camera coordinates, as OpenCV's `T`: for a right camera at
+    /// +x its translation has a negative x.
     pub t_right_left: Pose,
-    /// Flat layers before the markers; none when cameras and markers share one medium.
+    /// Flat layers before the markers; `None` when cameras and markers share one medium.
     #[cfg_attr(feature = "serde", serde(default, skip_serializing_if = "Option::is_none"))]
     pub layers: Option<Layers>,
 }
 
-/// Why two cameras are no rig.
+/// Why two cameras are not a valid rig.
 #[derive(Clone, Debug, PartialEq)]
 pub enum RigError {
     /// The left camera is invalid.
@@ -34,17 +34,17 @@ pub enum RigError {
     Right(CameraError),
     /// The layers before the markers are invalid.
     Layers(LayersError),
-    /// The right camera stands behind the first interface of the layers.
+    /// The right camera is behind the first interface of the layers.
     RightCameraInLayers {
         /// Its distance to the interface along the normal.
         gap_mm: f64,
     },
-    /// The cameras stand at the same place, where depth cannot be seen, or a kilometre apart.
+    /// The cameras coincide, so that depth is unobservable, or are a kilometre apart.
     NoBaseline {
         /// Distance found.
         baseline_mm: f64,
     },
-    /// The right camera stands left of, or mostly above or before, the left one.
+    /// The right camera is left of, or mostly above or in front of, the left one.
     NotSideBySide {
         /// Position of the right camera in the left camera's frame.
         right_camera_mm: DVec3,
@@ -79,8 +79,8 @@ impl core::fmt::Display for RigError {
 
 impl core::error::Error for RigError {}
 
-/// Row-aligned virtual cameras of a rig (Fusiello, Trucco and Verri 2000, with OpenCV's equal split of the rotation),
-/// and Q of Eq. 3.
+/// Row-aligned virtual cameras of a rig (Fusiello, Trucco and Verri 2000, with OpenCV's equal split of
+/// the rotation), and Q of Eq. 3.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rectification {
     /// Rotates left camera coordinates to rectified ones.
@@ -95,10 +95,10 @@ pub struct Rectification {
     pub baseline_mm: f64,
 }
 
-/// Shortest baseline that is taken for one: below a micrometre, calibration found nothing.
+/// Shortest valid baseline: below a micrometre the calibration has failed.
 pub const MIN_BASELINE_MM: f64 = 1e-3;
 
-/// Longest baseline.
+/// Longest valid baseline.
 pub const MAX_BASELINE_MM: f64 = 1e6;
 
 impl Rig {
@@ -115,10 +115,10 @@ impl Rig {
         self.t_right_left.translation_mm.length()
     }
 
-    /// Checks that the numbers describe a rig.
+    /// Checks that the numbers describe a valid rig.
     ///
     /// # Errors
-    /// [`RigError`] saying what is wrong.
+    /// [`RigError`] with the reason.
     pub fn validate(&self) -> Result<(), RigError> {
         self.left.validate().map_err(RigError::Left)?;
         self.right.validate().map_err(RigError::Right)?;
@@ -145,13 +145,15 @@ impl Rig {
     /// As [`Self::validate`].
     pub fn rectification(&self) -> Result<Rectification, RigError> {
         self.validate()?;
-        // Each camera turns half the way, so that both views are distorted alike (OpenCV's stereoRectify).
+        // Each camera turns half the way, so that both views are distorted alike (OpenCV's
+        // stereoRectify).
         let half = so3::log(self.t_right_left.rotation) * 0.5;
         let to_right = DMat3::from_quat(so3::exp(half));
         let to_left = DMat3::from_quat(so3::exp(-half));
         let t = to_left * self.t_right_left.translation_mm; // along the baseline, in the half-way frame
         let x_axis = -t / t.length();
-        // Turn about the axis perpendicular to the baseline and the half-way frame's x axis: the smallest turn.
+        // Rotates about the axis perpendicular to the baseline and the half-way x axis: the smallest
+        // rotation.
         let axis = x_axis.cross(DVec3::X);
         let sine = axis.length();
         let angle = crate::math::atan2(sine, x_axis.x);
@@ -169,7 +171,7 @@ impl Rig {
         })
     }
 
-    /// One camera with all that lies before it.
+    /// One camera with the layers before it.
     #[must_use]
     pub fn view(&self, view: View) -> RigView<'_> {
         let (camera, t_camera_sensor) = match view {
@@ -179,7 +181,7 @@ impl Rig {
         RigView::new(camera, t_camera_sensor, self.layers.as_ref())
     }
 
-    /// Pixels of a point of the sensor frame in both views, through the layers if there are any.
+    /// Pixels of a point of the sensor frame in both views, through any layers.
     ///
     /// # Errors
     /// As [`RigView::project`].
@@ -200,8 +202,8 @@ impl Rectification {
         ]
     }
 
-    /// Rectified pixel of normalised coordinates of the camera that `r` rotates, or `None` when the ray does not
-    /// meet the virtual image.
+    /// Rectified pixel of normalised coordinates in the camera rotated by `r`; `None` when the ray does
+    /// not meet the virtual image.
     #[must_use]
     pub fn rectify(&self, r: &DMat3, normalised: DVec2) -> Option<DVec2> {
         let ray = *r * DVec3::new(normalised.x, normalised.y, 1.0);

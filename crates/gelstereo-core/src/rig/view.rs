@@ -21,15 +21,15 @@ impl core::fmt::Display for View {
     }
 }
 
-/// One camera of a rig with the layers before it: from points of the sensor frame to pixels and back to rays.
-/// [`super::Rig::view`] makes it; it borrows the rig and costs next to nothing.
+/// One camera of a rig with the layers before it: maps points of the sensor frame to pixels and pixels to
+/// rays. Made by [`super::Rig::view`]; it borrows the rig and is cheap.
 #[derive(Clone, Copy, Debug)]
 pub struct RigView<'a> {
     camera: &'a Camera,
-    /// From the sensor frame to this camera's, as a matrix: it turns many vectors.
+    /// Rotation from the sensor frame to this camera's, as a matrix, because it is applied to many vectors.
     to_camera: DMat3,
     to_sensor: DMat3,
-    /// Origin of the sensor frame in this camera's, and this camera in the sensor frame.
+    /// Origin of the sensor frame in this camera's frame, and this camera in the sensor frame.
     sensor_mm: DVec3,
     camera_mm: DVec3,
     refraction: Option<Refraction<'a>>,
@@ -42,7 +42,7 @@ pub struct Projection {
     pub pixel_px: DVec2,
     /// Rows of d pixel / d point, px/mm: gradients of column and row in the sensor frame.
     pub jacobian: [DVec3; 2],
-    /// Slope of the light in air against the layers' normal (0 without layers); a start for a point nearby.
+    /// Slope of the light in air against the layers' normal (0 without layers); a start for nearby points.
     pub slope: f64,
 }
 
@@ -71,18 +71,18 @@ impl<'a> RigView<'a> {
         self.camera
     }
 
-    /// Pixel of a point of the sensor frame. A point before the first interface is seen in air, one within a plate
-    /// through the media before it.
+    /// Pixel of a point of the sensor frame. A point before the first interface is seen in air, one
+    /// within a plate through the media before it.
     ///
     /// # Errors
-    /// [`CameraError::NotInFront`]; [`CameraError::TotalReflection`], only when the camera touches the layers.
+    /// [`CameraError::NotInFront`]; [`CameraError::TotalReflection`] only when the camera touches the layers.
     pub fn project(&self, point_mm: DVec3) -> Result<DVec2, CameraError> {
         let (local, slope) = self.local(point_mm, 0.0)?;
         self.pixel(point_mm, self.apparent(local, slope))
     }
 
-    /// As [`Self::project`], with the derivatives. `start` is the slope of a point nearby, to begin the search of the
-    /// light's path with; 0 always does.
+    /// As [`Self::project`], with the derivatives. `start` is the initial slope of the search, such as
+    /// that of a nearby point; 0 always works.
     ///
     /// # Errors
     /// As [`Self::project`].
@@ -93,8 +93,8 @@ impl<'a> RigView<'a> {
         Ok(Projection { pixel_px, jacobian: self.jacobian(local, apparent, slope), slope })
     }
 
-    /// The ray on which the points lie that this pixel shows (sensor frame): in the gel from the last interface on, or
-    /// from the camera when there are no layers.
+    /// The ray of all points imaged at this pixel (sensor frame): in the gel from the last interface on,
+    /// or from the camera without layers.
     ///
     /// # Errors
     /// [`CameraError::BeyondDistortion`], [`CameraError::PixelNotFinite`] or [`CameraError::MissesLayers`].
@@ -103,7 +103,7 @@ impl<'a> RigView<'a> {
         Ok(self.ray_along(ahead).ok_or(CameraError::MissesLayers { pixel_px })?.0)
     }
 
-    /// The ray of normalised coordinates and its slope in air, or `None` when it never meets the layers.
+    /// The ray of normalised coordinates and its slope in air; `None` if it does not meet the layers.
     pub(crate) fn ray_along(&self, normalised: DVec2) -> Option<(Ray, f64)> {
         let direction = normalised.extend(1.0);
         let (ray, slope) = match &self.refraction {
@@ -114,23 +114,23 @@ impl<'a> RigView<'a> {
         Some((Ray { origin_mm, direction: self.to_sensor * ray.direction }, slope))
     }
 
-    /// The ray of normalised coordinates as if there were no layers.
+    /// The ray of normalised coordinates, without layers.
     pub(crate) fn ray_in_air(&self, normalised: DVec2) -> Ray {
         Ray { origin_mm: self.camera_mm, direction: self.to_sensor * normalised.extend(1.0).normalize() }
     }
 
-    /// A direction of the sensor frame in this camera's.
+    /// Rotates a direction from the sensor frame to this camera's.
     pub(crate) fn turned(&self, direction: DVec3) -> DVec3 {
         self.to_camera * direction
     }
 
-    /// Whether a point (sensor frame) lies behind the last interface, or there is none.
+    /// Whether a point (sensor frame) lies behind the last interface; true without layers.
     pub(crate) fn is_in_gel(&self, point_mm: DVec3) -> bool {
         let local = self.to_camera * point_mm + self.sensor_mm;
         self.refraction.as_ref().is_none_or(|refraction| refraction.is_in_gel(local))
     }
 
-    /// Rows of d pixel / d point at a point of a ray of this slope (sensor frame).
+    /// Rows of d pixel / d point at a point on a ray of this slope (sensor frame).
     pub(crate) fn jacobian_on_ray(&self, point_mm: DVec3, slope: f64) -> [DVec3; 2] {
         let local = self.to_camera * point_mm + self.sensor_mm;
         self.jacobian(local, self.apparent(local, slope), slope)
@@ -148,7 +148,7 @@ impl<'a> RigView<'a> {
         rows.map(|row| self.to_sensor * row)
     }
 
-    /// What small things about a point of the sensor frame look like.
+    /// Local imaging geometry at a point of the sensor frame.
     pub(super) fn seen(&self, point_mm: DVec3) -> Result<Seen<'_>, CameraError> {
         let (local, slope) = self.local(point_mm, 0.0)?;
         let apparent = self.apparent(local, slope);
@@ -189,12 +189,13 @@ impl<'a> RigView<'a> {
     }
 }
 
-/// A point as a camera sees it.
+/// Local imaging geometry at a point.
 pub(super) struct Seen<'a> {
     view: &'a RigView<'a>,
-    /// Where it would be seen without layers (camera frame).
+    /// Apparent point, where it would be seen without layers (camera frame).
     pub apparent: DVec3,
-    /// The layers' normal (camera frame), along which layers lift the point, and the gradient of that lift (sensor frame).
+    /// The layers' normal (camera frame), along which layers lift the point, and the gradient of that
+    /// lift (sensor frame).
     lift: Option<(DVec3, DVec3)>,
     /// Gradient of the apparent depth (sensor frame).
     pub depth_gradient: DVec3,
@@ -203,7 +204,7 @@ pub(super) struct Seen<'a> {
 }
 
 impl Seen<'_> {
-    /// What a small vector (sensor frame) is in normalised coordinates, without distortion.
+    /// Maps a small vector (sensor frame) to normalised coordinates, without distortion.
     pub fn normalised(&self, small_mm: DVec3) -> DVec2 {
         let lifted = self.lift.map_or(DVec3::ZERO, |(normal, lift)| normal * lift.dot(small_mm));
         let v = self.view.to_camera * small_mm + lifted;

@@ -3,28 +3,28 @@
 use crate::math::{DVec2, DVec3, sqrt};
 use alloc::vec::Vec;
 
-/// Most buckets along one side; wider spreads get larger buckets.
+/// Largest number of buckets per side; wider spreads get larger buckets.
 const MAX_BUCKETS: usize = 256;
 
-/// Side of a square of points that are spread evenly, in their distance.
+/// Bucket side in mean point distances, for evenly spread points.
 const EVEN_SIDE: f64 = 2.2;
 
-/// Points in square buckets. Rebuilding it reuses its memory.
+/// Points in square buckets. Rebuilding reuses the memory.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Grid {
     origin: DVec2,
-    /// Buckets for each unit of the points' coordinates: pixels, or millimetres in [`Self::build_evenly`].
+    /// Buckets per unit of the points' coordinates: pixels, or millimetres in [`Self::build_evenly`].
     per_unit: f64,
     columns: usize,
     rows: usize,
-    /// Where each bucket starts in `items`, and the end of the last one.
+    /// Start of each bucket in `items`, and the end of the last one.
     starts: Vec<u32>,
     /// Indices of points, ascending within a bucket.
     items: Vec<u32>,
 }
 
 impl Grid {
-    /// Makes room for so many points, spread over so many pixels, in buckets of at least `side_px`.
+    /// Reserves memory for `points` points spread over `spread_px`, in buckets of at least `side_px`.
     pub fn reserve(&mut self, points: usize, spread_px: (usize, usize), side_px: f64) {
         // Points may lie a bucket or two outside.
         let buckets = |extent: usize| ((extent as f64 / side_px) as usize + 4).min(MAX_BUCKETS + 1);
@@ -34,7 +34,7 @@ impl Grid {
         self.items.reserve(points);
     }
 
-    /// Sorts `points` into buckets of at least `side_px`. Points that are not finite are left out.
+    /// Sorts `points` into buckets of at least `side_px`. Non-finite points are left out.
     pub fn build(&mut self, points: &[DVec2], side_px: f64) {
         self.build_from(points.iter().copied(), side_px);
     }
@@ -69,7 +69,7 @@ impl Grid {
             end += *start;
             *start = end;
         }
-        // From the last point down, so that the counts become the starts and indices ascend.
+        // Backwards, so that the counts become starts and indices ascend within a bucket.
         self.items.resize(end as usize, 0);
         for (index, point) in points.enumerate().rev().filter(|(_, p)| p.is_finite()) {
             let bucket = self.bucket(point);
@@ -78,8 +78,8 @@ impl Grid {
         }
     }
 
-    /// The accepted point that is nearest to `target` and closer than `radius_px`; of equal ones the first. The order of the
-    /// visits never decides. `points` are those that the grid was built from.
+    /// The nearest accepted point to `target` closer than `radius_px`; the lowest index among equals,
+    /// whatever the visiting order. `points` must be those of the last build.
     pub fn nearest(
         &self,
         points: &[DVec2],
@@ -98,7 +98,7 @@ impl Grid {
         best.1
     }
 
-    /// Calls `see` for every point within the square of half side `radius_px`, and for some beyond.
+    /// Calls `see` for every point within the square of half side `radius_px`, and for some outside it.
     pub fn visit(&self, target: DVec2, radius_px: f64, mut see: impl FnMut(usize)) {
         if self.columns == 0 || !target.is_finite() {
             return;
@@ -118,20 +118,22 @@ impl Grid {
         }
     }
 
-    /// Sorts finite points by their x and y for [`Self::nearest_others`]: a square and the eight around it hold some forty.
+    /// Sorts finite points by x and y for [`Self::nearest_others`]. A bucket and its eight neighbours
+    /// hold about forty points.
     pub fn build_evenly(&mut self, points: &[DVec3]) {
         let flat = || points.iter().map(|p| p.truncate());
         let (low, high) =
             flat().fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)));
         let (extent, count) = ((high - low).max(DVec2::ZERO), points.len().max(1) as f64);
-        // No more squares along an axis than points, in a row as well; all at one place are in one square.
+        // At most as many buckets per axis as points, even for collinear ones; coincident points share
+        // one bucket.
         let side = EVEN_SIDE * sqrt(extent.x * extent.y / count).max(extent.max_element() / count);
         self.build_from(flat(), if side > 0.0 { side } else { 1.0 });
     }
 
-    /// The `K` points that are nearest to one of those of [`Self::build_evenly`], itself left out, the nearest first and of
-    /// those as near the first one; infinity and the point itself where there are fewer. `squared` of a point is no less than
-    /// its distance across the plane, squared.
+    /// The `K` nearest other points of a point of [`Self::build_evenly`], nearest first, then by index.
+    /// Missing ones are (infinity, the point itself). `squared(i)` must be at least the squared distance
+    /// in the plane.
     pub fn nearest_others<const K: usize>(
         &self,
         own: usize,
@@ -146,7 +148,7 @@ impl Grid {
             }
         };
         self.visit(place, side, |index| see(&mut best, index));
-        // What was not visited is farther off than a square's side, but for rounding.
+        // Points not visited are farther away than a bucket's side, up to rounding.
         if best[K - 1].0 > 0.999 * side * side {
             best = nothing;
             self.items.iter().for_each(|&index| see(&mut best, index as usize));
@@ -160,12 +162,12 @@ impl Grid {
     }
 }
 
-/// Row or column of buckets; 0 before the first. There is an instruction for 32 bits.
+/// Row or column of a bucket; 0 before the first. The 32-bit conversion is a single instruction.
 const fn bucket_of(at: f64) -> usize {
     at as u32 as usize
 }
 
-/// Puts a point where it belongs among the nearest ones, if it does.
+/// Inserts a point into the sorted list if it is among the nearest.
 #[inline]
 fn insert<const K: usize>(best: &mut [(f64, u32); K], squared: f64, index: u32) {
     let comes_before = |(other, i): (f64, u32)| squared < other || (squared == other && index < i);
@@ -189,7 +191,7 @@ mod tests {
     fn the_nearest_are_those_of_a_search_through_all() {
         let mut random = Stream::new(1, "grid");
         for case in 0..60 {
-            // Spread evenly, in a row, at few places, with some far off, and few of them.
+            // Spread evenly, collinear, at few positions, with a distant outlier, and few points.
             let scale = [(9.0, 9.0), (9.0, 0.0), (9.0, 1e-3), (0.0, 0.0)][case % 4];
             let count = [1, 3, 40, 300][case / 4 % 4];
             let coarse = |x: f64| if case % 3 == 0 { crate::math::round(x) } else { x };

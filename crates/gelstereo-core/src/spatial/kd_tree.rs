@@ -6,39 +6,40 @@ use alloc::vec::Vec;
 use core::array;
 use core::ops::Range;
 
-/// Points of a leaf, which are looked at together.
+/// Points per leaf, processed together.
 pub(crate) const LEAF: usize = 8;
-/// More than the depth of a tree of fewer than 2³² points.
+/// Upper bound of the depth for fewer than 2³² points.
 const DEPTH: usize = 32;
-/// The root; the children of a node are 2 node and 2 node + 1.
+/// Index of the root; the children of a node are 2 node and 2 node + 1.
 const ROOT: usize = 1;
 
-/// Nearest point and points within a radius, exactly as a search through all of them would say.
+/// Nearest point and points within a radius, with exactly the results of a brute-force search.
 ///
-/// Ranges are split in the total order (coordinate, index), where the left half is full, so that thousands of duplicate
-/// or coplanar points split as evenly as any others and all leaves are equally deep. Queries allocate nothing.
+/// Ranges are split in the total order (coordinate, index) with a full left half. Duplicate and coplanar
+/// points therefore split evenly too, and all leaves have equal depth. Queries do not allocate.
 ///
-/// A branch is passed over by the plane that cuts it off, which is one product, and then by its box. A point that is off
-/// a surface is about as far from every cell of the planes beside it as from the plane; the boxes lie in the surface.
+/// A branch is pruned by its splitting plane, which takes one product, and then by its bounding box. For
+/// a query off the surface the planes prune little, because many cells are about as far away as their
+/// plane. The boxes fit the surface.
 #[derive(Clone, Debug, Default)]
 pub struct KdTree {
-    /// The points in the order of the tree; of the last one some lanes may be left.
+    /// Points in tree order; the last leaf may have unused lanes.
     leaves: Vec<Leaf>,
-    /// Of every node above the leaves.
+    /// Splitting planes of the inner nodes.
     cuts: Vec<Cut>,
-    /// Of every node; empty ones where no leaf is.
+    /// Boxes of all nodes; empty for missing leaves.
     boxes: Vec<Bounds>,
     len: usize,
 }
 
-/// Points by coordinate, and their indices in the order they came. A lane without a point is infinitely far.
+/// Points by coordinate, and their original indices. An unused lane is infinitely far away.
 #[derive(Clone, Copy, Debug)]
 struct Leaf {
     points: [[f64; LEAF]; 3],
     indices: [u32; LEAF],
 }
 
-/// No point on the left is above it, none on the right below.
+/// No point on the left lies above the plane, none on the right below it.
 #[derive(Clone, Copy, Debug)]
 struct Cut {
     value: f64,
@@ -51,17 +52,17 @@ struct Bounds {
     high: DVec3,
 }
 
-/// The best point so far: least squared distance, then least index.
+/// Best candidate: least squared distance, then lowest index.
 #[derive(Clone, Copy)]
 struct Best {
     distance_squared: f64,
     index: u32,
 }
 
-// All descents may pass over branches exactly: rounding is monotone, so a point beyond a plane or in a box is never
-// closer in f64 than the plane or the box itself, when the squares are added in the same order.
+// Pruning is exact. Rounding is monotone, so in f64 a point beyond a plane or in a box is never closer
+// than the plane or box itself, if the squares are added in the same order.
 impl KdTree {
-    /// Over these points, which must be finite and fewer than 2³².
+    /// From these points, which must be finite and fewer than 2³².
     #[must_use]
     pub fn new(points: &[DVec3]) -> Self {
         Self::new_unless(points, NEVER).unwrap_or_default()
@@ -89,11 +90,11 @@ impl KdTree {
 
     /// Index of the nearest point and its squared distance; `None` for a tree without points.
     ///
-    /// Of points at the same squared distance in f64 the one with the lowest index is nearest.
+    /// Among equal squared distances in f64, the lowest index is nearest.
     #[must_use]
     pub fn nearest(&self, query: DVec3) -> Option<(usize, f64)> {
         let mut best = Best { distance_squared: f64::INFINITY, index: u32::MAX };
-        // What was passed on the way down, one a level, and how far the plane before it is.
+        // Branches left out on the way down, one per level, with the squared distance of their plane.
         let mut passed = [(0, 0.0); DEPTH];
         let mut count = 0;
         let mut node = ROOT;
@@ -122,8 +123,8 @@ impl KdTree {
         }
     }
 
-    /// Calls `visit(index, squared distance)` for every point with squared distance at most `radius_squared`, in the
-    /// order of the tree.
+    /// Calls `visit(index, squared distance)` for every point with squared distance at most
+    /// `radius_squared`, in tree order.
     pub fn within(&self, query: DVec3, radius_squared: f64, visit: &mut impl FnMut(usize, f64)) {
         self.reached(query, radius_squared, ROOT, &mut |k| {
             let leaf = &self.leaves[k];
@@ -135,18 +136,18 @@ impl KdTree {
         });
     }
 
-    /// Indices of the points, in the order of the tree.
+    /// Indices of the points, in tree order.
     pub(crate) fn indices(&self) -> impl Iterator<Item = u32> {
         self.leaves.iter().flat_map(|leaf| leaf.indices).take(self.len)
     }
 
-    /// Calls `visit` with ranges of places in the order of the tree, ascending, that together hold every point with
-    /// squared distance at most `radius_squared`, and others beside them. Each begins at a multiple of [`LEAF`].
+    /// Calls `visit` with ascending ranges of positions in tree order. They cover every point with squared
+    /// distance at most `radius_squared`, and possibly others. Each range starts at a multiple of [`LEAF`].
     pub(crate) fn ranges(&self, query: DVec3, radius_squared: f64, visit: &mut impl FnMut(Range<usize>)) {
         self.reached(query, radius_squared, ROOT, &mut |k| visit(LEAF * k..self.len.min(LEAF * (k + 1))));
     }
 
-    /// Calls `visit` with the leaves whose boxes are as near as this, ascending.
+    /// Calls `visit` with the leaves whose boxes are within this distance, ascending.
     fn reached(&self, query: DVec3, radius_squared: f64, node: usize, visit: &mut impl FnMut(usize)) {
         if self.boxes[node].distance_squared(query) > radius_squared {
             return;
@@ -174,7 +175,7 @@ impl Leaf {
         leaf
     }
 
-    /// As glam's, lane by lane.
+    /// Same operations as glam's, per lane.
     #[inline(always)]
     fn distances_squared(&self, query: DVec3) -> [f64; LEAF] {
         let [x, y, z] = &self.points;
@@ -215,7 +216,7 @@ impl Bounds {
         Self { low: self.low.min(other.low), high: self.high.max(other.high) }
     }
 
-    /// Of the box from a point: 0 inside.
+    /// Squared distance of a point to the box; 0 inside.
     #[inline(always)]
     fn distance_squared(&self, query: DVec3) -> f64 {
         let off = |low: f64, high: f64, q: f64| {
@@ -241,10 +242,10 @@ impl Bounds {
     }
 }
 
-/// With fewer points below a node it is soon done, and nothing is asked.
+/// Below this number of points a node takes little time, so the stop closure is not called.
 const MANY: usize = 4096;
 
-/// Orders the indices below a node as a tree and notes the cuts.
+/// Orders the indices below a node as a tree and records the splitting planes.
 fn split(
     points: &[DVec3],
     order: &mut [u32],
@@ -257,11 +258,11 @@ fn split(
     if order.len() > MANY && stop() {
         return Err(Stopped);
     }
-    // A node at depth d holds the leaves of a full tree whose root is there.
+    // A node at depth d holds the leaves of a full subtree.
     let leaves = cuts.len() >> node.ilog2();
     let middle = leaves / 2 * LEAF;
     if order.len() <= middle {
-        // All are on the left.
+        // All points are on the left.
         cuts[node].value = f64::INFINITY;
         return split(points, order, (2 * node, cuts), stop);
     }

@@ -1,4 +1,4 @@
-//! Nearest neighbours: of points in the plane by a grid, of points in space by a k-d tree.
+//! Nearest-neighbour search: a grid for points in the plane, a k-d tree for points in space.
 
 mod grid;
 mod kd_tree;

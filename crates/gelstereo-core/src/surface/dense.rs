@@ -1,4 +1,4 @@
-//! The gel's surface on a regular grid, by natural-neighbour interpolation.
+//! The gel surface on a regular grid, by natural-neighbour interpolation.
 
 use super::{MarkerMesh, MarkerMeshError};
 use crate::math::{DVec2, DVec3, ceil};
@@ -7,15 +7,15 @@ use alloc::vec::Vec;
 use spade::handles::FixedVertexHandle;
 use spade::{DelaunayTriangulation, FloatTriangulation, Point2, Triangulation};
 
-/// The largest grid.
+/// Largest number of grid cells.
 const MAX_CELLS: f64 = (1 << 22) as f64;
 
-/// Interpolates between markers on a grid over their places of rest (Sibson 1981).
+/// Natural-neighbour interpolation between markers, on a grid over their rest positions (Sibson 1981).
 ///
-/// The weight of a marker at a cell is the share of the cell's Voronoi region, were it a marker too, that it takes from that
-/// marker's. Weights are worked out once, on the rest lattice; a frame is then a weighted sum. So a cell is a spot of the gel:
-/// its point moves sideways with the markers around. The surface is continuous, smooth but at the markers, passes
-/// through them, and is exact for planes.
+/// The weight of a marker at a cell is the area share that the cell would take from that marker's Voronoi
+/// region if it were a marker too. Weights are computed once, on the rest lattice; a frame is then a
+/// weighted sum. A cell is therefore a spot of the gel and moves sideways with the markers around it. The
+/// surface is continuous, smooth except at the markers, passes through them, and is exact for planes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DenseSurface {
     mesh: MarkerMesh,
@@ -23,13 +23,14 @@ pub struct DenseSurface {
     cols: usize,
     origin_mm: DVec2,
     step_mm: f64,
-    /// Where each cell's weights end; those of a cell outside of the markers' hull are none.
+    /// End of each cell's weights; cells outside the markers' convex hull have none.
     ends: Vec<u32>,
     weights: Vec<(u32, f64)>,
     normals: Vec<DVec3>,
 }
 
-/// The surface at one moment; cell `row * cols + col` stands at that index. Outside of the markers' hull all is 0.
+/// The surface at one moment, indexed by `row * cols + col`. Everything outside the markers' convex hull
+/// is 0.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DenseFrame {
     /// Points of the surface, sensor frame.
@@ -41,13 +42,14 @@ pub struct DenseFrame {
 /// Why there is no dense surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum DenseSurfaceError {
-    /// The markers have no mesh, or one of them no normal.
+    /// The markers have no mesh, or a marker has no normal.
     Mesh(MarkerMeshError),
-    /// The step is not a length, is longer than the markers' box, or makes a grid of more than 4 194 304 cells.
+    /// The step is not a positive length, exceeds the markers' bounding box, or gives more than 4 194 304
+    /// cells.
     Step {
         /// The step found.
         step_mm: f64,
-        /// Cells that it makes (infinite when the step is no length).
+        /// Cells that it gives (infinite when the step is not a positive length).
         cells: f64,
     },
     /// A coordinate of the cloud is NaN or infinite.
@@ -93,8 +95,8 @@ impl DenseSurface {
         self.step_mm
     }
 
-    /// A grid of cells `step_mm` apart over the bounding box of the rest positions, its first cell at the box's
-    /// smallest corner.
+    /// A grid of cells `step_mm` apart over the bounding box of the rest positions. The first cell is at
+    /// the box's smallest corner.
     ///
     /// # Errors
     /// [`DenseSurfaceError::Step`], or [`DenseSurfaceError::Mesh`] for markers without a mesh.
@@ -109,7 +111,7 @@ impl DenseSurface {
     pub fn new_unless(rest_mm: &[DVec2], step_mm: f64, stop: Stop<'_>) -> Result<Self, DenseSurfaceError> {
         let mesh = MarkerMesh::new(rest_mm).map_err(DenseSurfaceError::Mesh)?;
         let (low, high) = rest_mm.iter().fold((rest_mm[0], rest_mm[0]), |(l, h), &p| (l.min(p), h.max(p)));
-        // A side that is a whole number of steps but for round-off keeps its last cell.
+        // Keeps the last cell of a side that is a whole number of steps up to round-off.
         let side = |length: f64| ceil(length / step_mm - 1e-9) + 1.0;
         let size = high - low;
         let (across, down) = (side(size.x), side(size.y));
@@ -132,25 +134,25 @@ impl DenseSurface {
         Ok(surface)
     }
 
-    /// Cells from top to bottom.
+    /// Number of rows, top to bottom.
     #[must_use]
     pub const fn rows(&self) -> usize {
         self.rows
     }
 
-    /// Cells from left to right.
+    /// Number of columns, left to right.
     #[must_use]
     pub const fn cols(&self) -> usize {
         self.cols
     }
 
-    /// Where a cell stands on the gel at rest.
+    /// Position of a cell on the gel at rest.
     #[must_use]
     pub fn rest_mm(&self, row: usize, col: usize) -> DVec2 {
         self.origin_mm + DVec2::new(col as f64, row as f64) * self.step_mm
     }
 
-    /// Whether a cell lies within the markers' hull; only there the surface is known.
+    /// Whether a cell lies within the markers' convex hull; only there is the surface known.
     #[must_use]
     pub fn is_known(&self, cell: usize) -> bool {
         !self.weights_of(cell).is_empty()
@@ -163,10 +165,11 @@ impl DenseSurface {
         &self.weights[start as usize..self.ends[cell] as usize]
     }
 
-    /// The surface through these points, one per marker; no allocation once `out` has held it.
+    /// The surface through these points, one per marker. Does not allocate once `out` has held a frame.
     ///
     /// # Errors
-    /// [`DenseSurfaceError`] for a cloud that is not these markers' or has no normals; `out` is then empty.
+    /// [`DenseSurfaceError`] for a cloud that does not match the markers or has no normals; `out` is then
+    /// empty.
     pub fn run(&mut self, points_mm: &[DVec3], out: &mut DenseFrame) -> Result<(), DenseSurfaceError> {
         out.points_mm.clear();
         out.normals.clear();
@@ -184,11 +187,11 @@ impl DenseSurface {
         made
     }
 
-    /// Values of the markers, interpolated; 0 at cells that are not known. No allocation once `out` has held them.
+    /// Interpolates the markers' values; 0 at unknown cells. Does not allocate once `out` has held a frame.
     ///
     /// # Errors
-    /// [`DenseSurfaceError::Mesh`] when there are not as many values as markers, [`DenseSurfaceError::NotFinite`]; `out` is
-    /// then empty.
+    /// [`DenseSurfaceError::Mesh`] when the numbers of values and markers differ,
+    /// [`DenseSurfaceError::NotFinite`]; `out` is then empty.
     pub fn sample(&self, values: &[f64], out: &mut Vec<f64>) -> Result<(), DenseSurfaceError> {
         out.clear();
         let (points, markers) = (values.len(), self.mesh.markers());
@@ -216,7 +219,7 @@ impl DenseSurface {
                 out.normals.push(DVec3::ZERO);
                 continue;
             };
-            // Relative to one of the markers, so that a far origin costs no digits of the shape.
+            // Relative to one of the markers, so that a distant origin does not cost precision.
             let origin = points_mm[first as usize];
             let (mut point, mut normal) = (DVec3::ZERO, DVec3::ZERO);
             for &(marker, weight) in weights {
@@ -229,15 +232,15 @@ impl DenseSurface {
         Ok(())
     }
 
-    /// Weights of all cells.
-    /// Refuses markers that are the same or lie in a line but for the last digits of a step.
+    /// Computes the weights of all cells. Rejects markers that coincide or are collinear up to round-off
+    /// of a step.
     fn weigh(&mut self, rest_mm: &[DVec2], stop: Stop<'_>) -> Result<(), DenseSurfaceError> {
-        // About the grid's first cell, in steps: positions far away or tiny keep their digits.
+        // In steps from the first cell, so that distant or tiny coordinates keep their precision.
         let place = |p: DVec2| (p - self.origin_mm) / self.step_mm;
         let mut delaunay = DelaunayTriangulation::<Point2<f64>>::new();
         for (marker, &p) in rest_mm.iter().enumerate() {
             let p = place(p);
-            // One too close to an axis is set on it.
+            // Snaps a marker very close to an axis onto it.
             let tiny = |x: f64| if x.abs() < 1e-40 { 0.0 } else { x };
             match delaunay.insert(Point2::new(tiny(p.x), tiny(p.y))) {
                 Ok(vertex) if vertex.index() == marker => {}
@@ -259,9 +262,9 @@ impl DenseSurface {
                 ask(stop, col).map_err(|Stopped| DenseSurfaceError::Stopped)?;
                 let cell = DVec2::new(col as f64, row as f64);
                 natural.get_weights(Point2::new(cell.x, cell.y), &mut found);
-                // Within round-off of the hull Voronoi regions are endless or empty: there the triangle's own weights,
-                // to which Sibson's tend, take their place. Shares that add up to 1 may still be of endless regions, and then
-                // do not reproduce the place.
+                // Within round-off of the hull, Voronoi regions are unbounded or empty. Sibson's weights
+                // tend to barycentric ones there, so those are used. Weights of unbounded regions may
+                // still add up to 1; then they do not reproduce the position.
                 let sound = |found: &[(FixedVertexHandle, f64)]| {
                     let (mut sum, mut off, mut reach) = (0.0, DVec2::ZERO, 0.0);
                     for &(vertex, weight) in found {

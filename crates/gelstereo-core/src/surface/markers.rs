@@ -1,12 +1,12 @@
-//! The gel's surface between the markers.
+//! The gel surface between the markers.
 
 use super::area_vector;
 use crate::math::{DVec2, DVec3};
 use alloc::vec::Vec;
 use spade::{DelaunayTriangulation, InsertionError, Point2, Triangulation};
 
-/// Triangles between markers, worked out once on the rest lattice and valid for every later frame, because markers
-/// keep their index.
+/// Triangles between markers, computed once on the rest lattice. They stay valid for later frames because
+/// markers keep their index.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MarkerMesh {
     markers: usize,
@@ -21,19 +21,20 @@ pub enum MarkerMeshError {
         /// Markers found.
         markers: usize,
     },
-    /// A position is NaN, infinite, or beyond what exact predicates can hold (magnitudes of 1e-43 to 1e60).
+    /// A coordinate is NaN, infinite, or outside the range of the exact predicates (magnitudes of 1e-43
+    /// to 1e60).
     NotFinite {
         /// Which marker.
         marker: usize,
     },
-    /// Two markers stand at the same place.
+    /// Two markers have the same position.
     Duplicate {
         /// The first one.
         first: usize,
         /// The second one.
         second: usize,
     },
-    /// The cloud has another number of points than the mesh has markers.
+    /// The numbers of points in the cloud and of markers in the mesh differ.
     LengthMismatch {
         /// Points found.
         points: usize,
@@ -76,7 +77,8 @@ impl core::fmt::Display for MarkerMeshError {
 impl core::error::Error for MarkerMeshError {}
 
 impl MarkerMesh {
-    /// Delaunay triangles of the rest positions, in pixels or millimetres, x right and y down. Marker `i` is vertex `i`.
+    /// Delaunay triangles of the rest positions, in pixels or millimetres, x right, y down. Marker `i` is
+    /// vertex `i`.
     ///
     /// # Errors
     /// [`MarkerMeshError`] for input that has no triangulation.
@@ -95,8 +97,8 @@ impl MarkerMesh {
         if delaunay.num_inner_faces() == 0 {
             return Err(MarkerMeshError::Collinear { markers: rest.len() });
         }
-        // Seen from the camera, with y down, the triangulation's positive sense is clockwise: it is turned, so that
-        // normals point towards the camera.
+        // With y down, the triangulation's positive orientation is clockwise seen from the camera.
+        // Reverse it, so that normals point towards the camera.
         let corners = |face: spade::handles::FaceHandle<'_, spade::handles::InnerTag, _, _, _, _>| {
             let [a, b, c] = face.vertices().map(|v| v.fix().index() as u32);
             [a, c, b]
@@ -104,7 +106,7 @@ impl MarkerMesh {
         Ok(Self { markers: rest.len(), triangles: delaunay.inner_faces().map(corners).collect() })
     }
 
-    /// Markers that the mesh joins.
+    /// Number of markers of the mesh.
     #[must_use]
     pub const fn markers(&self) -> usize {
         self.markers
@@ -116,12 +118,12 @@ impl MarkerMesh {
         &self.triangles
     }
 
-    /// Unit normals of a cloud at its markers, towards the camera: the mean of the triangles around each marker,
-    /// weighted by area. `out` is cleared first; no allocation once it has held this many.
+    /// Unit normals of a cloud at its markers, towards the camera: the area-weighted mean of the
+    /// triangles around each marker. Clears `out` first; does not allocate once it has held this many.
     ///
     /// # Errors
-    /// [`MarkerMeshError::LengthMismatch`], or [`MarkerMeshError::NoNormal`] at the first marker without one; `out` is then
-    /// empty.
+    /// [`MarkerMeshError::LengthMismatch`], or [`MarkerMeshError::NoNormal`] at the first marker without
+    /// a normal; `out` is then empty.
     pub fn normals(&self, points_mm: &[DVec3], out: &mut Vec<DVec3>) -> Result<(), MarkerMeshError> {
         out.clear();
         if points_mm.len() != self.markers {

@@ -1,4 +1,4 @@
-//! Surfaces of triangles: parts, and the gel between the markers.
+//! Triangle meshes: parts, and the gel surface between the markers.
 
 #[cfg(feature = "delaunay")]
 mod dense;
@@ -15,14 +15,14 @@ pub use solid::{Closest, Facing, Feature, Field, Solid, SolidError, SolidReport,
 use crate::math::DVec3;
 use alloc::vec::Vec;
 
-/// A surface of triangles, counter-clockwise seen from outside.
+/// A triangle mesh, counter-clockwise seen from outside.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TriangleMesh {
     vertices_mm: Vec<DVec3>,
     triangles: Vec<[u32; 3]>,
 }
 
-/// Why vertices and triangles are no surface.
+/// Why vertices and triangles are not a valid mesh.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum MeshError {
     /// No triangle has an area.
@@ -32,11 +32,11 @@ pub enum MeshError {
         /// Which vertex.
         vertex: usize,
     },
-    /// A triangle names a vertex that does not exist.
+    /// A triangle refers to a vertex that does not exist.
     NoSuchVertex {
         /// Which triangle.
         triangle: usize,
-        /// The vertex it names.
+        /// The vertex it refers to.
         vertex: u32,
         /// How many vertices there are.
         vertices: usize,
@@ -63,7 +63,7 @@ impl core::fmt::Display for MeshError {
 impl core::error::Error for MeshError {}
 
 impl TriangleMesh {
-    /// From vertices and triples of indices; triangles without an area are kept but never sampled.
+    /// From vertices and index triples. Triangles without area are kept but never sampled.
     ///
     /// # Errors
     /// [`MeshError`].
@@ -109,7 +109,7 @@ impl TriangleMesh {
     }
 }
 
-/// Outward normal with the length of the triangle's area.
+/// Outward normal with the triangle's area as its length.
 #[must_use]
 pub fn area_vector([a, b, c]: &[DVec3; 3]) -> DVec3 {
     (*b - *a).cross(*c - *a) * 0.5

@@ -1,4 +1,5 @@
-//! The lattice with rings of empty places around it, where markers would appear if it had moved by whole pitches.
+//! The lattice with rings of empty places around it, where markers would appear if it had moved by whole
+//! pitches.
 
 use crate::math::{DVec2, median, sqrt};
 use alloc::vec::Vec;
@@ -6,13 +7,13 @@ use alloc::vec::Vec;
 /// No detection.
 pub(super) const NONE: u32 = u32::MAX;
 
-/// Steps to the eight places around one: rows down, columns to the right.
+/// Steps to the eight neighbouring places: rows down, columns to the right.
 const AROUND: [[isize; 2]; 8] = [[-1, -1], [-1, 0], [-1, 1], [0, -1], [0, 1], [1, -1], [1, 0], [1, 1]];
 
-/// So many places away lie those whose values suggest that of a place.
+/// Radius, in places, of the neighbourhood from which the value of a place is estimated.
 pub(super) const SUGGESTED_FROM: usize = 2;
 
-/// Values that the surround of a place suggests.
+/// Estimates of a place's value from its neighbourhood.
 #[derive(Clone, Copy, Debug, Default)]
 struct Suggestions {
     x: [f64; 12],
@@ -20,13 +21,13 @@ struct Suggestions {
     count: usize,
 }
 
-/// The value that the surround of a place suggests.
+/// Value of a place estimated from its neighbourhood.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Suggested {
     pub middle_px: DVec2,
-    /// Median distance of the suggestions from it.
+    /// Median distance of the estimates from it.
     pub spread_px: f64,
-    /// How many suggestions there are.
+    /// Number of estimates.
     pub count: usize,
 }
 
@@ -36,7 +37,7 @@ impl Suggestions {
         self.count += 1;
     }
 
-    /// Their median on each axis, which one wrong neighbour does not move far.
+    /// Median per axis, which is robust to one wrong neighbour.
     fn middle(mut self) -> Option<Suggested> {
         let mut apart = [0.0; 12];
         let n = self.count;
@@ -57,17 +58,17 @@ pub(super) struct ExtendedLattice {
     pub rings: usize,
     /// Marker of each place, or [`NONE`] around the lattice.
     markers: Vec<u32>,
-    /// Where the marker of each place is expected; around the lattice its outer steps are continued.
+    /// Predicted marker position of each place; around the lattice its outer steps are continued.
     pub predicted_px: Vec<DVec2>,
-    /// Detection less prediction; where there is no detection, what its surround suggests.
+    /// Detection minus prediction; without a detection, the estimate from its neighbourhood.
     pub residual_px: Vec<DVec2>,
     /// Detection at each place, or [`NONE`].
     pub found: Vec<u32>,
-    /// Whether the position of each place is known: a matched one is not far.
+    /// Whether the position of each place is known, from a match nearby.
     pub located: Vec<bool>,
 }
 
-/// Where a place stands on its canvas.
+/// Location of a place on its canvas.
 #[derive(Clone, Copy)]
 struct Near {
     site: usize,
@@ -75,12 +76,12 @@ struct Near {
     col: usize,
     width: usize,
     height: usize,
-    /// Places between it and the canvas' nearest end.
+    /// Places between it and the nearest edge of the canvas.
     room: usize,
 }
 
 impl Near {
-    /// The place so many steps away; `None` beyond the canvas.
+    /// Place `steps` away in a direction; `None` outside the canvas.
     #[inline]
     fn at(self, steps: usize, [down, right]: [isize; 2]) -> Option<usize> {
         let (down, right) = (steps as isize * down, steps as isize * right);
@@ -91,7 +92,7 @@ impl Near {
     }
 }
 
-/// From a match so many steps outwards it is known where a place is.
+/// A place is located if a match lies within this many steps.
 const LOCATED_STEPS: usize = 2;
 
 impl ExtendedLattice {
@@ -99,7 +100,7 @@ impl ExtendedLattice {
         self.cols + 2 * self.rings
     }
 
-    /// Marker of a place, or none around the lattice.
+    /// Marker of a place, or `None` around the lattice.
     pub fn marker(&self, site: usize) -> Option<usize> {
         Some(self.markers[site]).filter(|&n| n != NONE).map(|n| n as usize)
     }
@@ -116,7 +117,7 @@ impl ExtendedLattice {
         })
     }
 
-    /// Place of a marker of a lattice that is shifted by so many rows and columns; `None` beyond the canvas.
+    /// Place of a marker of a lattice shifted by `shift` rows and columns; `None` outside the canvas.
     pub fn site(&self, marker: usize, shift: [isize; 2]) -> Option<usize> {
         let along =
             |at: usize, by: isize, end: usize| (at + self.rings).checked_add_signed(by).filter(|&i| i < end);
@@ -125,7 +126,7 @@ impl ExtendedLattice {
         Some(row * self.width() + col)
     }
 
-    /// Expects markers at these positions, `rows * cols` of them, and nothing found yet.
+    /// Sets the predicted positions of the `rows * cols` markers and clears all detections.
     pub fn lay(&mut self, lattice_px: &[DVec2], rows: usize, cols: usize, rings: usize) {
         (self.rows, self.cols, self.rings) = (rows, cols, rings);
         let (width, height) = (self.width(), rows + 2 * rings);
@@ -152,7 +153,7 @@ impl ExtendedLattice {
         }
     }
 
-    /// Continues the `len` known places of a line on both sides, by the mean of their outer two steps.
+    /// Extrapolates the `len` known places of a line on both sides by the mean of their outer two steps.
     fn continue_line(&mut self, start: usize, stride: usize, len: usize) {
         let (first, last, steps) = (self.rings, self.rings + len - 1, len.min(3) - 1);
         for (end, inner, outwards) in [(first, first + steps, -1), (last, last - steps, 1)] {
@@ -170,7 +171,7 @@ impl ExtendedLattice {
         self.rows + 2 * self.rings
     }
 
-    /// The up to eight places around one, row by row.
+    /// The up to eight neighbouring places, row by row.
     pub fn around(&self, site: usize) -> impl Iterator<Item = usize> + use<> {
         let near = self.near(site);
         AROUND.into_iter().filter_map(move |direction| near.at(1, direction))
@@ -183,7 +184,7 @@ impl ExtendedLattice {
         Near { site, row, col, width, height, room }
     }
 
-    /// Least distance of two neighbours in a row or a column, as predicted.
+    /// Smallest predicted distance between neighbours in a row or a column.
     pub fn least_step_px(&self) -> f64 {
         let apart2 = |(a, b): (&DVec2, &DVec2)| a.distance_squared(*b);
         let (mut least2, places) = (f64::INFINITY, &self.predicted_px);
@@ -193,7 +194,7 @@ impl ExtendedLattice {
         sqrt(places.iter().zip(&places[self.width()..]).map(apart2).fold(least2, f64::min))
     }
 
-    /// Distance of a place to the nearest of the four beside it, as predicted.
+    /// Predicted distance of a place to the nearest of its four neighbours.
     pub fn step_px(&self, site: usize) -> f64 {
         let (width, col) = (self.width(), site % self.width());
         let beside = [
@@ -206,12 +207,13 @@ impl ExtendedLattice {
         sqrt(beside.into_iter().flatten().map(apart2).fold(f64::INFINITY, f64::min))
     }
 
-    /// Where the marker of a place stands, or would.
+    /// Measured or estimated position of the marker of a place.
     pub fn position_px(&self, site: usize) -> DVec2 {
         self.predicted_px[site] + self.residual_px[site]
     }
 
-    /// Gives every place without a detection the mean residual of those around it, from the detections outwards.
+    /// Sets the residual of every place without a detection to the mean of its neighbours, outwards from
+    /// the detections.
     pub fn spread(&mut self, known: &mut Vec<bool>, round: &mut Vec<(u32, DVec2)>) {
         known.clear();
         known.extend(self.found.iter().map(|&m| m != NONE));
@@ -235,8 +237,9 @@ impl ExtendedLattice {
         }
     }
 
-    /// What the matched places around one suggest as its value: each two on opposite sides, and each two in a line. All
-    /// are right where values change evenly, as positions do, and residuals in a turn.
+    /// Estimates of a place's value from matched neighbours: interpolated between opposite pairs and
+    /// extrapolated along lines. All are exact where values vary linearly, as positions do, and residuals
+    /// under rotation.
     fn suggest(&self, site: usize, value: impl Fn(usize) -> DVec2, mut see: impl FnMut(DVec2)) {
         let near = self.near(site);
         let found = |steps, direction| {
@@ -255,8 +258,8 @@ impl ExtendedLattice {
         }
     }
 
-    /// Whether all that a place's surround suggests as its residual, if anything, lies closer to it than `most_px`: then so does
-    /// what the surround suggests together.
+    /// Whether there are estimates of a place's residual and all lie closer to it than `most_px`. Then so
+    /// does their median.
     pub fn is_as_suggested(&self, site: usize, most_px: f64) -> bool {
         let (mut off, mut any, here) = (DVec2::ZERO, false, self.residual_px[site]);
         self.suggest(
@@ -270,7 +273,7 @@ impl ExtendedLattice {
         any && off.length_squared() <= most_px * most_px
     }
 
-    /// As [`Self::is_as_suggested`], and no place that suggests is without a detection.
+    /// As [`Self::is_as_suggested`], and every place used for the estimates has a detection.
     pub fn is_amid(&self, site: usize, most_px: f64) -> bool {
         if self.near(site).room < SUGGESTED_FROM {
             return false;
@@ -295,7 +298,7 @@ impl ExtendedLattice {
         out
     }
 
-    /// The residual that the matched places around one suggest.
+    /// Residual estimated from the matched neighbours.
     pub fn suggested(&self, site: usize) -> Option<Suggested> {
         let lines = self.suggestions(site, |s| self.residual_px[s]).middle();
         lines.or_else(|| {
@@ -304,12 +307,12 @@ impl ExtendedLattice {
         })
     }
 
-    /// Where the matched places around one suggest that it stands in this frame, whatever was predicted.
+    /// Position in this frame estimated from matched neighbours, independently of the prediction.
     pub fn between_px(&self, site: usize) -> Option<DVec2> {
         Some(self.suggestions(site, |s| self.position_px(s)).middle()?.middle_px)
     }
 
-    /// Mean residual of the places around one that are accepted.
+    /// Mean residual of the neighbours that `accept` selects.
     pub fn mean_residual(&self, site: usize, accept: impl Fn(usize) -> bool) -> Option<DVec2> {
         let (mut sum, mut count) = (DVec2::ZERO, 0.0);
         for other in self.around(site).filter(|&s| accept(s)) {

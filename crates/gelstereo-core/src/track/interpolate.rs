@@ -1,13 +1,13 @@
-//! Positions of markers that are not seen, carried by those around them.
+//! Positions of unseen markers, interpolated from their neighbours.
 
 use super::near;
 use crate::math::DVec2;
 use alloc::vec::Vec;
 
-/// Places up to so many rows and columns away interpolator a marker.
+/// A marker is interpolated from places up to this many rows and columns away.
 const REACH: usize = 2;
 
-/// Affine map of the plane, least squares over pairs of points.
+/// Affine map of the plane: least squares over pairs of points.
 #[derive(Clone, Copy, Debug, Default)]
 struct Affine {
     count: f64,
@@ -20,7 +20,7 @@ struct Affine {
 }
 
 impl Affine {
-    /// From pairs (source, target); the order of the pairs decides the last bits, so it must be fixed.
+    /// Fits pairs (source, target). The order of the pairs affects rounding, so it must be fixed.
     fn fit(pairs: impl Iterator<Item = (DVec2, DVec2)> + Clone) -> Self {
         let mut fit = Self::default();
         for (from, to) in pairs.clone() {
@@ -45,7 +45,7 @@ impl Affine {
     fn columns(&self) -> Option<[DVec2; 2]> {
         let [xx, xy, yy] = self.moments;
         let determinant = xx * yy - xy * xy;
-        // At worst the sources are five times as long as wide.
+        // Accepts sources at most about five times as long as wide.
         let spans = self.count >= 4.0 && determinant > 0.04 * (0.5 * (xx + yy)) * (0.5 * (xx + yy));
         let [x, y] = self.cross;
         spans.then(|| [(x * yy - y * xy) / determinant, (y * xx - x * xy) / determinant])
@@ -57,7 +57,7 @@ impl Affine {
     }
 }
 
-/// Carries markers along.
+/// Interpolates unseen markers.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Interpolator {
     known: Vec<bool>,
@@ -70,9 +70,10 @@ impl Interpolator {
         self.round.reserve(markers);
     }
 
-    /// Moves the markers that are not `seen` by the affine map that takes the rest positions of those around them to
-    /// their present ones, from the seen ones inwards; so errors do not add up from frame to frame. A map of the whole
-    /// lattice stands in where too few are around. Does nothing when none is seen.
+    /// Moves each unseen marker by the affine map from the rest positions of its neighbours to their
+    /// present ones, starting next to the seen markers. Starting from rest, errors do not accumulate over
+    /// frames. With too few neighbours, the map of the whole lattice is used. Does nothing when no marker
+    /// is seen.
     pub fn run(&mut self, rest_px: &[DVec2], cols: usize, seen: impl Fn(usize) -> bool, out: &mut [DVec2]) {
         let Self { known, round } = self;
         known.clear();

@@ -1,4 +1,4 @@
-//! Which detection belongs to which place of the lattice, up to a shift by whole pitches.
+//! Matches detections to places of the lattice, up to a shift by whole pitches.
 
 use super::extended_lattice::{ExtendedLattice, NONE, SUGGESTED_FROM};
 use super::near;
@@ -7,53 +7,57 @@ use crate::math::DVec2;
 use crate::spatial::Grid;
 use alloc::vec::Vec;
 
-/// Residuals of neighbours that belong together differ by less, in pitches: a slip makes them differ by one pitch less the
-/// true difference.
+/// Consistent neighbours have residuals that differ by less than this, in pitches. A slip makes the
+/// difference one pitch minus the true one.
 const NEIGHBOURS_AGREE: f64 = 0.35;
 
-/// Neighbours whose residuals differ by more, in pitches, have slipped against each other: where the prediction is fresh,
-/// and where it is of a frame some time ago.
+/// Neighbours whose residuals differ by more than this, in pitches, have slipped relative to each other:
+/// for a prediction from the last frame, and for a stale one.
 const SLIPPED: f64 = 0.5;
 const SLIPPED_STALE: f64 = 0.3;
 
-/// A marker farther from the middle of its neighbours, in pitches, is not between them: a slip leaves half a pitch.
+/// Largest distance of a marker from the midpoint of its neighbours, in pitches; a slip gives half a
+/// pitch.
 const BENT: f64 = 1.0 / 3.0;
 
-/// Where all residuals lie so close to their mean, in pitches, every two agree.
+/// If all residuals lie this close to their mean, in pitches, every pair agrees.
 const ALL_AGREE: f64 = 0.5 * NEIGHBOURS_AGREE;
 
-/// Without neighbours in between, residuals agree up to this share of the distance to the nearest neighbour, which is less than a
-/// pitch where the gel is squeezed: beyond a half it would be the neighbour.
+/// Matches without neighbours between them agree up to this share of the distance to the nearest
+/// neighbour, which is less than a pitch where the gel is compressed. Beyond one half, the match would be
+/// that neighbour.
 const ALONE_AGREE: f64 = 0.35;
 
-/// A detection that two places want about equally, in pitches, is two markers in one, and nobody's.
+/// If the distances of a detection from two places differ by less than this, in pitches, it is two merged
+/// markers and is given to neither.
 const DISPUTED: f64 = 0.25;
 
-/// Where a lattice has moved by any part of a pitch, some marker is at most this far from every place, in pitches: half a
-/// diagonal and a little.
+/// After any shift of a lattice, some marker lies within this distance of each place, in pitches: half a
+/// diagonal plus a margin.
 const HALF_DIAGONAL: f64 = 0.75;
 
-/// A marker may differ from what its neighbours suggest by so many pitches, and by twice as much as they differ among
-/// themselves; by a little more for each frame that it was hidden, up to a limit.
+/// Largest difference of a marker from the estimate of its neighbours, in pitches. Added to it are twice
+/// the spread of the estimates and a small amount per frame that the marker was hidden, up to a limit.
 const LONE: f64 = 0.12;
 const LONE_HIDDEN: f64 = 0.02;
 const HIDDEN_FRAMES: u32 = 4;
-/// But never by more than so much of the distance to its nearest neighbour, which is less than a pitch where the gel is squeezed.
+/// Upper bound of that difference, as a share of the distance to the nearest neighbour, which is less
+/// than a pitch where the gel is compressed.
 const LONE_MOST: f64 = 0.25;
 
-/// A marker needs so many matched neighbours; one that was hidden, more.
+/// Fewest matched neighbours of a marker, and of one that was hidden.
 const BESIDE: usize = 2;
 const BESIDE_HIDDEN: usize = 3;
 
-/// With fewer suggestions than this a marker is given no more room.
+/// With fewer estimates than this, the tolerance is not enlarged.
 const SUPPORT: usize = 5;
 
-/// What is known of the frames before.
+/// State from previous frames.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Before<'a> {
-    /// How many certain frames in succession did not show each marker.
+    /// Number of consecutive certain frames in which each marker was missed.
     pub missed_frames: &'a [u32],
-    /// Positions are of some time ago.
+    /// Whether the positions are from an earlier frame than the last one.
     pub stale: bool,
     pub pitch_px: f64,
 }
@@ -69,7 +73,7 @@ impl Before<'_> {
     }
 }
 
-/// The places that want a detection.
+/// Competing places of a detection.
 #[derive(Clone, Copy, Debug)]
 struct Claim {
     site: u32,
@@ -81,9 +85,10 @@ const UNCLAIMED: Claim = Claim { site: NONE, nearest_px2: f64::INFINITY, second_
 
 /// Matches detections to the places of a canvas.
 ///
-/// Nearest neighbours alone go wrong where the gel has moved by half a pitch or more. But two neighbours that are both
-/// right have moved alike: matches whose residuals disagree with their neighbours' are slips, and the largest set of
-/// places in agreement, grown from place to place, is labelled right up to one shift for all of it.
+/// Nearest-neighbour matching fails where the gel has moved by half a pitch or more. But correctly
+/// matched neighbours have moved alike, so matches whose residuals disagree with their neighbours' are
+/// slips. The largest set of consistent places, grown from place to place, is labelled correctly up to
+/// one common shift.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Matching {
     grid: Grid,
@@ -97,7 +102,7 @@ pub(super) struct Matching {
 }
 
 impl Matching {
-    /// Makes room for so many places and detections, spread over so many pixels.
+    /// Reserves memory for this many places and detections, and for this image size.
     pub fn reserve(&mut self, sites: usize, detections: usize, size_px: (usize, usize), pitch_px: f64) {
         self.grid.reserve(detections, size_px, pitch_px);
         self.taken.reserve(detections.saturating_sub(self.taken.len()));
@@ -109,13 +114,13 @@ impl Matching {
         self.known.reserve(sites);
     }
 
-    /// Takes the detections of a frame.
+    /// Loads the detections of a frame.
     pub fn load(&mut self, detected_px: &[DVec2], pitch_px: f64) {
         self.grid.build(detected_px, pitch_px);
     }
 
-    /// Matches the loaded detections. Matches start closer than `gate_px` or, without one, from any that make a lattice.
-    /// Returns whether all neighbours agree in the end.
+    /// Matches the loaded detections. Initial matches are closer than `gate_px`; without a gate, all
+    /// within half a diagonal of a place are tried. Returns whether all neighbours agree in the end.
     pub fn run(
         &mut self,
         canvas: &mut ExtendedLattice,
@@ -132,7 +137,7 @@ impl Matching {
             None => self.claim(canvas, detected_px, (HALF_DIAGONAL * before.pitch_px, 0.0), sights),
         };
         if agree_all(canvas, before) {
-            // What lies beyond the gate when all have moved nearly as far.
+            // Adds markers beyond the gate when all have moved by nearly the same amount.
             if self.taken.contains(&false) {
                 self.grow(canvas, detected_px, before.pitch_px);
                 self.weed(canvas, before);
@@ -142,7 +147,8 @@ impl Matching {
         self.agree(canvas, detected_px, before)
     }
 
-    /// Checks a labelling of the loaded detections that was made without the prediction, as [`Self::run`] checks its matches.
+    /// Checks a labelling of the loaded detections made without the prediction, as [`Self::run`] checks
+    /// its matches.
     pub fn check(&mut self, canvas: &mut ExtendedLattice, detected_px: &[DVec2], before: Before<'_>) -> bool {
         self.start(detected_px.len());
         for &m in canvas.found.iter().filter(|&&m| m != NONE) {
@@ -158,12 +164,14 @@ impl Matching {
         self.claims.resize(detections, UNCLAIMED);
     }
 
-    /// Keeps what agrees with its neighbours and grows it; whether all do in the end.
+    /// Keeps matches that agree with their neighbours and grows them; returns whether all agree in the
+    /// end.
     fn agree(&mut self, canvas: &mut ExtendedLattice, detected_px: &[DVec2], before: Before<'_>) -> bool {
         let pitch_px = before.pitch_px;
         self.keep_largest(canvas, pitch_px, |_, _| false);
         let mut changed = self.grow(canvas, detected_px, pitch_px);
-        // Islands beyond a gap are joined while all has moved alike; those that were hidden until now could have moved unseen.
+        // Separate parts are joined if everything has moved alike. Markers that were hidden until now are
+        // excluded: they could have moved unseen.
         if let Some(mean) = moved_alike(canvas, pitch_px) {
             self.targets.clear();
             for site in (0..canvas.found.len()).filter(|&s| canvas.found[s] == NONE) {
@@ -178,9 +186,10 @@ impl Matching {
             }
         }
         changed |= self.settle(canvas, detected_px, pitch_px);
-        // With a place for every detection and a detection for every place, no speck and no merged pair is among them.
+        // With a one-to-one match of all places and detections, none is a false detection or a merged
+        // pair.
         changed |= !self.is_complete(canvas) && self.weed(canvas, before);
-        // What weeding cut off may have slipped as a whole.
+        // A part cut off by weeding may have slipped as a whole.
         if changed {
             let alike = moved_alike(canvas, pitch_px).is_some();
             self.keep_largest(canvas, pitch_px, |canvas, site| alike && before.is_fresh(canvas, site));
@@ -189,8 +198,8 @@ impl Matching {
         !torn(canvas, before)
     }
 
-    /// Gives every target the free detection nearest to it and closer than the gate, if no other wants it about as
-    /// much; whether any was given.
+    /// Assigns to each target the nearest free detection within the gate, unless another target is about
+    /// as near. Returns whether any was assigned.
     fn claim(
         &mut self,
         canvas: &mut ExtendedLattice,
@@ -220,7 +229,7 @@ impl Matching {
         let before = claimants.len();
         claimants.retain(|&(site, m)| {
             let claim = &claims[m as usize];
-            // The root of the smaller one is spared where there is no second.
+            // Skips a square root when there is no second.
             claim.site == site
                 && (claim.second_px2 == f64::INFINITY
                     || crate::math::sqrt(claim.second_px2) - crate::math::sqrt(claim.nearest_px2)
@@ -238,7 +247,8 @@ impl Matching {
         !claimants.is_empty()
     }
 
-    /// Drops all but the largest set of neighbours in agreement; of other sets some places may be spared.
+    /// Drops all but the largest connected set of consistent neighbours, except places for which `spared`
+    /// holds.
     fn keep_largest(
         &mut self,
         canvas: &mut ExtendedLattice,
@@ -286,7 +296,8 @@ impl Matching {
         }
     }
 
-    /// Matches places beside matched ones, predicted by their residuals, until nothing new is found; whether anything was.
+    /// Matches places next to matched ones, predicted from their residuals, until nothing new is found;
+    /// returns whether anything was.
     fn grow(&mut self, canvas: &mut ExtendedLattice, detected_px: &[DVec2], pitch_px: f64) -> bool {
         let (mut any, reach_px) = (false, (NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px));
         loop {
@@ -303,7 +314,8 @@ impl Matching {
         }
     }
 
-    /// Drops detections that an empty place wants about as much as the one that has it; whether there are any.
+    /// Drops detections that fit an empty place about as well as their own; returns whether there are
+    /// any.
     fn settle(&mut self, canvas: &mut ExtendedLattice, detected_px: &[DVec2], pitch_px: f64) -> bool {
         let (reach_px, disputed_px) = (NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px);
         self.claimants.clear();
@@ -318,7 +330,7 @@ impl Matching {
             if owner == NONE {
                 continue;
             }
-            // How far the owner is from where its neighbours say.
+            // Distance of the owner from the estimate of its neighbours.
             let off_px = canvas
                 .suggested(owner as usize)
                 .map_or(0.0, |around| around.middle_px.distance(canvas.residual_px[owner as usize]));
@@ -340,13 +352,13 @@ impl Matching {
         self.taken.len() == markers && (0..canvas.found.len()).filter(found).count() == markers
     }
 
-    /// Drops detections that stand alone against their neighbours: specks, and merged pairs; until none does. Whether there
-    /// were any.
+    /// Repeatedly drops detections that disagree with their neighbours (false detections and merged
+    /// pairs) until none does. Returns whether there were any.
     fn weed(&mut self, canvas: &mut ExtendedLattice, before: Before<'_>) -> bool {
         let suspects = &mut self.known;
         suspects.clear();
         suspects.resize(canvas.found.len(), true);
-        // Closer than that nobody is asked how far it may be off.
+        // Below this difference no further test is needed.
         let sure_px = (LONE_MOST * canvas.least_step_px()).min(LONE * before.pitch_px);
         let mut any = false;
         loop {
@@ -360,7 +372,7 @@ impl Matching {
                 return any;
             }
             any = true;
-            // What is dropped is missed by those who look at it, at most two places away.
+            // A dropped detection changes the estimates of places at most two away.
             suspects.fill(false);
             for &(site, m) in &self.claimants {
                 self.taken[m as usize] = false;
@@ -373,8 +385,8 @@ impl Matching {
     }
 }
 
-/// Whether every match but the first agrees with its left or upper neighbour: then all hang together. Most frames are like
-/// that; of others it says nothing.
+/// Whether every match but the first agrees with its left or upper neighbour, so that all are connected.
+/// This holds in most frames; where it fails, nothing follows.
 fn in_one_piece(canvas: &ExtendedLattice, agree_px2: f64) -> bool {
     let (width, found) = (canvas.width(), &canvas.found);
     let mut matched = (0..found.len()).filter(|&s| found[s] != NONE);
@@ -388,7 +400,8 @@ fn in_one_piece(canvas: &ExtendedLattice, agree_px2: f64) -> bool {
     })
 }
 
-/// Whether a match differs from what its neighbours suggest, by more than is sure to be little, or has too few of them.
+/// Whether a match differs from the estimate of its neighbours by more than its tolerance (never below
+/// `sure_px`), or has too few of them.
 fn stands_alone(canvas: &ExtendedLattice, before: Before<'_>, site: usize, sure_px: f64) -> bool {
     let pitch_px = before.pitch_px;
     let hidden = !before.is_fresh(canvas, site);
@@ -408,7 +421,7 @@ fn stands_alone(canvas: &ExtendedLattice, before: Before<'_>, site: usize, sure_
             canvas.residual_px[site].distance(around.middle_px) > most_px.min(nearest_px)
         })
     };
-    // What all suggest alike needs no medians.
+    // If all estimates agree, no medians are needed.
     if !canvas.is_as_suggested(site, sure_px) && differs() {
         return true;
     }
@@ -418,9 +431,9 @@ fn stands_alone(canvas: &ExtendedLattice, before: Before<'_>, site: usize, sure_
         || (hidden && canvas.between_px(site).is_some_and(bent))
 }
 
-/// Whether two neighbours have slipped against each other: their motions differ too much, or a marker does not stand between
-/// its neighbours. Where all three were seen in the frame before, it may, if it has moved as they have: gel that is
-/// twisted bends as far at the rim of the contact.
+/// Whether two neighbours have slipped relative to each other: their motions differ too much, or a marker
+/// is far from the midpoint of its neighbours. The latter is allowed if all three were seen in the
+/// previous frame and moved alike, since twisted gel bends as far at the rim of the contact.
 fn torn(canvas: &ExtendedLattice, before: Before<'_>) -> bool {
     let most_slip = if before.stale { SLIPPED_STALE } else { SLIPPED };
     let (slip, bent) = (most_slip * before.pitch_px, BENT * before.pitch_px);
@@ -442,7 +455,7 @@ fn torn(canvas: &ExtendedLattice, before: Before<'_>) -> bool {
             found(other) && apart.length_squared() > slip * slip
         };
         let (inner, below) = (col > 0 && col + 1 < width, row + 1 < height);
-        // Each two neighbours once.
+        // Each pair of neighbours once.
         found(site)
             && ((inner && between(site - 1, site + 1))
                 || (row > 0 && below && between(site - width, site + width))
@@ -463,16 +476,16 @@ fn common_residual(canvas: &ExtendedLattice, most_px: f64) -> Option<DVec2> {
     (count > 0.0 && matched().all(|r| r.distance_squared(mean) < most_px * most_px)).then_some(mean)
 }
 
-/// Mean residual of all matches if each lies so close to it that its neighbours in line are farther off: then none slipped, not
-/// even those that no neighbour ties to the others.
+/// Mean residual of all matches if each is closer to it than to a residual one neighbour off. Then none
+/// slipped, not even unconnected ones.
 fn moved_alike(canvas: &ExtendedLattice, pitch_px: f64) -> Option<DVec2> {
     let mean = common_residual(canvas, NEIGHBOURS_AGREE * pitch_px)?;
     let near = |s: usize| canvas.residual_px[s].distance(mean) < ALONE_AGREE * canvas.step_px(s);
     (0..canvas.found.len()).filter(|&s| canvas.found[s] != NONE).all(near).then_some(mean)
 }
 
-/// Whether all matches agree with each other, and those that reappear stand beside one that was seen before; then what was
-/// not found is given the mean residual.
+/// Whether all matches agree with each other, and each reappearing one is next to one that was seen
+/// before. If so, places without a match get the mean residual.
 fn agree_all(canvas: &mut ExtendedLattice, before: Before<'_>) -> bool {
     let Some(mean) = common_residual(canvas, ALL_AGREE * before.pitch_px) else { return false };
     let fresh_match = |s: usize| canvas.found[s] != NONE && before.is_fresh(canvas, s);

@@ -1,4 +1,4 @@
-//! Identity of markers from frame to frame (Eq. 1 and 2).
+//! Tracks markers from frame to frame (Eq. 1 and 2).
 
 mod extended_lattice;
 mod interpolate;
@@ -19,24 +19,24 @@ use crate::spatial::Grid;
 use alloc::vec::Vec;
 use core::f64::consts::FRAC_1_PI;
 
-/// What is known of a marker in the present frame.
+/// State of a marker in the present frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[repr(u8)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum MarkerState {
     /// Measured in this frame.
     Seen = 0,
-    /// Not measured; its position is carried along by its neighbours, from the last one measured or, if it was never
-    /// printed, from the one filled in.
+    /// Not measured. Its position is interpolated from its neighbours, starting at the last measured
+    /// position or, if it was never printed, at the filled-in one.
     Held = 1,
-    /// Not measured for longer than `track.max_held_frames`; its position is still carried along.
+    /// Not measured for longer than `track.max_held_frames`; its position is still interpolated.
     Lost = 2,
 }
 
-/// Every marker's position and state, in the order of the lattice: row by row, `row * cols + col`.
+/// Position and state of every marker, in the order of the lattice: row by row, `row * cols + col`.
 ///
-/// All that tracking remembers from one frame to the next is in here: a copy is a checkpoint, and `clone_from` makes
-/// one without allocating.
+/// This is the complete tracking state between frames: a copy is a checkpoint, and `clone_from` makes one
+/// without allocating.
 #[derive(Debug, Default, PartialEq)]
 pub struct Tracks {
     /// Positions, pixels.
@@ -47,23 +47,25 @@ pub struct Tracks {
     pub state: Vec<MarkerState>,
     /// Frames since the marker was measured, or `NEVER_SEEN`.
     unseen_frames: Vec<u32>,
-    /// Displacement since the rest frame, less the mean one of its neighbours, when the marker was last measured.
+    /// Displacement since the rest frame, minus the mean one of its neighbours, when the marker was last
+    /// measured.
     own_px: Vec<DVec2>,
-    /// Positions in the frame before, if `steady`.
+    /// Positions in the previous frame, if `steady`.
     previous_px: Vec<DVec2>,
-    /// Frames in succession that were matched with certainty but did not show the marker.
+    /// Consecutive frames that were matched with certainty but did not show the marker.
     missed_frames: Vec<u32>,
-    /// The last two frames were matched with certainty.
+    /// Whether the last two frames were matched with certainty.
     steady: bool,
-    /// The last frame was not: positions are of an earlier one.
+    /// Whether the last frame was not matched with certainty, so that positions are from an earlier one.
     stale: bool,
 }
 
-/// Share of detections that stand anywhere and are called near by chance. Half of the pairs, and twice the standard deviation
-/// of a half more, must be: by chance that many are in fewer than 1 of 100 frames of 4 markers, and of 625 never.
+/// Probability that a random detection counts as near. At least half of the pairs plus two standard
+/// deviations of that half must be near. By chance this happens in fewer than 1 of 100 frames of 4
+/// markers, and never with 625.
 const CHANCE: f64 = 0.25;
 
-/// A marker that was filled in at rest is held for ever, until it is seen.
+/// A marker that was filled in at rest is held until it is seen.
 const NEVER_SEEN: u32 = u32::MAX;
 
 impl Clone for Tracks {
@@ -86,7 +88,8 @@ impl Clone for Tracks {
 }
 
 impl Tracks {
-    /// Of a labelled rest frame and the detections that it was made of; a filled-in position is known to `unknown_px`.
+    /// Starts from a labelled rest frame and its detections; a filled-in position has a standard
+    /// deviation of `unknown_px`.
     fn initialise(&mut self, rest: &RestLattice, detected: &Markers, unknown_px: f64) {
         self.positions_px.clone_from(&rest.positions_px);
         let unknown = [[unknown_px * unknown_px, 0.0], [0.0, unknown_px * unknown_px]];
@@ -107,7 +110,7 @@ impl Tracks {
         (self.steady, self.stale) = (false, false);
     }
 
-    /// Makes room for as many markers as others have.
+    /// Reserves memory for as many markers as `other` has.
     pub(crate) fn reserve_like(&mut self, other: &Self) {
         let count = other.positions_px.len();
         for list in [&mut self.positions_px, &mut self.own_px, &mut self.previous_px] {
@@ -124,13 +127,13 @@ impl Tracks {
         }
     }
 
-    /// Whether the positions are those of the last frame; [`Tracker`] never says otherwise.
+    /// Whether the positions are from the last frame; always true with [`Tracker`].
     #[must_use]
     pub const fn is_current(&self) -> bool {
         !self.stale
     }
 
-    /// Takes the detections for all markers, in this order (Eq. 1); how many of them stood elsewhere.
+    /// Sets all markers to the detections in this order (Eq. 1); returns how many positions changed.
     pub(crate) fn update(&mut self, detected: &Markers, order: &[usize]) -> usize {
         let mut elsewhere = 0;
         for (n, &m) in order.iter().enumerate() {
@@ -142,7 +145,7 @@ impl Tracks {
         elsewhere
     }
 
-    /// Counts the frames that a marker is not seen, and gives it its state.
+    /// Updates the count of unseen frames of a marker and its state.
     fn update_state(&mut self, n: usize, seen: bool, max_held_frames: u32) {
         let unseen = &mut self.unseen_frames[n];
         *unseen = match (seen, *unseen) {
@@ -159,19 +162,19 @@ impl Tracks {
     }
 }
 
-/// Follows the markers of one view.
+/// Tracks the markers of one view.
 ///
-/// Eq. 2 gives a marker the detection nearest to its last position, if closer than the gate d. Two things are added:
-/// the pair must be nearest to each other both ways, so that two markers never share a detection; and where the paper
-/// freezes a marker that was not detected, its position moves with its lattice neighbours that were, and a detection
-/// within the gate of that position is taken as well. Eq. 1's direct update when all N are found needs the same
-/// correspondence, since detections come in no particular order: it comes from the sort.
+/// Eq. 2 gives a marker the detection nearest to its last position, if closer than the gate d. There are
+/// two additions. The pair must be mutually nearest, so that two markers never share a detection. Where
+/// the paper freezes an undetected marker, its position moves with its detected lattice neighbours, and a
+/// detection within the gate of that position is accepted. Eq. 1's direct update when all N are found
+/// needs the same correspondence, as detections are unordered; the sort provides it.
 ///
-/// Eq. 2 pairs noise with markers as well. Where the pairs move with their neighbours no more often than by chance, all
-/// markers are held.
+/// Eq. 2 also pairs noise with markers. If the pairs move with their neighbours no more often than by
+/// chance, all markers are held.
 ///
-/// A frame in which the whole lattice moves by more than the gate cannot be told from one that moves by a
-/// pitch less: cameras must be fast enough for that not to happen.
+/// A motion of the whole lattice by more than the gate is indistinguishable from one that is a pitch
+/// shorter, so the frame rate must be high enough to exclude it.
 #[derive(Clone, Debug)]
 pub struct Tracker {
     params: TrackParams,
@@ -188,7 +191,7 @@ pub struct Tracker {
 }
 
 impl Tracker {
-    /// Not yet initialised: [`Self::run`] leaves `out` alone until [`Self::initialise`] was called.
+    /// Not yet initialised: [`Self::run`] leaves `out` unchanged until [`Self::initialise`] was called.
     #[must_use]
     pub fn new(params: &TrackParams) -> Self {
         Self {
@@ -205,18 +208,18 @@ impl Tracker {
         }
     }
 
-    /// Starts from a labelled rest frame and the detections that it was made of: seen where detected, held where filled in (a filled-in
-    /// marker is held for ever, moving with its lattice neighbours, until it is seen).
+    /// Starts from a labelled rest frame and its detections. Detected markers are seen; filled-in ones
+    /// are held, moving with their lattice neighbours, until they are seen.
     pub fn initialise(&mut self, rest: &RestLattice, detected: &Markers, out: &mut Tracks) {
         self.gate_px = self.params.gate_pitches * rest.pitch_px;
         self.cols = rest.cols.max(1);
         self.rest_px.clone_from(&rest.positions_px);
-        // A filled-in position is as good as the gate at best.
+        // The gate is the smallest plausible standard deviation of a filled-in position.
         out.initialise(rest, detected, self.gate_px);
     }
 
-    /// Makes room for any later frame of `size_px` (width, height) with up to `most_detections`: after the first
-    /// [`Self::run`] nothing is allocated, however many frames follow and whatever they show.
+    /// Reserves memory for any later frame of `size_px` (width, height) with up to `most_detections`.
+    /// After the first [`Self::run`] nothing is allocated.
     pub fn reserve(&mut self, size_px: (usize, usize), most_detections: usize) {
         self.taken.clear();
         self.taken.reserve(most_detections);
@@ -228,7 +231,7 @@ impl Tracker {
 
     /// Updates the tracks by the detections of the next frame (Eq. 2): gate, mutual nearest, states.
     ///
-    /// `out` holds the tracks of the frame before.
+    /// `out` holds the tracks of the previous frame.
     pub fn run(&mut self, detected: &Markers, out: &mut Tracks) {
         let detected_px = detected.centres_px.as_slice();
         if out.positions_px.len() != self.rest_px.len() {
@@ -240,8 +243,8 @@ impl Tracker {
         self.taken.clear();
         self.taken.resize(detected_px.len(), false);
         self.detections_grid.build(detected_px, self.gate_px);
-        // Those left over are tried again where their neighbours' motion carries them, until nobody new is found; each
-        // round but the last finds a marker, so that there is an end.
+        // Unmatched markers are retried at positions interpolated from their neighbours until nothing new
+        // is found. Each round but the last matches a marker, so the loop ends.
         while self.pair(detected_px, out) {
             self.interpolator(out);
         }
@@ -259,7 +262,8 @@ impl Tracker {
         }
     }
 
-    /// Pairs free markers and free detections that are each other's nearest, closer than the gate; whether there were any.
+    /// Pairs free markers and free detections that are mutually nearest and closer than the gate; returns
+    /// whether there were any.
     fn pair(&mut self, detected_px: &[DVec2], out: &mut Tracks) -> bool {
         let Self { tracks_grid, detections_grid, detection_of, taken, pairs, gate_px, .. } = self;
         tracks_grid.build(&out.positions_px, *gate_px);
@@ -283,11 +287,11 @@ impl Tracker {
         !pairs.is_empty()
     }
 
-    /// Whether so many paired markers move with their lattice neighbours as only a lattice's do, and not pairs of a frame
-    /// that shows something else.
+    /// Whether enough paired markers move with their lattice neighbours to exclude chance pairs from a
+    /// frame without the lattice.
     fn moves_as_one(&self, detections: usize, positions_px: &[DVec2]) -> bool {
         let pitch_px = self.gate_px / self.params.gate_pitches;
-        // A lattice's detections are as dense as its markers; noise may be denser.
+        // Detections of a lattice are as dense as its markers; noise may be denser.
         let lattice = self.rest_px.len() as f64;
         let area_px2 = pitch_px * pitch_px * lattice / (detections as f64).max(lattice);
         let near_px2 = CHANCE * area_px2 * FRAC_1_PI;
@@ -311,7 +315,8 @@ impl Tracker {
 
     /// Moves the markers without a detection by the mean displacement of their neighbours with one.
     ///
-    /// Displacements are counted from the rest frame: adding up steps would let errors grow without bound.
+    /// Displacements are measured from the rest frame: accumulated steps would let errors grow without
+    /// bound.
     fn interpolator(&self, out: &mut Tracks) {
         for n in (0..self.rest_px.len()).filter(|&n| self.detection_of[n].is_none()) {
             let (mut now, mut before, mut seen) = (DVec2::ZERO, DVec2::ZERO, 0.0);
@@ -332,7 +337,7 @@ impl Tracker {
     }
 }
 
-/// Places up to `reach` rows and columns from place `n` of a lattice with `len` places, itself among them.
+/// Places up to `reach` rows and columns from place `n` of a lattice with `len` places, including `n`.
 fn near(n: usize, cols: usize, len: usize, reach: usize) -> impl Iterator<Item = usize> + Clone {
     let (row, col, rows) = (n / cols, n % cols, len / cols);
     let around = move |at: usize, end: usize| at.saturating_sub(reach)..(at + reach + 1).min(end);

@@ -1,23 +1,25 @@
-//! By how many whole pitches a lattice has moved, told by its border.
+//! Shift of a lattice by whole pitches, determined from its border.
 
 use super::extended_lattice::{ExtendedLattice, NONE};
 use crate::math::DVec2;
 use alloc::vec::Vec;
 use core::ops::Range;
 
-/// What a marker outside the lattice, or at a place that was never printed, costs against one that is not found.
+/// Cost of a detection outside the lattice, or at a place that was never printed, relative to a missing
+/// marker.
 const STRAY: u32 = 3;
 
-/// Within so many pitches of the image's border a marker may be cut off: neither presence nor absence is expected.
+/// A marker this close to the image border, in pitches, may be cut off: it is neither expected nor
+/// excluded.
 const BORDER_PITCHES: f64 = 0.6;
 
-/// A detection that belongs to no place is seen at one so near, in pitches.
+/// An unmatched detection counts at a place within this distance, in pitches.
 const AT_PLACE: f64 = 0.5;
 
-/// What is known of a marker beforehand.
+/// Prior knowledge of a marker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Expectation {
-    /// Found lately.
+    /// Found recently.
     Present,
     /// Hidden for some time.
     Unknown,
@@ -25,32 +27,33 @@ pub(super) enum Expectation {
     Absent,
 }
 
-/// Compares the shifts that a labelled patch can have.
+/// Compares the possible shifts of a labelled patch.
 ///
-/// The inside of a lattice looks the same after a step of a pitch; what differs is its border, and places
-/// without a print. A shift costs 1 for each marker that was expected in view and is not there, and [`STRAY`] for each
-/// detection where nothing can be, besides what the jump costs. The best is certain when all others cost clearly more.
+/// A lattice is periodic, so shifts by a pitch differ only at its border and at unprinted places. A shift
+/// costs 1 for each expected marker in view that is missing, [`STRAY`] for each detection where none can
+/// be, and the cost of the jump. The best shift is certain when all others cost clearly more.
 ///
-/// Every detection counts, whether it was matched or not: whether it is this marker or another one, or two in one, it is no
-/// empty gel. Matches alone would be biased, since a border row in poor sight is matched less easily where it is not expected.
+/// Every detection counts, matched or not: any detection shows that the gel is not empty there. Counting
+/// matches alone would be biased, since a poorly visible border row is matched less easily where it is
+/// not expected.
 ///
-/// A sum over a shifted lattice is a difference of sums from the first place on; what is missing, misprinted or without a
-/// place is little.
+/// Sums over a shifted lattice are differences of prefix sums; only missing, unprinted or unplaced
+/// markers need corrections.
 #[derive(Clone, Debug, Default)]
 pub(super) struct PitchShift {
     taken: Vec<bool>,
     present: Vec<u8>,
-    /// Places in view that show nothing.
+    /// Places in view without a detection.
     empty: Vec<bool>,
-    /// How many are present, and how many empty, above and to the left of each place, itself not counted; a row and a column more
-    /// than places.
+    /// Prefix sums of `present` and `empty` above and to the left of each place, exclusive; one more row
+    /// and column than places.
     before: Vec<[u32; 2]>,
     /// Cost of each shift, rows first.
     costs: Vec<u32>,
     stretches: Vec<Stretch>,
 }
 
-/// Places in a row, and where they lie.
+/// Consecutive places of a row, and their bounding box.
 #[derive(Clone, Debug)]
 struct Stretch {
     places: Range<usize>,
@@ -68,8 +71,8 @@ pub(super) fn in_view(size_px: (usize, usize), pitch_px: f64) -> impl Fn(DVec2) 
     move |p| p.cmpge(border).all() && p.cmple(far).all()
 }
 
-/// What a jump costs: up to a row of markers, from a pitch on. A border that disappears at once may have moved on, or be
-/// hidden.
+/// Cost of a jump, proportional to its length up to one pitch and at most one row of markers. A border
+/// that disappears suddenly may have moved away or be hidden.
 fn surprise(canvas: &ExtendedLattice, shift: [isize; 2], pitch_px: f64) -> u32 {
     let side = canvas.rows.min(canvas.cols) as f64;
     let middle = canvas.rows / 2 * canvas.cols + canvas.cols / 2;
@@ -78,7 +81,7 @@ fn surprise(canvas: &ExtendedLattice, shift: [isize; 2], pitch_px: f64) -> u32 {
     (side * (moved_px / pitch_px).min(1.0)) as u32
 }
 
-/// The cheapest shift and what the next one costs.
+/// The cheapest shift and the cost of the second.
 #[derive(Clone, Copy, Debug)]
 struct Rank {
     best: u32,
@@ -102,17 +105,18 @@ impl Rank {
     }
 }
 
-/// The answer.
+/// Result of the search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Shifted {
-    /// Marker (row, col) stands at place (row, col) + shift.
+    /// Marker (row, col) lies at place (row, col) + shift.
     pub shift: [isize; 2],
-    /// No other shift comes near.
+    /// Whether no other shift has a similar cost.
     pub certain: bool,
 }
 
 impl PitchShift {
-    /// Makes room for a lattice with so many rows and columns on a canvas with up to so many rings, and for so many detections.
+    /// Reserves memory for a lattice of this size, a canvas with up to `rings` rings, and this many
+    /// detections.
     pub fn reserve(&mut self, (rows, cols): (usize, usize), rings: usize, detections: usize) {
         let (height, width) = (rows + 2 * rings, cols + 2 * rings);
         self.taken.clear();
@@ -129,7 +133,7 @@ impl PitchShift {
         self.stretches.reserve(height * width.div_ceil(STRETCH));
     }
 
-    /// The cheapest shift of at most the canvas's rings along rows and columns.
+    /// Cheapest shift of at most the canvas's rings along rows and columns.
     pub fn run(
         &mut self,
         canvas: &ExtendedLattice,
@@ -143,24 +147,24 @@ impl PitchShift {
         self.add_unmatched(canvas, detected_px, AT_PLACE * pitch_px);
         self.add_up_costs(canvas, expectations, in_view(size_px, pitch_px));
         let most = canvas.rings as isize;
-        // With what a jump costs and without: both must give the same answer.
+        // With and without the cost of the jump: both must give the same shift.
         let mut ranks = [Rank::default(); 2];
         let shifts = (-most..=most).flat_map(|row| (-most..=most).map(move |col| [row, col]));
         for (shift, &cost) in shifts.zip(&self.costs) {
             ranks[0].add(cost, shift);
             ranks[1].add(cost + surprise(canvas, shift, pitch_px), shift);
         }
-        // Half a border row tells two shifts apart; a few specks do not.
+        // Half a border row separates two shifts; a few false detections do not.
         let margin = (canvas.rows.min(canvas.cols) as u32 / 2).max(6);
         let clear = ranks.iter().all(|rank| rank.second - rank.best >= margin);
-        // The best of all tried, at the end of what was tried, may be second to one that was not.
+        // A best shift at the limit of the search range may be worse than one outside it.
         let inside = ranks[1].shift.iter().all(|along| along.abs() < most);
         let certain =
             clear && inside && ranks[0].shift == ranks[1].shift && self.on_edge(canvas) <= margin / 2;
         Shifted { shift: ranks[1].shift, certain }
     }
 
-    /// Something is present where a detection without a place lies.
+    /// Marks the nearest place of each unmatched detection as present.
     fn add_unmatched(&mut self, canvas: &ExtendedLattice, detected_px: &[DVec2], reach_px: f64) {
         self.taken.clear();
         self.taken.resize(detected_px.len(), false);
@@ -204,8 +208,8 @@ impl PitchShift {
         }
     }
 
-    /// Of all shifts, rows first: 1 for each marker that is missing, [`STRAY`] for each detection that is none of the lattice's or
-    /// where none was printed.
+    /// Costs of all shifts, rows first: 1 for each missing marker, [`STRAY`] for each detection outside
+    /// the lattice or where none was printed.
     fn add_up_costs(
         &mut self,
         canvas: &ExtendedLattice,
@@ -225,7 +229,7 @@ impl PitchShift {
         let [all, _] = before.last().copied().unwrap_or_default();
         costs.clear();
         costs.extend(shifts().map(|(row, col)| {
-            // Of the places that the lattice covers, moved so far.
+            // Sums over the places that the shifted lattice covers.
             let before = |row: usize, col: usize| before[row * (width + 1) + col];
             let (low, high) = (before(row, col), before(row + rows, col + cols));
             let (right, below) = (before(row, col + cols), before(row + rows, col));
@@ -235,7 +239,7 @@ impl PitchShift {
         for (n, expectation) in expectations.enumerate().filter(|&(_, e)| e != Expectation::Present) {
             for ((row, col), cost) in shifts().zip(costs.iter_mut()) {
                 let place = (n / cols + row) * width + n % cols + col;
-                // It may be empty; and must be, if none was printed.
+                // It may be empty, and must be if none was printed.
                 *cost -= u32::from(empty[place]);
                 if expectation == Expectation::Absent {
                     *cost += STRAY * u32::from(present[place]);
@@ -261,7 +265,7 @@ impl PitchShift {
         }
     }
 
-    /// Detections on the outermost ring: where there are some, the lattice may go on beyond.
+    /// Number of detections on the outermost ring: if there are any, the lattice may continue outside.
     fn on_edge(&self, canvas: &ExtendedLattice) -> u32 {
         let width = canvas.width();
         let line = |line: &[u8]| line.iter().map(|&p| u32::from(p)).sum::<u32>();

@@ -1,45 +1,46 @@
-//! Labels afresh: the lattice found in a single frame, laid on the places that are expected.
+//! Relabelling: fits the lattice found in a single frame to the expected places.
 
 use super::extended_lattice::{ExtendedLattice, NONE};
 use crate::detect::Markers;
 use crate::lattice::{self, AnchorEvidence, FoundLattice, LatticeFinder};
 use crate::math::DVec2;
 
-/// Up to so many pitches from where its neighbours say, a marker of a complete frame is where it belongs: one that slipped
-/// is half a pitch off.
+/// A marker of a complete frame within this distance of its prediction by its neighbours, in pitches, is
+/// labelled correctly; a slip gives half a pitch.
 const REGULAR: f64 = 1.0 / 3.0;
 
-/// Places beyond the lattice's ends, where specks may stand.
+/// Places beyond the ends of the lattice that allow for false detections.
 const SPECKS_BEYOND: usize = 8;
 
 /// The lattice of a single frame.
 ///
-/// Matching against a prediction fails where the gel has moved by half a pitch since; rows and columns within one frame
-/// tell neighbours all the same. But a frame alone does not tell its border from a row that is hidden, and strong
-/// drag may look like a slip: so what is found here is a proposal, checked as matches are.
+/// Matching to a prediction fails if the gel has moved by half a pitch since; neighbourhood within one
+/// frame remains valid. But a single frame cannot distinguish its border from a hidden row, and strong
+/// shear may look like a slip. The result is therefore a proposal, verified like other matches.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Relabel {
     finder: LatticeFinder,
     found: FoundLattice,
-    /// The finder placed this frame.
+    /// Whether the finder placed this frame.
     placed: bool,
 }
 
 impl Relabel {
-    /// Makes room for frames with up to `most_detections`, of a lattice whose rows and columns have up to `longest` markers.
+    /// Reserves memory for frames with up to `most_detections`, of a lattice whose rows and columns have
+    /// up to `longest` markers.
     pub fn reserve(&mut self, size_px: (usize, usize), most_detections: usize, longest: usize) {
         self.finder.reserve(size_px, most_detections, longest + SPECKS_BEYOND);
         self.found.places.reserve(most_detections);
     }
 
-    /// Looks for the lattice of a frame; whether there is one.
+    /// Searches a frame for the lattice; returns whether there is one.
     pub fn find(&mut self, detected: &Markers, size_px: (usize, usize)) -> bool {
         self.placed = self.finder.run_markers(detected, Some(size_px), &mut self.found).is_ok();
         self.placed
     }
 
-    /// Lays what was found on a canvas that expects markers at `expected_px`; why it is known, up to a shift, which
-    /// place is which, or `None` where it is not.
+    /// Transfers the found lattice to a canvas with predictions `expected_px`. Returns the evidence for
+    /// its labels, which hold up to a shift, or `None` where they are ambiguous.
     pub fn lay(
         &self,
         detected_px: &[DVec2],
@@ -62,8 +63,8 @@ impl Relabel {
         Some(anchor.evidence)
     }
 
-    /// Every marker of the print found, nothing left over, and all in their rows: no part can have slipped, since its place would
-    /// be empty or taken twice.
+    /// Whether every printed marker was found, with no detection left over and all rows regular. Then no
+    /// part can have slipped: its place would be empty or taken twice.
     pub fn complete(&self, canvas: &ExtendedLattice) -> bool {
         let inside = (0..canvas.found.len()).filter(|&s| canvas.marker(s).is_some());
         let all = inside.filter(|&s| canvas.found[s] != NONE).count();

@@ -1,4 +1,4 @@
-//! Identity over frames that is checked: right, or not claimed.
+//! Tracking with verified identity: labels are correct or not reported.
 
 use super::extended_lattice::{ExtendedLattice, NONE};
 use super::interpolate::Interpolator;
@@ -14,38 +14,39 @@ use crate::math::DVec2;
 use crate::params::{Motion, TrackParams};
 use alloc::vec::Vec;
 
-/// Rings of empty places that are looked at around the lattice: one while all is as expected, otherwise as many whole
-/// pitches as a lattice may be off its prediction, and one.
+/// Rings of empty places searched around the lattice: one while all is as expected, otherwise the largest
+/// shift from the prediction in pitches, plus one.
 const RINGS: [usize; 2] = [1, 4];
 
-/// A marker that certain frames missed so many times in succession is not expected.
+/// A marker missed in more than this many consecutive certain frames is not expected.
 const EXPECTED_FRAMES: u32 = 2;
 
-/// Without a border in view, a lattice may be so far off its prediction, in pitches: half a pitch is where it is
-/// mistaken, and half of that is left to those that jump.
+/// Without a border in view, the largest mean residual, in pitches: labels fail at half a pitch, and half
+/// of that is a margin for single jumps.
 const UNANCHORED_PITCHES: f64 = 0.25;
 
-/// What most detections do not belong to is not the lattice.
+/// A lattice to which most detections do not belong is rejected.
 const MAX_PER_SITE: usize = 2;
 
-/// How the markers of a frame were identified.
+/// Certainty of the identification of a frame's markers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Certainty {
-    /// Every match agrees with its neighbours, and the border says that the lattice did not move by a whole pitch unnoticed.
+    /// Every match agrees with its neighbours, and the border excludes an unnoticed shift by a whole
+    /// pitch.
     Certain,
-    /// Nothing could be identified with certainty: all markers are held where they were.
+    /// Nothing could be identified with certainty: all markers are held in place.
     #[default]
     Uncertain,
 }
 
-/// Follows the markers of one view and never guesses.
+/// Tracks the markers of one view and reports only verified identities.
 ///
-/// A lattice that moves by a pitch between two frames looks the same but for its border; one that is bent by half a pitch in
-/// between is torn up by a search for nearest neighbours. So each frame is matched to the prediction (`track.motion`),
-/// matches that disagree with their neighbours are dropped and matched anew from those that agree, and places around the
-/// lattice are searched too: the shift of the whole is told by its border, by the view's limits and by
-/// places without a print. When two shifts explain a frame about equally well, all markers are held, and the last certain frame is what
-/// later ones are compared with.
+/// A lattice shifted by a pitch between two frames differs only at its border, and a nearest-neighbour
+/// search fails if it is bent by half a pitch. So each frame is matched to the prediction
+/// (`track.motion`). Matches that disagree with their neighbours are dropped and rematched from those
+/// that agree, and places around the lattice are searched too. The shift of the whole follows from its
+/// border, the limits of the view and unprinted places. When two shifts fit a frame about equally well,
+/// all markers are held, and later frames are compared with the last certain one.
 #[derive(Clone, Debug)]
 pub struct VerifiedTracker {
     params: TrackParams,
@@ -53,10 +54,10 @@ pub struct VerifiedTracker {
     pitch_px: f64,
     rows: usize,
     cols: usize,
-    /// A frame with more does not show the lattice.
+    /// Frames with more detections do not show the lattice.
     most_detections: usize,
     rest_px: Vec<DVec2>,
-    /// The border of the rest lattice tells its shift.
+    /// Whether the border of the rest lattice determines its shift.
     anchored: bool,
     expected_px: Vec<DVec2>,
     canvas: ExtendedLattice,
@@ -67,8 +68,8 @@ pub struct VerifiedTracker {
 }
 
 impl VerifiedTracker {
-    /// For images of `size_px` (width, height). Not yet initialised: [`Self::run`] leaves `out` alone until
-    /// [`Self::initialise`] was called.
+    /// For images of `size_px` (width, height). Not yet initialised: [`Self::run`] leaves `out` unchanged
+    /// until [`Self::initialise`] was called.
     #[must_use]
     pub fn new(params: &TrackParams, size_px: (usize, usize)) -> Self {
         Self {
@@ -89,8 +90,8 @@ impl VerifiedTracker {
         }
     }
 
-    /// Starts from a labelled rest frame of at least 3 x 3 markers and the detections that it was made of, and makes room
-    /// for later frames with up to `most_detections`.
+    /// Starts from a labelled rest frame of at least 3 x 3 markers and its detections, and reserves
+    /// memory for later frames with up to `most_detections`.
     pub fn initialise(
         &mut self,
         rest: &RestLattice,
@@ -127,7 +128,7 @@ impl VerifiedTracker {
         self.anchored = alone.certain && alone.shift == [0, 0];
     }
 
-    /// Where the markers are expected next, row by row: what a search around predictions is given.
+    /// Predicted marker positions in the next frame, row by row, for a search around predictions.
     #[must_use]
     pub fn predict(&mut self, tracks: &Tracks) -> &[DVec2] {
         let steps = tracks.positions_px.iter().zip(&tracks.previous_px);
@@ -141,13 +142,15 @@ impl VerifiedTracker {
         &self.expected_px
     }
 
-    /// Updates the tracks by the detections of the next frame. `out` holds the tracks of the frame before.
+    /// Updates the tracks by the detections of the next frame. `out` holds the tracks of the previous
+    /// frame.
     pub fn run(&mut self, detected: &Markers, out: &mut Tracks) -> Certainty {
         self.follow(detected, WindowDetections::default(), out)
     }
 
-    /// As [`Self::run`], with the same bits, of what was found near the positions that [`Self::predict`] gave, the first ones of
-    /// those that were searched: what is known to be nearest is not searched for again.
+    /// As [`Self::run`], with bit-identical results, for detections found near the positions of
+    /// [`Self::predict`], which must be the first ones searched. Known nearest detections are not
+    /// searched again.
     pub fn run_near(&mut self, found: &Found, out: &mut Tracks) -> Certainty {
         self.follow(&found.markers, WindowDetections::of(found), out)
     }
@@ -168,7 +171,7 @@ impl VerifiedTracker {
                 return Certainty::Certain;
             }
         }
-        // Gel that was let go while nothing was certain looks as at rest.
+        // Gel released during uncertain frames looks as at rest.
         if out.stale {
             self.expected_px.clone_from(&self.rest_px);
             if let Some(shift) = self.identify(&detected.centres_px, (RINGS[1], sights), out) {
@@ -184,7 +187,8 @@ impl VerifiedTracker {
         Certainty::Uncertain
     }
 
-    /// The shift of the lattice that this frame alone shows, if it is certain and agrees with the last certain frame or with rest.
+    /// Shift of the lattice from this frame alone, if it is certain and agrees with the last certain
+    /// frame or with rest.
     fn relabel(&mut self, detected: &Markers, tracks: &Tracks) -> Option<[isize; 2]> {
         if !self.anchored || !self.relabel.find(detected, self.size_px) {
             return None;
@@ -197,8 +201,9 @@ impl VerifiedTracker {
             let Some(evidence) = relabel.lay(detected_px, expected_px, canvas) else { continue };
             let mut whole =
                 relabel.complete(canvas) || matching.check(canvas, detected_px, before(tracks, *pitch_px));
-            // A part that arrives within one frame bends the gel farther than matches may disagree. With all
-            // sides of the print in view the frame is labelled without a history, as a first frame is.
+            // An indenter that arrives within one frame bends the gel more than matches may disagree.
+            // With all sides of the print in view, the frame is labelled without history, like a first
+            // frame.
             if !whole && evidence.by_extents {
                 canvas.lay(expected_px, self.rows, self.cols, RINGS[1]);
                 whole = relabel.lay(detected_px, expected_px, canvas).is_some();
@@ -215,7 +220,7 @@ impl VerifiedTracker {
         None
     }
 
-    /// The shift of the lattice on a canvas with so many rings, if that is certain.
+    /// Shift of the lattice on a canvas with `rings` rings, if it is certain.
     fn identify(
         &mut self,
         detected_px: &[DVec2],
@@ -226,7 +231,7 @@ impl VerifiedTracker {
         canvas.lay(&self.expected_px, self.rows, self.cols, rings);
         let gate_px = (rings == RINGS[0]).then_some(self.params.gate_pitches * *pitch_px);
         let whole = matching.run(canvas, detected_px, before(tracks, *pitch_px), (gate_px, sights));
-        // What most detections do not belong to is not the lattice.
+        // A lattice to which most detections do not belong is rejected.
         let matched = canvas.found.iter().filter(|&&m| m != NONE).count();
         if !whole || MAX_PER_SITE * matched < detected_px.len() {
             return None;
@@ -235,7 +240,7 @@ impl VerifiedTracker {
         if self.anchored { found.certain.then_some(found.shift) } else { self.unanchored() }
     }
 
-    /// A lattice without a border in view has not moved when its residuals say so.
+    /// Zero shift for a lattice without a border in view, if its residuals are small.
     fn unanchored(&self) -> Option<[isize; 2]> {
         let canvas = &self.canvas;
         let found = || (0..canvas.found.len()).filter(|&s| canvas.found[s] != NONE);
@@ -255,7 +260,7 @@ impl VerifiedTracker {
                 out.covariance_px2[n] = detected.covariance_px2[m as usize];
             }
             let missed = &mut out.missed_frames[n];
-            // Out of view it is not missed, but expected as soon as it is back.
+            // Outside the view it does not count as missed, and is expected once it is back.
             let out_of_view = site.is_none_or(|s| !in_view(canvas.position_px(s)));
             *missed = match (found, out_of_view) {
                 (Some(_), _) => 0,
@@ -269,7 +274,7 @@ impl VerifiedTracker {
         interpolator.run(rest_px, *cols, |n| state[n] == MarkerState::Seen, positions_px);
     }
 
-    /// Holds all markers where they are, as in a frame in which nothing is certain.
+    /// Holds all markers in place, as in a frame in which nothing is certain.
     pub fn hold(&self, out: &mut Tracks) {
         for n in 0..self.rest_px.len() {
             out.update_state(n, false, self.params.max_held_frames);

@@ -1,16 +1,17 @@
-//! Polynomials in three variables of bounded total degree, in products of Chebyshev polynomials over [-1, 1]³.
+//! Polynomials in three variables of bounded total degree, as products of Chebyshev polynomials over [-1,
+//! 1]³.
 
 use crate::math::{DVec3, cos};
 use core::f64::consts::PI;
 
-/// Highest degree, and the coefficients of a polynomial of that degree.
+/// Highest degree, and the number of coefficients of a polynomial of that degree.
 const DEGREE: usize = 7;
 const MAX_TERMS: usize = (DEGREE + 1) * (DEGREE + 2) * (DEGREE + 3) / 6;
 
 /// Coefficients by the degrees of two variables.
 type Plane<const N: usize> = [[[f64; N]; DEGREE + 1]; DEGREE + 1];
 
-/// Sums of N polynomials of one degree.
+/// N polynomials of one degree.
 #[derive(Clone, Debug)]
 pub(super) struct Series<const N: usize> {
     degree: usize,
@@ -19,15 +20,16 @@ pub(super) struct Series<const N: usize> {
 }
 
 impl<const N: usize> Series<N> {
-    /// Polynomials that are 0 everywhere.
+    /// Zero polynomials.
     pub const fn zero() -> Self {
         Self { degree: 0, coefficients: [[0.0; N]; MAX_TERMS] }
     }
 
-    /// Of the values at [`nodes`], M along each variable: there the products are orthogonal, so that each coefficient is one
-    /// sum, and a lower degree a truncation. The degree must be below M.
+    /// Fits the values at [`nodes`], M along each variable. The products are orthogonal there, so each
+    /// coefficient is one sum, and a lower degree a truncation. The degree must be below M.
     ///
-    /// Sums go over one variable after the other, which takes M times as few products as one sum over all three.
+    /// Summing over one variable after the other takes M times fewer products than one sum over all
+    /// three.
     pub fn fit<'v, const M: usize, V>(degree: usize, mut values: V) -> Self
     where
         V: Iterator<Item = &'v [f64; N]>,
@@ -63,7 +65,8 @@ impl<const N: usize> Series<N> {
         Self { degree, coefficients }
     }
 
-    /// Calls `each` with the values at all points with coordinates of these axes, within [-1, 1]; the first runs fastest.
+    /// Calls `each` with the values at all points of the grid of these axes, within [-1, 1]; the first
+    /// runs fastest.
     pub fn on_grid<const M: usize>(&self, axes: &[[f64; M]; 3], mut each: impl FnMut([f64; N])) {
         let [xs, ys, zs] = axes.map(|axis| axis.map(chebyshev));
         for z in &zs {
@@ -88,7 +91,8 @@ impl<const N: usize> Series<N> {
         }
     }
 
-    /// The same polynomials in powers: exponents and coefficients, for degrees up to 3, where this loses no digits.
+    /// The same polynomials in powers: exponents and coefficients, for degrees up to 3, where this loses
+    /// no precision.
     pub fn powers(&self) -> impl Iterator<Item = ([usize; 3], [f64; N])> + '_ {
         // Coefficients of T_0 to T_3.
         const POWERS: [[f64; 4]; 4] =
@@ -138,12 +142,12 @@ fn chebyshev(x: f64) -> [f64; DEGREE + 1] {
     t
 }
 
-/// Coordinates at which the values must be known for [`Series::fit`].
+/// Coordinates of the values for [`Series::fit`].
 pub(super) fn roots<const M: usize>() -> [f64; M] {
     core::array::from_fn(|i| cos(PI * (i as f64 + 0.5) / M as f64))
 }
 
-/// Coordinates at which to check what was fitted, the ends among them.
+/// Coordinates at which a fit is checked, including the ends.
 pub(super) fn extremes<const M: usize>() -> [f64; M] {
     core::array::from_fn(|i| cos(PI * i as f64 / (M - 1) as f64))
 }

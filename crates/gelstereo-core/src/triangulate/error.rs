@@ -1,21 +1,21 @@
-//! Why a pair of pixels is no point.
+//! Why a pair of pixels gives no point.
 
 use crate::camera::CameraError;
 use crate::rig::{RigError, View};
 
-/// Why a pair of pixels is no point. `index` counts from 0 in the order given.
+/// Why a pair of pixels gives no point. `index` counts from 0 in the order given.
 #[derive(Clone, Debug, PartialEq)]
 pub enum TriangulateError {
     /// The rig cannot be used.
     Rig(RigError),
-    /// The two views have different numbers of markers, or a view not one covariance for each.
+    /// The two views have different numbers of markers.
     LengthMismatch {
         /// Markers in the left view.
         left: usize,
         /// Markers in the right view.
         right: usize,
     },
-    /// A view has not one covariance for each marker.
+    /// The numbers of markers and covariances of a view differ.
     CovarianceCount {
         /// Which view.
         view: View,
@@ -31,7 +31,7 @@ pub enum TriangulateError {
         /// Which view.
         view: View,
     },
-    /// A pixel has no ray, or the point none of its pixels.
+    /// A pixel has no ray, or the point does not project into the view.
     Ray {
         /// Which marker.
         index: usize,
@@ -40,7 +40,7 @@ pub enum TriangulateError {
         /// Why.
         error: CameraError,
     },
-    /// Disparity x_left - x_right is not above the smallest that has a meaning: the rays are parallel or diverge.
+    /// Disparity x_left - x_right is below the smallest meaningful one: the rays are parallel or diverge.
     Disparity {
         /// Which marker.
         index: usize,
@@ -48,17 +48,17 @@ pub enum TriangulateError {
         disparity_px: f64,
         /// Smallest valid one, px.
         min_px: f64,
-        /// How many of the markers have the same fault; all of them means that the views are swapped.
+        /// Number of markers with this fault; if all have it, the views are swapped.
         affected: usize,
-        /// Markers in all.
+        /// Number of markers.
         of: usize,
     },
-    /// The rig tells some direction of the point no better than round-off: it has no covariance.
+    /// Some direction of the point is determined no better than rounding errors: it has no covariance.
     Unknown {
         /// Which marker.
         index: usize,
     },
-    /// The two rays are so far apart that no point is the most likely one.
+    /// The two rays are so far apart that there is no most likely point.
     NoPoint {
         /// Which marker.
         index: usize,

@@ -1,4 +1,4 @@
-//! The fit of a [`Map`], in steps: a frame that takes one of them takes little longer than others.
+//! The fit of a [`Map`], in steps: a frame that executes one takes little longer than others.
 
 use super::chebyshev::{Series, checks, extremes, nodes};
 use super::polynomial::{CHECKS, Inputs, Map, Sample, Space, extent, inputs_px};
@@ -9,19 +9,20 @@ use alloc::vec::Vec;
 
 /// Nodes along each input at which rays are traced.
 const NODES: usize = 8;
-/// Degrees of the polynomials through the nodes. Five do for values without lens distortion; a strong one needs seven.
+/// Degrees of the polynomials through the nodes. Five suffices for values without lens distortion; a
+/// strong one needs seven.
 const DEGREE: usize = 7;
 const SLOPE_DEGREE: usize = 4;
-/// Tiles along column and row that are tried.
+/// Numbers of tiles along column and row that are tried.
 const SIDES: [usize; 4] = [1, 2, 4, 8];
-/// Largest error at the checked points; twice this is promised.
+/// Largest error at the checked points; twice this is guaranteed.
 const TOLERANCE_MM: f64 = 5e-4;
-/// Directions in which a surface has its outermost points.
+/// Directions in which a surface's outermost points are taken.
 const DIRECTIONS: usize = 26;
-/// Steps of Newton's method to a node.
+/// Most steps of Newton's method to a node.
 const MAX_STEPS: usize = 20;
 
-/// A fit under way. All its room is taken when it begins.
+/// A fit in progress. All its memory is allocated at the start.
 #[derive(Clone, Debug)]
 pub(super) struct Fitting {
     next: Step,
@@ -31,31 +32,32 @@ pub(super) struct Fitting {
     checked: Vec<Sample>,
     values: Series<4>,
     slopes: Series<12>,
-    /// Of the polynomials at the checked points.
+    /// Error of the polynomials at the checked points.
     error_mm: f64,
     tiles: Tiles,
 }
 
 #[derive(Clone, Copy, Debug)]
 enum Step {
-    /// Rays to the nodes of the space that was seen.
+    /// Rays to the nodes of the observed space.
     Nodes,
-    /// Rays to where the map is checked.
+    /// Rays to the points where the map is checked.
     Checks,
     Polynomials,
-    /// The tiles of `SIDES` in turn.
+    /// The entries of `SIDES` in turn.
     Tiles(usize),
 }
 
-/// What a step leads to.
+/// Result of a step.
 pub(super) enum Progress {
     More,
-    /// `None` when no polynomials come near enough.
+    /// `None` when no polynomials are accurate enough.
     Done(Option<Map>),
 }
 
 impl Fitting {
-    /// The first step: which inputs there are, from the points of a rest surface. `None` when they are not seen.
+    /// The first step: the range of inputs, from the points of a rest surface. `None` when they are not
+    /// visible.
     pub fn begin(views: &[RigView<'_>; 2], rest_mm: &[DVec3], reach_mm: f64) -> Option<Self> {
         let seen = reached(views, rest_mm, reach_mm)?;
         let inputs = Inputs::fit(views, &seen)?;
@@ -77,7 +79,7 @@ impl Fitting {
         })
     }
 
-    /// One step more; no allocation.
+    /// Executes the next step; no allocation.
     pub fn step(&mut self, views: &[RigView<'_>; 2]) -> Progress {
         let Self { next, space, start_mm, at_nodes, checked, tiles, .. } = self;
         match *next {
@@ -126,8 +128,9 @@ impl Fitting {
     }
 }
 
-/// (Column, mean row, disparity) of points within reach of the rest surface: sideways, towards the cameras, and a quarter
-/// away from them. Of a surface its outermost points do: beyond the map points are exact.
+/// (Column, mean row, disparity) of points within reach of the rest surface: sideways, towards the
+/// cameras, and a quarter of it away from them. The outermost points of a surface suffice: outside the
+/// map, points are computed exactly.
 fn reached(views: &[RigView<'_>; 2], rest_mm: &[DVec3], reach_mm: f64) -> Option<Vec<DVec3>> {
     let mut all = Vec::with_capacity(8 * DIRECTIONS);
     for rest in directions().filter_map(|direction| outermost(rest_mm, direction)) {
@@ -142,7 +145,7 @@ fn reached(views: &[RigView<'_>; 2], rest_mm: &[DVec3], reach_mm: f64) -> Option
     Some(all)
 }
 
-/// To the corners of a cube and the middles of its edges and sides.
+/// Directions to the corners of a cube and the midpoints of its edges and sides.
 fn directions() -> impl Iterator<Item = DVec3> {
     let axis = |n: usize| [0.0, 1.0, -1.0][n % 3];
     (1..=DIRECTIONS).map(move |n| DVec3::new(axis(n), axis(n / 3), axis(n / 9)))
@@ -157,7 +160,8 @@ fn outermost(points: &[DVec3], direction: DVec3) -> Option<DVec3> {
     Some(points.iter().fold((first.dot(direction), first), farther).1)
 }
 
-/// Column, mean row and disparity at a point and the row difference, with their derivatives by the point.
+/// Column, mean row and disparity at a point, and the row difference, with their derivatives by the
+/// point.
 struct Seen {
     at: DVec3,
     jacobian: DMat3,
@@ -178,7 +182,8 @@ fn see(views: &[RigView<'_>; 2], point_mm: DVec3) -> Option<Seen> {
     })
 }
 
-/// Adds exact values at these inputs, by Newton's method on [`see`], each from the one before; whether there are.
+/// Adds exact values at these inputs, by Newton's method on [`see`], each started from the one before;
+/// returns whether all exist.
 fn sample(
     views: &[RigView<'_>; 2],
     start: DVec3,

@@ -1,4 +1,4 @@
-//! From two views of a marker to a point in millimetres, with its covariance.
+//! Triangulation: from two views of a marker to a point in millimetres, with its covariance.
 
 mod chebyshev;
 mod error;
@@ -24,7 +24,7 @@ use point::{Pair, finite};
 use polynomial::Map;
 use root::Root;
 
-/// Triangulation with all that depends on the rig alone worked out once.
+/// Triangulation, with everything that depends on the rig alone precomputed.
 #[derive(Clone, Debug)]
 pub struct Triangulator {
     rig: Rig,
@@ -53,21 +53,22 @@ impl Triangulator {
         })
     }
 
-    /// The rig it was made for.
+    /// The rig in use.
     #[must_use]
     pub const fn rig(&self) -> &Rig {
         &self.rig
     }
 
     /// Fits the polynomial map around the points of the rest surface (sensor frame), when the method is
-    /// [`TriangulateMethod::Polynomial`]; until then, and where no polynomial comes within 1 um, points are those of
-    /// [`TriangulateMethod::Rays`] to less than 0.1 um.
+    /// [`TriangulateMethod::Polynomial`]. Before that, and where no polynomial is accurate to 1 um,
+    /// points equal those of [`TriangulateMethod::Rays`] to less than 0.1 um.
     pub fn fit_map(&mut self, rest_mm: &[DVec3]) {
         self.begin_map(rest_mm);
         while self.continue_map() {}
     }
 
-    /// The first step of [`Self::fit_map`]: with one in each frame no frame takes much longer than others.
+    /// The first step of [`Self::fit_map`]: with one step per frame, no frame takes much longer than
+    /// others.
     pub fn begin_map(&mut self, rest_mm: &[DVec3]) {
         self.clear_map();
         if self.params.method == TriangulateMethod::Polynomial {
@@ -76,7 +77,7 @@ impl Triangulator {
         }
     }
 
-    /// The next step of a map that was begun, if any; whether there is another one. No allocation.
+    /// The next step of a map in progress, if any; returns whether there is another one. No allocation.
     pub fn continue_map(&mut self) -> bool {
         let Some(mut fitting) = self.fitting.take() else { return false };
         match fitting.step(&self.views()) {
@@ -86,13 +87,13 @@ impl Triangulator {
         self.fitting.is_some()
     }
 
-    /// Forgets the map, finished or not: points are those of rays until the next [`Self::fit_map`].
+    /// Clears the map, finished or not: points are computed from rays until the next [`Self::fit_map`].
     pub fn clear_map(&mut self) {
         (self.map, self.fitting) = (None, None);
     }
 
-    /// Largest distance between polynomial and exact points on a grid over the map's volume, millimetres; `None` while
-    /// there is no map.
+    /// Largest distance between polynomial and exact points on a grid over the map's volume, millimetres;
+    /// `None` without a map.
     #[must_use]
     pub fn map_error_mm(&self) -> Option<f64> {
         self.map.as_ref().map(Map::error_mm)
@@ -101,7 +102,7 @@ impl Triangulator {
     /// Points of corresponding centres, in order; `out` is cleared first.
     ///
     /// # Errors
-    /// [`TriangulateError`] for the first marker at fault; `out` then holds the points before it.
+    /// [`TriangulateError`] for the first faulty marker; `out` then holds the points before it.
     pub fn run(
         &self,
         left: Centres<'_>,
@@ -138,16 +139,17 @@ impl Triangulator {
         Ok(())
     }
 
-    /// With both views set up, for one pair of centres after the other.
+    /// Sets up both views, for many pairs of centres.
     #[must_use]
     pub fn ready(&self) -> Ready<'_> {
         Ready { stage: self, views: self.views() }
     }
 
-    /// The point of one pair of centres; `index` is only named in errors. For many pairs use [`Self::ready`].
+    /// The point of one pair of centres; `index` is only used in errors. For many pairs use
+    /// [`Self::ready`].
     ///
     /// # Errors
-    /// [`TriangulateError`] but for the two that are about numbers of markers.
+    /// [`TriangulateError`], except the two variants about numbers of markers.
     pub fn point(
         &self,
         index: usize,
@@ -161,8 +163,8 @@ impl Triangulator {
         [self.rig.view(View::Left), self.rig.view(View::Right)]
     }
 
-    /// Both centres' rays, whose disparity in the rectified views must have a meaning: in a gel, too, rays are
-    /// parallel where they are parallel in air.
+    /// Rays of both centres. Their disparity in the rectified views must be large enough: rays that are
+    /// parallel in air are parallel in the gel too.
     fn pair<'a>(
         &self,
         index: usize,
@@ -203,10 +205,10 @@ impl<'a> Ready<'a> {
         }
     }
 
-    /// The point of one pair of centres; `index` is only named in errors.
+    /// The point of one pair of centres; `index` is only used in errors.
     ///
     /// # Errors
-    /// [`TriangulateError`] but for the two that are about numbers of markers.
+    /// [`TriangulateError`], except the two variants about numbers of markers.
     pub fn point(
         &self,
         index: usize,

@@ -1,4 +1,4 @@
-//! What goes into a point and what comes out: centres of markers in both views, and the point that they make.
+//! Input and output of triangulation: marker centres in both views, and the resulting point.
 
 use super::error::TriangulateError;
 use super::root::Root;
@@ -8,7 +8,7 @@ use crate::math::{DVec2, DVec3};
 /// The centre of a marker in one view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Centre {
-    /// Where it is, pixels.
+    /// Position, pixels.
     pub at_px: DVec2,
     /// Its covariance, px².
     pub covariance_px2: Symmetric<2>,
@@ -17,7 +17,7 @@ pub struct Centre {
 /// The centres of all markers in one view, in the same order in every list.
 #[derive(Clone, Copy, Debug)]
 pub struct Centres<'a> {
-    /// Where they are, pixels.
+    /// Positions, pixels.
     pub positions_px: &'a [DVec2],
     /// Their covariances, px².
     pub covariance_px2: &'a [Symmetric<2>],
@@ -31,30 +31,30 @@ impl Centres<'_> {
     }
 }
 
-/// A point of the sensor frame and how well its two centres agreed.
+/// A point in the sensor frame and the agreement of its two centres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StereoPoint {
     /// Position in the sensor (left camera) frame, millimetres.
     pub point_mm: DVec3,
     /// Covariance, mm², to first order in those of the two centres, which are independent.
     pub covariance_mm2: Symmetric<3>,
-    /// How far the centres are from being views of one point, pixels: the left row less that which belongs to the
-    /// right centre. Noise alone makes it a few tenths. Q takes the difference of the rectified rows, the exact rung
-    /// the sum of the residuals in both views.
+    /// Epipolar residual, pixels: the left row minus the row that corresponds to the right centre. Noise
+    /// alone makes it a few tenths. Q uses the difference of the rectified rows, the exact rung the sum
+    /// of the residuals in both views.
     pub epipolar_px: f64,
 }
 
 /// Two centres with their rays.
 pub(super) struct Pair<'a> {
     pub centres: [&'a Centre; 2],
-    /// Of the centres' covariances.
+    /// Roots of the centres' covariances.
     pub roots: [Root; 2],
     /// Undistorted normalised coordinates.
     pub normalised: [DVec2; 2],
     pub rectified: [DVec2; 2],
 }
 
-/// The sum of the columns' squares, which is positive semi-definite to the rounding of its entries, with exact symmetry.
+/// Sum of the columns' outer products: positive semi-definite to rounding, and exactly symmetric.
 pub(super) fn sum_of_squares<const N: usize>(columns: &[DVec3; N]) -> Symmetric<3> {
     // Entries (i, j) and (j, i) are sums of the same products in the same order.
     let mut sum = [[0.0; 3]; 3];
@@ -68,7 +68,7 @@ pub(super) fn sum_of_squares<const N: usize>(columns: &[DVec3; N]) -> Symmetric<
     sum
 }
 
-/// A point that has one, with a covariance that means something.
+/// Returns the point if it and its covariance are finite.
 pub(super) fn finite(index: usize, found: StereoPoint) -> Result<StereoPoint, TriangulateError> {
     let [[xx, xy, xz], [_, yy, yz], [.., zz]] = found.covariance_mm2;
     // A sum is finite only when all its terms are.

@@ -1,4 +1,4 @@
-//! The fast rung: polynomials in column, row and inverse disparity that are fitted to the exact one.
+//! The fast rung: polynomials in column, row and inverse disparity, fitted to the exact rung.
 
 use super::chebyshev::checks;
 use super::point::{StereoPoint, sum_of_squares};
@@ -8,29 +8,30 @@ use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, DVec3, sqrt};
 use crate::rig::RigView;
 
-/// Points along each input at which the map is held against exact rays.
+/// Points along each input at which the map is compared with exact rays.
 pub(super) const CHECKS: usize = 7;
-/// Largest error of the covariance, as a share of the variances: what is known of the centres' covariances is worth no
-/// more.
+/// Largest error of the covariance, relative to the variances: the centres' covariances are known no
+/// better.
 const COVARIANCE_TOLERANCE: f64 = 0.02;
 
-/// A map from (column in the left view, mean row, disparity) of the raw pixels to the point, and to the difference of the
-/// rows that belongs to it. Distortion, rectification and refraction are all in it.
+/// A map from (column in the left view, mean row, disparity) of the raw pixels to the point and the
+/// expected row difference. It includes distortion, rectification and refraction.
 ///
-/// Depth goes with one over the disparity less that of a point infinitely far away, and the point's other coordinates are
-/// bilinear in this and the pixel where lenses and layers bend no light, so that this inverse is the third input. What
-/// they bend takes polynomials of up to the seventh degree, which cubic ones follow tile by tile.
+/// Depth is proportional to the inverse of disparity minus that of a point at infinity. Without
+/// distortion and refraction, the other coordinates are bilinear in this inverse and the pixel, so the
+/// inverse is the third input. Distortion and refraction take polynomials of up to the seventh degree,
+/// approximated by cubic ones on tiles.
 #[derive(Clone, Debug)]
 pub(super) struct Map {
     space: Space,
-    /// X, Y, Z, left row less right row, and their derivatives by column, row and inverse disparity.
+    /// X, Y, Z, left row minus right row, and their derivatives by column, row and inverse disparity.
     tiles: Tiles,
     error_mm: f64,
 }
 
 impl Map {
-    /// Of these tiles, or `None` where covariances differ too much from the exact ones that are given, at [`checks`].
-    /// Tiles that do not serve are left where they were.
+    /// Builds a map from these tiles, or `None` where its covariances differ too much from the exact ones
+    /// given at [`checks`]. Rejected tiles are returned unchanged.
     pub fn of(space: &Space, tiles: &mut Tiles, error_mm: f64, checked: &[Sample]) -> Option<Self> {
         let map = Self { space: *space, tiles: core::mem::take(tiles), error_mm };
         if map.covariance_error(checked) <= COVARIANCE_TOLERANCE {
@@ -44,7 +45,7 @@ impl Map {
         self.error_mm
     }
 
-    /// The most likely point to first order, or `None` beyond the map's reach.
+    /// The most likely point to first order, or `None` outside the map.
     #[inline]
     pub fn point(&self, [left_px, right_px]: [DVec2; 2], roots: &[Root; 2]) -> Option<StereoPoint> {
         let Space { inputs, centre, scale } = &self.space;
@@ -57,7 +58,7 @@ impl Map {
         Some(StereoPoint { point_mm, covariance_mm2, epipolar_px })
     }
 
-    /// Of centres with equal noise along all axes.
+    /// Relative error of the covariance for centres with equal noise along all axes.
     fn covariance_error(&self, checked: &[Sample]) -> f64 {
         let roots = [Root::unit(); 2];
         let mut worst = 0.0_f64;
@@ -78,12 +79,12 @@ impl Map {
     }
 }
 
-/// The map's inputs and the box of them that is cut into tiles.
+/// The map's inputs and their box, which is divided into tiles.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Space {
     pub inputs: Inputs,
     pub centre: DVec3,
-    /// One over half the box.
+    /// Inverse half size of the box.
     pub scale: DVec3,
 }
 
@@ -94,8 +95,8 @@ impl Space {
     }
 }
 
-/// From (column, mean row, disparity) to the map's inputs, in which disparity is replaced by one over its distance from
-/// that of a point infinitely far away, which is linear in column and row.
+/// From (column, mean row, disparity) to the map's inputs. Disparity is replaced by the inverse of its
+/// distance from that of a point at infinity, which is linear in column and row.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Inputs {
     origin_px: DVec2,
@@ -105,7 +106,7 @@ pub(super) struct Inputs {
 }
 
 impl Inputs {
-    /// For the pixels seen; `None` when some of them are not nearer than infinity.
+    /// For the observed pixels; `None` when some of them are not nearer than infinity.
     pub fn fit(views: &[RigView<'_>; 2], seen: &[DVec3]) -> Option<Self> {
         let (low, high) = extent(seen.iter().copied());
         let (origin_px, half) = (((low + high) * 0.5).truncate(), ((high - low) * 0.5).truncate());
@@ -134,7 +135,8 @@ impl Inputs {
         DVec3::new(input.x, input.y, self.far(input.x, input.y) + 1.0 / input.z)
     }
 
-    /// Derivatives of X, Y, Z and the row difference by the inputs, made of those by (column, mean row, disparity).
+    /// Derivatives of X, Y, Z and the row difference by the inputs, from those by (column, mean row,
+    /// disparity).
     pub fn by_inputs(&self, inverse: f64, [u, v, d]: [[f64; 4]; 3]) -> [f64; 12] {
         let (by_inverse, far) = (-1.0 / (inverse * inverse), self.far_slope);
         let mut slope = [0.0; 12];
@@ -155,14 +157,15 @@ impl Inputs {
     }
 }
 
-/// How the noise of four pixel coordinates x = L e, with independent e of variance 1, moves the point.
+/// Propagation of the noise of four pixel coordinates x = L e, with independent e of variance 1, to the
+/// point.
 ///
-/// They must obey v - v' = rows(inputs): h · e = 0 to first order, h the gradient. Of the point's four columns by e one
-/// combination, along h, is thus known; a reflection that takes h to an axis leaves the other three as a square root of
-/// the covariance.
+/// They must satisfy v - v' = rows(inputs): h · e = 0 to first order, with h the gradient. So one
+/// combination of the point's four columns by e, along h, is known. A reflection that maps h to an axis
+/// leaves the other three as a square root of the covariance.
 struct Spread {
     columns: [DVec3; 3],
-    /// What a row difference that is missed by one pixel says of the point.
+    /// Shift of the point per pixel of epipolar residual.
     shift_mm_per_px: DVec3,
 }
 
@@ -178,7 +181,8 @@ impl Spread {
         let square = h[0] * h[0] + h[1] * h[1] + h[2] * h[2] + h[3] * h[3];
         let ab = multiply_add(&a, h[0], &times(&b, h[1]));
         let moved = multiply_add(&d, h[3], &multiply_add(&c, h[2], &ab));
-        // Householder's reflection to the second axis: along h + |h| e with the sign that does not cancel.
+        // Householder reflection to the second axis: along h + |h| e with the sign that avoids
+        // cancellation.
         let length = sqrt(square).copysign(h[1]);
         let inverse = 1.0 / (square + length * h[1]);
         let along = times(&multiply_add(&b, length, &moved), inverse);
@@ -200,12 +204,12 @@ pub(super) fn inputs_px(left_px: DVec2, right_px: DVec2) -> DVec3 {
     DVec3::new(left_px.x, 0.5 * (left_px.y + right_px.y), left_px.x - right_px.x)
 }
 
-/// Lowest and highest coordinates.
+/// Smallest and largest coordinates.
 pub(super) fn extent(points: impl Iterator<Item = DVec3>) -> (DVec3, DVec3) {
     points.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), at| (low.min(at), high.max(at)))
 }
 
-/// What is exact at one input.
+/// Exact values at one input.
 #[derive(Clone, Debug)]
 pub(super) struct Sample {
     pub value: [f64; 4],

@@ -5,9 +5,9 @@ use super::point::{Pair, StereoPoint, finite, sum_of_squares};
 use crate::math::{DQuat, DVec3};
 use crate::rig::Rectification;
 
-/// The point of rectified pixels with the signed disparity of the row of the left view, in the sensor frame.
+/// The point of rectified pixels with signed disparity at the row of the left view, in the sensor frame.
 ///
-/// Its covariance is to first order, from centres that are independent; Eq. 3 takes the row of the left view alone;
+/// Its covariance is to first order, for independent centres. Eq. 3 uses the row of the left view alone;
 /// axes of image and rectified image are taken to be parallel.
 pub(super) fn point(
     r: &Rectification,
@@ -24,7 +24,7 @@ pub(super) fn point(
     let along = p / p.z;
     let [u, v, w] = [DVec3::X * s - along * dz, DVec3::Y * s, along * dz].map(|c| to_sensor * c);
     let [l, r] = &pair.roots;
-    // The right row does not count, so that of the right covariance only the column's variance is left, xx².
+    // The right row is unused, so only the column's variance remains of the right covariance, xx².
     let covariance_mm2 = sum_of_squares(&[u * l.xx + v * l.yx, v * l.yy, w * r.xx]);
     finite(index, StereoPoint { point_mm: to_sensor * p, covariance_mm2, epipolar_px: left.y - right.y })
 }

@@ -7,23 +7,25 @@ use crate::camera::{CameraError, Ray};
 use crate::math::{DVec2, DVec3, sqrt};
 use crate::rig::{RigView, View};
 
-/// Steps of Gauss and Newton. Two do for a marker; more only help pairs whose rays miss each other by millimetres.
+/// Most Gauss-Newton steps. Two suffice for a marker; more only help pairs whose rays miss each other by
+/// millimetres.
 const MAX_STEPS: usize = 20;
 
-/// The gradients of one view's pixel by the point, and what is left to its centre.
+/// Gradients of one view's pixel by the point, and the residual to its centre.
 type Linear = ([DVec3; 2], DVec2);
 
-/// What one step of Gauss and Newton leads to.
+/// Result of a Gauss-Newton step.
 struct Step {
     found: StereoPoint,
     step_mm: DVec3,
 }
 
-/// One step: the least squares of both views' residuals, each weighted by its covariance. `None` when the point is not
-/// determined.
+/// One Gauss-Newton step: least squares of both views' residuals, each weighted by its covariance. `None`
+/// when the point is not determined.
 ///
-/// By orthogonal columns (modified Gram and Schmidt) of the gradients over the centres' noise, which keeps the digits that
-/// the information A = Jᵀ W J would lose, and makes the covariance A⁻¹ = R⁻¹ R⁻ᵀ a sum of squares (Björck 1996, section 2.4).
+/// The gradients, whitened by the centres' noise, are orthogonalised (modified Gram-Schmidt). This keeps
+/// precision that the information matrix A = Jᵀ W J would lose, and makes the covariance A⁻¹ = R⁻¹ R⁻ᵀ a
+/// sum of squares (Björck 1996, section 2.4).
 fn step(from_mm: DVec3, views: &[Linear; 2], roots: &[Root; 2]) -> Option<Step> {
     let (mut j, mut rest) = ([[0.0; 4]; 3], [0.0; 4]);
     for k in 0..2 {
@@ -41,7 +43,7 @@ fn step(from_mm: DVec3, views: &[Linear; 2], roots: &[Root; 2]) -> Option<Step> 
     let (yz, y_rest) = (take(&mut z, &y), take(&mut rest, &y));
     let zz = normalise(&mut z, least.z)?;
     let z_rest = take(&mut rest, &z);
-    // Columns of R⁻¹, in which xx, yy and zz are one over R's diagonal.
+    // Columns of R⁻¹; xx, yy and zz are the inverses of R's diagonal.
     let first = DVec3::new(xx, 0.0, 0.0);
     let second = DVec3::new(-xy * xx, 1.0, 0.0) * yy;
     let third = DVec3::new((xy * yz * yy - xz) * xx, -yz * yy, 1.0) * zz;
@@ -54,14 +56,14 @@ fn step(from_mm: DVec3, views: &[Linear; 2], roots: &[Root; 2]) -> Option<Step> 
     Some(Step { found, step_mm })
 }
 
-/// What round-off leaves of a column that depends on those before it, squared: some ten roundings.
+/// Squared rounding error of a column that depends on those before it: some ten roundings.
 const ROUND_OFF: f64 = 100.0 * f64::EPSILON * f64::EPSILON;
 
 fn dot(a: &[f64; 4], b: &[f64; 4]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
 }
 
-/// Makes it a unit vector and returns one over its length, unless its squared length is round-off.
+/// Normalises a column and returns its inverse length, unless its squared length is a rounding error.
 fn normalise(column: &mut [f64; 4], least: f64) -> Option<f64> {
     let square = dot(column, column);
     if !(square > least) {
@@ -72,18 +74,19 @@ fn normalise(column: &mut [f64; 4], least: f64) -> Option<f64> {
     Some(inverse)
 }
 
-/// Takes the part along a unit vector away and returns it.
+/// Removes the component along a unit vector and returns it.
 fn take(column: &mut [f64; 4], unit: &[f64; 4]) -> f64 {
     let along = dot(column, unit);
     column.iter_mut().zip(unit).for_each(|(x, u)| *x -= along * u);
     along
 }
 
-/// The most likely point, in the sensor frame, with the inverse of the information as its covariance.
+/// The most likely point, in the sensor frame, with the inverse of the information matrix as its
+/// covariance.
 ///
-/// From the middle of the two refracted rays on, Gauss and Newton minimise the sum of the squared pixel residuals,
-/// each weighted by its covariance (Hartley and Zisserman 2004, section 12.3). A first step that ends as `near` to both rays
-/// is the last ([`NEAR`]).
+/// Starting midway between the two refracted rays, Gauss-Newton minimises the sum of the squared pixel
+/// residuals, each weighted by its covariance (Hartley and Zisserman 2004, section 12.3). If the first
+/// step ends as `near` to both rays, it is the last ([`NEAR`]).
 pub(super) fn point(
     views: &[RigView<'_>; 2],
     index: usize,
@@ -105,7 +108,8 @@ pub(super) fn point(
         let next = step(point_mm, &linear, &pair.roots).ok_or(TriangulateError::Unknown { index })?;
         let found = next.found;
         point_mm = found.point_mm;
-        // A step leaves some residual / f of itself, or its own square over the depth: both below 1e-11 of the depth.
+        // The remaining error of a step is about residual / f of its length, or its square over the
+        // depth: both below 1e-11 of the depth.
         let (length, depth) = (next.step_mm.length(), point_mm.length());
         if length <= 1e-6 * depth && length * found.epipolar_px.abs() <= 2e-9 * depth {
             return finite(index, found);
@@ -116,21 +120,22 @@ pub(super) fn point(
 
 const VIEWS: [View; 2] = [View::Left, View::Right];
 
-/// Where the search begins, or already ends.
+/// Start of the iteration, or its result.
 enum Start {
     At(DVec3),
     Done(StereoPoint),
 }
 
-/// A step that ends nearer than this to both rays, in units of sqrt(mm · depth), is the last: it leaves pixel residuals
-/// of f (distance / depth)², 3e-6 px, and so less than a thousandth of the standard deviation of centres good to 0.01 px.
+/// A step that ends nearer than this to both rays, in units of sqrt(mm · depth), is the last. It leaves
+/// pixel residuals of f (distance / depth)², 3e-6 px, less than a thousandth of the standard deviation of
+/// centres good to 0.01 px.
 pub(super) const NEAR: f64 = 2.4e-4;
 
-/// The same for points that need be no better than a map's: 3e-4 px at most, and less than 0.1 um.
+/// The same for points that need only a map's accuracy: 3e-4 px at most, and less than 0.1 um.
 pub(super) const NEAR_AS_MAPPED: f64 = 10.0 * NEAR;
 
-/// One step from the middle of the refracted rays, and the slope of both rays in air. It needs no search for a light
-/// path, because the nearest points of both rays are seen exactly at their pixels.
+/// One step from the midpoint of the refracted rays, and the slope of both rays in air. It needs no
+/// search for a light path, as the nearest points of both rays project exactly to their pixels.
 fn start(
     views: &[RigView<'_>; 2],
     index: usize,
@@ -165,7 +170,7 @@ fn start(
     Ok((if is_near { Start::Done(found) } else { Start::At(found.point_mm) }, slopes))
 }
 
-/// The points of two lines that are nearest to each other; not finite for parallel lines.
+/// Mutually nearest points of two lines; not finite for parallel lines.
 fn nearest_points(a: &Ray, b: &Ray) -> [DVec3; 2] {
     let normal = a.direction.cross(b.direction);
     let between = b.origin_mm - a.origin_mm;

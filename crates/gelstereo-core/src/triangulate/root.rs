@@ -1,4 +1,4 @@
-//! A centre's covariance as the square of a triangle, so that what is made of it stays a square.
+//! Square root of a centre's covariance, so that derived covariances remain positive semi-definite.
 
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, DVec3, sqrt};
@@ -12,7 +12,7 @@ pub(super) struct Root {
 }
 
 impl Root {
-    /// `None` when the covariance is not positive definite, or its determinant beyond all numbers.
+    /// `None` when the covariance is not positive definite, or its determinant is not a normal number.
     #[inline]
     pub fn new(covariance_px2: &Symmetric<2>) -> Option<Self> {
         let [[a, b], [c, d]] = *covariance_px2;
@@ -25,7 +25,7 @@ impl Root {
         Some(Self { xx, yx: b * inverse, yy: sqrt(determinant) * inverse })
     }
 
-    /// Of independent noise of variance 1.
+    /// For independent noise of variance 1.
     pub const fn unit() -> Self {
         Self { xx: 1.0, yx: 0.0, yy: 1.0 }
     }

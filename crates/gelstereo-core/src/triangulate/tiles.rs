@@ -1,4 +1,4 @@
-//! Cubic polynomials over the tiles of a square, for values, and linear ones for their derivatives.
+//! Cubic polynomials for values over the tiles of a square, and linear ones for their derivatives.
 
 use super::chebyshev::{Series, checks, extremes, roots};
 use crate::math::DVec3;
@@ -10,10 +10,10 @@ const NODES: usize = 4;
 /// Points along each variable at which a tile is checked.
 const CHECKS: usize = 5;
 
-/// X, Y, Z and row difference: four numbers that go through the same arithmetic.
+/// X, Y, Z and row difference: four numbers with the same arithmetic.
 pub(super) type Four = [f64; 4];
 
-/// Polynomials over [-1, 1]³, which is cut along the first two variables.
+/// Polynomials over [-1, 1]³, divided into tiles along the first two variables.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Tiles {
     side: usize,
@@ -22,20 +22,20 @@ pub(super) struct Tiles {
 
 #[derive(Clone, Debug)]
 struct Tile {
-    /// Of x^a y^b z^c, all exponents falling, the first variable's fastest.
+    /// Coefficients of x^a y^b z^c, all exponents falling, the first variable's fastest.
     values: [Four; TERMS],
-    /// Of the derivatives by each input: 1, x, y, z.
+    /// Coefficients of the derivatives by each input: 1, x, y, z.
     slopes: [[Four; 3]; 4],
 }
 
 impl Tiles {
-    /// Room for so many tiles along each of two variables.
+    /// Reserves memory for `side` tiles along each of two variables.
     pub fn with_room(side: usize) -> Self {
         Self { side: 0, tiles: Vec::with_capacity(side * side) }
     }
 
-    /// Cuts the square anew into `side` * `side` tiles that follow `values` and `slopes`; their largest distance from
-    /// `values`, or `None` where one is farther than `tolerance_mm`.
+    /// Divides the square into `side` * `side` tiles that approximate `values` and `slopes`. Returns
+    /// their largest distance from `values`, or `None` where one exceeds `tolerance_mm`.
     pub fn fit(
         &mut self,
         side: usize,
@@ -62,7 +62,7 @@ impl Tiles {
         Some(worst_mm)
     }
 
-    /// The values and their derivatives by each input, or `None` beyond the cube.
+    /// The values and their derivatives by each input, or `None` outside the cube.
     #[inline(always)]
     pub fn at(&self, input: DVec3) -> Option<(Four, [Four; 3])> {
         if !(input.abs().max_element() <= 1.0) {
@@ -79,7 +79,7 @@ impl Tiles {
 }
 
 impl Tile {
-    /// With the tile's own nodes at these coordinates of the whole.
+    /// Fits a tile whose nodes have these coordinates in the whole.
     fn fit(nodes: &[[f64; NODES]; 3], values: &Series<4>, slopes: &Series<12>) -> Self {
         let values = on_nodes(values, nodes);
         let slopes = on_nodes(slopes, nodes);
@@ -96,7 +96,7 @@ impl Tile {
         tile
     }
 
-    /// Horner's scheme in z, of schemes in y, of schemes in x.
+    /// Nested Horner schemes in z, y and x.
     #[inline]
     fn value(&self, at: DVec3) -> Four {
         let c = &self.values;
@@ -145,7 +145,7 @@ fn on_nodes<const N: usize>(
     found
 }
 
-/// Between two points.
+/// Distance of two points.
 pub(super) fn distance(a: &Four, b: &Four) -> f64 {
     DVec3::from_slice(a).distance(DVec3::from_slice(b))
 }

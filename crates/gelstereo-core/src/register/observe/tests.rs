@@ -2,8 +2,8 @@ use super::*;
 use crate::math::random::Stream;
 use crate::math::{cos, sin};
 
-/// A grid of points on an elliptic cylinder a = R (1 + e), b = R, from 10 to 80 degrees of the ellipse's angle and
-/// 4 mm long, with exact normals that are as uncertain as the points make them.
+/// A grid of points on an elliptic cylinder a = R (1 + e), b = R, from 10 to 80 degrees of the ellipse's
+/// angle and 4 mm long. Normals are exact; their stated variance follows from the noise of the points.
 fn ellipse(ellipticity: f64, sigma_mm: f64) -> (Observability, Symmetric<6>) {
     let (a, b) = (4.0 * (1.0 + ellipticity), 4.0);
     let at = |k: usize| (0.175 + 1.22 * (k % 9) as f64 / 8.0, (k / 9) as f64 - 2.0);
@@ -38,7 +38,7 @@ fn row_11_information_grows_smoothly_from_a_circle() {
         let (seen, hessian) = ellipse(ellipticity, sigma_mm);
         let exact = linalg::eigen(&hessian).values[1] / (sigma_mm * sigma_mm);
         let ratio = seen.values[1] / exact;
-        // Noise takes off N / λ, at most 1 / limit of the determined.
+        // The noise correction reduces λ by the share N / λ, at most 1 / limit for a determined direction.
         assert!(ratio <= 1.0 && ratio > 0.99, "{ratio}");
         let growth = seen.values[1] / at_1e3.values[1] / (ellipticity / 1e-3) / (ellipticity / 1e-3);
         assert!((growth - 1.0).abs() < 10.0 * ellipticity + 0.01, "{growth} at {ellipticity}");
@@ -47,13 +47,14 @@ fn row_11_information_grows_smoothly_from_a_circle() {
 
 #[test]
 fn row_11_a_direction_is_free_exactly_when_its_noise_explains_it() {
-    // The same ellipse, 4 µm off a circle, under ever more noise: it is lost once, and stays lost.
+    // The same ellipse, 4 µm off a circle, with increasing noise: the direction becomes free once and
+    // stays free.
     let counts = [1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1].map(|sigma_mm| ellipse(1e-3, sigma_mm).0.free_count());
     assert!(counts.is_sorted() && counts[0] == 1 && counts[5] == 2, "{counts:?}");
 }
 
-/// A round rod with rings of slope ±0.04 around it: what they tell of a slide, per point, under noise of points and
-/// normals.
+/// Information about a slide, per point, of a round rod with rings of slope ±0.04, under noise of points
+/// and normals.
 fn told_of_a_slide(sigma_mm: f64, tau: f64, random: &mut Stream) -> f64 {
     let angle = |k: usize| 0.175 + 1.22 * (k % 9) as f64 / 8.0;
     let points: [DVec3; 45] =
@@ -77,7 +78,7 @@ fn told_of_a_slide(sigma_mm: f64, tau: f64, random: &mut Stream) -> f64 {
     told * sigma_mm * sigma_mm / 45.0
 }
 
-/// N of this module's text is what noise of points and normals adds to Σ J Jᵀ, entry by entry.
+/// N of the module documentation equals what noise of points and normals adds to Σ J Jᵀ, entry by entry.
 #[test]
 fn row_11_noise_adds_what_it_is_said_to_add() {
     let (sigma_mm, tau, radius_mm, runs) = (0.1, 0.05, 2.0, 4000);
@@ -97,7 +98,7 @@ fn row_11_noise_adds_what_it_is_said_to_add() {
         let noise = exact.noise.whole();
         let (mut sum, mut squares) = ([[0.0; 6]; 6], [[0.0; 6]; 6]);
         for _ in 0..runs {
-            // δn and δx each on their own, as N has them: what both do together is of fourth order.
+            // δn and δx separately, as in N: their joint effect is of fourth order.
             let turn = error(normal, tau);
             let shifted = stack(error(normal, sigma_mm).cross(normal) / radius_mm, DVec3::ZERO);
             let by_turn = stack(lever.cross(turn) / radius_mm, turn);
@@ -126,7 +127,7 @@ fn row_11_what_is_told_of_a_weak_direction_is_right_on_average() {
     let mut random = Stream::new(3, "unbiased");
     let exact = told_of_a_slide(1e-9, 1e-9, &mut random);
     let mean = (0..runs).map(|_| told_of_a_slide(0.02, tau, &mut random)).sum::<f64>() / f64::from(runs);
-    // The mean over 45 points and the runs of (slope + noise)², less the noise, which is a quarter of slope².
+    // Mean over 45 points and all runs of (slope + noise)² minus the noise variance, a quarter of slope².
     let variance = tau * tau;
     let deviation = sqrt((4.0 * exact * variance + 2.0 * variance * variance) / (45.0 * f64::from(runs)));
     assert!((mean - exact).abs() < 4.0 * deviation, "{mean:e}, exact {exact:e} ± {deviation:e}");
@@ -148,7 +149,7 @@ fn information_and_covariance_are_inverse_where_all_is_determined() {
         for j in 0..6 {
             let product: f64 = (0..6).map(|k| information[i][k] * covariance[k][j]).sum();
             let identity = f64::from(u8::from(i == j));
-            // The condition about the origin: (28 / 2)⁴ times that about the centre.
+            // Condition number about the origin: (28 / 2)⁴ times that about the centre.
             assert!((product - identity).abs() < 1e5 * 100.0 * f64::EPSILON, "{i} {j} {product}");
         }
     }
@@ -167,7 +168,7 @@ fn a_solved_step_reaches_the_planes() {
     }
     let (omega_found, v_found) = system.solve(1.0);
     assert!((omega_found - omega).length() < 1e-13 && (v_found - v).length() < 1e-13);
-    // A hundredth of a millimetre at most: the same direction, shorter.
+    // Limited to a hundredth of a millimetre: the same direction, but shorter.
     let (omega_short, v_short) = system.solve(0.01);
     let moved = sqrt(4.0 * omega_short.length_squared() + v_short.length_squared());
     assert!((moved - 0.01).abs() < 1e-15 && v_short.dot(v) > 0.0);

@@ -1,4 +1,4 @@
-//! The evidence at the end: inliers, residual, information and free directions at the returned pose.
+//! Evidence at the returned pose: inliers, residual, information and free directions.
 
 use super::facet::{Facet, facet};
 use super::filterreg::width_floor_mm;
@@ -12,8 +12,8 @@ use crate::register::observe::{PatchFrame, Sighting, System};
 use crate::register::{Alternatives, FreeDirections, RegisterError, Registration, Verdict};
 use crate::stop::{Stopped, ask_often};
 
-/// The result of a stage that ended at `outcome`. All rungs are judged alike, on the soft matches of the points
-/// within `max_distance_mm`; plane rungs count every point as their last step did.
+/// The result of a stage that ended at `outcome`. All rungs are assessed alike, on soft matches of the
+/// points within `max_distance_mm`; plane rungs weight every point as in their last step.
 pub(super) fn registration(
     problem: &Problem<'_>,
     scratch: &mut Scratch,
@@ -41,8 +41,8 @@ pub(super) fn registration(
         sum_squared += weight * residual_mm * residual_mm;
         total += weight;
         along_normals += weight * seen.residual * seen.residual;
-        // The facet's normal, not the soft mean: that of two faces would claim to see sideways motion at every edge
-        // of a flat contact.
+        // Uses the facet's normal. A soft mean over two faces would falsely observe sideways motion at
+        // every edge of a flat contact.
         let Facet { normal, normal_variance } = facet(template, point, width_mm, params.point_sigma_mm);
         system.add(&Sighting { normal, normal_variance, weight, ..seen });
     }
@@ -64,17 +64,18 @@ pub(super) fn registration(
         inliers: scratch.sources.len(),
         points: points_mm.len(),
         rmse_mm: sqrt(sum_squared / total.max(f64::MIN_POSITIVE)),
-        // Normals are read at samples, and so at most half a spacing off.
         log_likelihood: None,
         log_odds: None,
         verdict: Verdict::Unsure,
         gel_decay: None,
         alternatives: Alternatives::NONE,
+        // Normals are read at samples, hence up to half a spacing away.
         free: FreeDirections::new(&in_object, params.point_sigma_mm.max(0.5 * template.spacing_mm()), &[]),
     })
 }
 
-/// Leaves the inliers in the scratch: sources in the object's frame, targets the same points in the sensor's.
+/// Stores the inliers in the scratch: sources in the object's frame, targets as the same points in the
+/// sensor's.
 fn match_inliers(problem: &Problem<'_>, scratch: &mut Scratch, width_mm: f64) -> Result<(), Stopped> {
     scratch.clear_pairs();
     for (step, (&placed, &point)) in scratch.placed.iter().zip(problem.points_mm).enumerate() {

@@ -1,9 +1,9 @@
-//! Which part of the template's surface a point lies on, and how sure that is.
+//! Facet of the template's surface under a point, with its uncertainty.
 
 use crate::math::{DVec3, exp};
 use crate::register::template::Template;
 
-/// A surface direction with its uncertainty.
+/// A surface normal with its uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Facet {
     /// Normal of the most probable template point.
@@ -12,15 +12,16 @@ pub(super) struct Facet {
     pub normal_variance: f64,
 }
 
-/// Template points farther than this many widths beyond the nearest one carry less than e^-8 of its weight.
+/// Cutoff in widths: template points farther beyond the nearest one have less than e^-8 of its weight.
 const WIDTHS: f64 = 4.0;
 
 /// The facet under `point`, which is known to `sigma_mm` along normals.
 ///
-/// Its normal is that of the template point with the largest exp(-|y_k - x|² / 2 s² - (n_k·(y_k - x))² / 2 σ²), near x
-/// and with x in its plane: this tells the two faces of an edge apart though samples stand much farther from each
-/// other than σ. Its variance is over all p_k ∝ exp(-|y_k - x|² / 2 s²): beside an edge a point bears witness to
-/// neither face alone, for a contact that ends at an edge is held by it from one side only.
+/// Its normal is that of the template point with the largest
+/// exp(-|y_k - x|² / 2 s² - (n_k·(y_k - x))² / 2 σ²): near x, with x in its plane. This separates the two
+/// faces of an edge although samples are much farther apart than σ. Its variance is over all p_k ∝
+/// exp(-|y_k - x|² / 2 s²). Near an edge a point is evidence for neither face alone, because a contact
+/// that ends at an edge is constrained from one side only.
 pub(super) fn facet(template: &Template, point: DVec3, width_mm: f64, sigma_mm: f64) -> Facet {
     let (tree, points, normals) = (template.tree(), template.points_mm(), template.normals());
     let (nearest, least) = tree.nearest(point).unwrap_or((0, 0.0));

@@ -1,11 +1,14 @@
-//! FilterReg (W. Gao and R. Tedrake, "FilterReg: Robust and Efficient Probabilistic Point-Set Registration", 2019).
+//! FilterReg (W. Gao and R. Tedrake, "FilterReg: Robust and Efficient Probabilistic Point-Set
+//! Registration", 2019).
 //!
-//! The patch is the model, the template the observation: every point of the patch is drawn to the Gaussian mean of
-//! the template around it (E step), the patch moves rigidly (M step), and the Gaussian shrinks to fit.
+//! The patch is the model, the template the observation. Every point of the patch is attracted to the
+//! Gaussian mean of the template around it (E step), the patch moves rigidly (M step), and the Gaussian
+//! shrinks to fit.
 //!
-//! Point to point, as published: outliers are uniform and the width follows from the residuals. A shoulder of gel around
-//! the contact (`one_sided`) is neither: it is one-sided, dense beside the contact, and it widens the Gaussian that
-//! would have to tell it apart. There the answer stays drawn outwards. Point to plane knows of it.
+//! The point-to-point metric is as published: uniform outliers, and a width that follows from the
+//! residuals. The gel's shoulder around the contact (`one_sided`) violates both: it is one-sided, dense
+//! beside the contact, and widens the Gaussian that should reject it. The result is then biased outwards.
+//! The point-to-plane metric models the shoulder.
 
 use super::icp;
 use super::one_sided::{self, OneSided};
@@ -17,7 +20,7 @@ use crate::register::error::RegisterError;
 use crate::register::observe::{PatchFrame, Sighting, System};
 use crate::stop::{Stopped, ask_often};
 
-/// What the M step makes small.
+/// Cost of the M step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Metric {
     /// Distances to the means (the paper).
@@ -61,13 +64,14 @@ pub(super) fn run(
     Ok(outcome)
 }
 
-/// Least width. Over samples a spacing s apart the sum of Gaussians of width s/2 ripples by 2 e^(-π²/2) = 1.4 % (Poisson
-/// summation); narrower ones see single points rather than a surface, and hold the patch to them.
+/// Smallest width. Over samples with spacing s the sum of Gaussians of width s/2 ripples by
+/// 2 e^(-π²/2) = 1.4 % (Poisson summation). Narrower ones resolve single points and lock the patch to them.
 pub(super) fn width_floor_mm(problem: &Problem<'_>) -> f64 {
     problem.params.sigma_floor_mm.max(0.5 * problem.template.spacing_mm())
 }
 
-/// One E step and one M step; the motion of the patch in the object's frame. Leaves the pairs in `scratch`.
+/// One E step and one M step; returns the motion of the patch in the object's frame. Leaves the pairs in
+/// `scratch`.
 fn step(
     problem: &Problem<'_>,
     scratch: &mut Scratch,
@@ -81,7 +85,7 @@ fn step(
     })
 }
 
-/// Soft matches, targets and responsibilities of all points.
+/// Computes soft matches, targets and responsibilities of all points.
 fn expect(problem: &Problem<'_>, scratch: &mut Scratch, sigma_mm: f64) -> Result<(), Stopped> {
     scratch.clear_pairs();
     let log_outlier = log_outlier_mass(problem, sigma_mm);
@@ -93,15 +97,15 @@ fn expect(problem: &Problem<'_>, scratch: &mut Scratch, sigma_mm: f64) -> Result
         scratch.weights.push(1.0 / (1.0 + exp(log_outlier - soft.log_mass)));
         scratch.soft.push(soft);
     }
-    // A width far too small for the distances calls every point an outlier, and no step would be left. Then the
-    // points count alike: the width will follow from how far they are.
+    // A width far below the distances makes every point an outlier, with no step. Then all points count
+    // equally, and the width follows from their distances.
     if scratch.weights.iter().sum::<f64>() < MIN_PATCH as f64 {
         scratch.weights.fill(1.0);
     }
     Ok(())
 }
 
-/// One Gauss-Newton step on the distances along the normals, of which contacts have the standard deviation `sigma_mm`.
+/// One Gauss-Newton step on the distances along the normals, with standard deviation `sigma_mm` for contacts.
 fn plane_step(problem: &Problem<'_>, scratch: &Scratch, sigma_mm: f64) -> Pose {
     let frame = PatchFrame::new(&scratch.sources, problem.template.spacing_mm());
     let one_sided = OneSided::new(sigma_mm, problem.params.max_distance_mm);
@@ -114,9 +118,9 @@ fn plane_step(problem: &Problem<'_>, scratch: &Scratch, sigma_mm: f64) -> Pose {
     frame.motion(system.solve(problem.params.max_distance_mm))
 }
 
-/// The part of a step of the point metric that counts for convergence. Along directions that the contact leaves free the
-/// patch creeps from sample to sample for as long as one lets it, and gets nowhere. What is free is judged by the soft
-/// normals, as steps do: by the facets' more would be, and box faces would be left where their edges still push.
+/// The part of a point-metric step that counts for convergence. Along free directions the patch drifts
+/// between samples indefinitely. Free directions are judged by the soft normals, as in the steps: facet
+/// normals would give more of them, and box faces would stop while their edges still push.
 fn determined(problem: &Problem<'_>, scratch: &Scratch, motion: &Pose) -> Pose {
     let frame = PatchFrame::new(&scratch.sources, problem.template.spacing_mm());
     let sigma_mm = problem.params.point_sigma_mm;
@@ -127,8 +131,8 @@ fn determined(problem: &Problem<'_>, scratch: &Scratch, motion: &Pose) -> Pose {
     frame.motion(system.observe(frame.centre_mm).determined(frame.twist(motion)))
 }
 
-/// Standard deviation per axis of the points around their Gaussian means' samples, at the coordinates after `motion`:
-/// Σ w (|D x - m|² + Σ p |y - m|²) / 3 Σ w, a sum of squares that nothing can make negative.
+/// Standard deviation per axis of the points around their Gaussian means' samples, at the coordinates
+/// after `motion`: Σ w (|D x - m|² + Σ p |y - m|²) / 3 Σ w, a sum of squares and so never negative.
 fn width_mm(scratch: &Scratch, motion: &Pose) -> f64 {
     let (mut sum, mut total) = (0.0, 0.0);
     for (((&x, &m), soft), &w) in
@@ -142,13 +146,13 @@ fn width_mm(scratch: &Scratch, motion: &Pose) -> f64 {
 
 /// ln c, with M / (M + c) the responsibility of a point with Gaussian mass M = Σ exp(-|y - x|² / 2σ²).
 ///
-/// Outliers are uniform over the slab within D = `max_distance_mm` of a surface with one sample for every s², so of
-/// the density 1 / (2 D s²) for each sample: c = (2π σ²)^(3/2) w / (1 - w) / (2 D s²). The unit-free 1/N of the
-/// original would change the answer with the unit of length.
+/// Outliers are uniform over the slab within D = `max_distance_mm` of a surface with one sample per s²,
+/// hence of density 1 / (2 D s²) per sample: c = (2π σ²)^(3/2) w / (1 - w) / (2 D s²). The unit-free 1/N
+/// of the original would make the result depend on the unit of length.
 fn log_outlier_mass(problem: &Problem<'_>, sigma_mm: f64) -> f64 {
     let share = problem.params.outlier_share;
     if share == 0.0 {
-        // ln 0, which the exponential takes back to 0.
+        // ln 0, which the exponential maps back to 0.
         return f64::NEG_INFINITY;
     }
     let spacing_mm = problem.template.spacing_mm();

@@ -6,7 +6,7 @@ use crate::register::error::RegisterError;
 use crate::register::rigid::rigid_fit;
 use crate::stop::{Stopped, ask_often};
 
-/// Steps from a start until they are short enough or the iterations run out.
+/// Iterates from a start until steps are short enough or the iterations run out.
 pub(super) fn run(
     problem: &Problem<'_>,
     scratch: &mut Scratch,
@@ -27,7 +27,7 @@ pub(super) fn run(
     Ok(outcome)
 }
 
-/// Pairs every placed point with its nearest within the reach.
+/// Pairs every placed point with its nearest template point within reach.
 fn pair(problem: &Problem<'_>, scratch: &mut Scratch) -> Result<(), Stopped> {
     let reach_squared = problem.params.max_distance_mm * problem.params.max_distance_mm;
     scratch.clear_pairs();
@@ -43,7 +43,7 @@ fn pair(problem: &Problem<'_>, scratch: &mut Scratch) -> Result<(), Stopped> {
     Ok(())
 }
 
-/// The rigid motion of the pairs in the scratch; none when there are none.
+/// The rigid motion of the pairs in the scratch; the identity without pairs.
 pub(super) fn fit(scratch: &Scratch) -> Pose {
     rigid_fit(&scratch.sources, &scratch.targets, &scratch.weights)
         .map_or(Pose::IDENTITY, |fit| fit.t_target_source)

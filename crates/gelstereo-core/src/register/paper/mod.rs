@@ -1,4 +1,5 @@
-//! The paper's rungs, on the template's samples: FilterReg, and RANSAC with ICP, which it is compared with (section III-D).
+//! The paper's rungs, on the template's samples: FilterReg and, for comparison, RANSAC with ICP
+//! (section III-D).
 
 mod assess;
 mod facet;

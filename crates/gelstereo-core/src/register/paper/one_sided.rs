@@ -1,31 +1,32 @@
-//! Which points of a patch lie on the part: the gel can be on its surface or outside of it, never inside.
+//! Contact probability of patch points: the gel is on the part's surface or outside it, never inside.
 //!
-//! Around a contact the gel rises to the part in a shoulder whose markers are salient and lie on no surface. They may
-//! be the larger part of the patch, and they all stand outside. So a point at height h above the surface is taken for
-//! a draw from
+//! Around a contact the gel rises to the part in a shoulder, whose markers are salient but not in
+//! contact. They may be the majority of the patch, and all are outside. A point at height h above the
+//! surface is therefore modelled as a draw from
 //!
 //! ```text
 //! ½ N(h; 0, σ²) + ½ U(h; 0, D),   D = register.max_distance_mm
 //! ```
 //!
-//! and counts with its probability of being in contact. Nothing else explains a point below the surface than a pose
-//! that is still wrong (or a marker that was measured wrongly, hence the limit of its pull): those points push the
-//! part back however many pull it out. σ shrinks from `sigma_start_mm` to `point_sigma_mm` by a fixed ratio, not by
-//! what the residuals say: these hold the shoulder too (graduated non-convexity, Blake and Zisserman 1987).
+//! and weighted by its probability of being in contact. A point below the surface means that the pose is
+//! still wrong (or the marker was mismeasured, hence the limited influence). Such points push the part
+//! back however many pull it outwards. σ shrinks from `sigma_start_mm` to `point_sigma_mm` by a fixed
+//! ratio, not with the residuals, because these include the shoulder (graduated non-convexity, Blake and
+//! Zisserman 1987).
 
 use crate::math::{exp, ln, sqrt};
 use crate::params::RegisterParams;
 
-/// σ of an iteration over that of the one before.
+/// Ratio of σ between successive iterations.
 const DECAY: f64 = 0.7;
-/// Standard deviations inside of the part from which a point's pull grows no more (Huber 1964).
+/// Depth inside the part, in standard deviations, beyond which a point's influence is constant (Huber 1964).
 const LIMIT: f64 = 3.0;
 
 /// The mixture at one σ.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct OneSided {
     sigma_mm: f64,
-    /// ln of the shoulder's density over the greatest density of the contact.
+    /// ln of the shoulder's density over the contact's peak density.
     log_shoulder: f64,
 }
 
@@ -35,7 +36,7 @@ impl OneSided {
         Self { sigma_mm, log_shoulder: -ln(reach_mm * greatest) }
     }
 
-    /// How much a point counts, `residual_mm` being how far it should move along the outward normal: positive inside.
+    /// Weight of a point. `residual_mm` is how far it should move along the outward normal: positive inside.
     pub fn weight(&self, residual_mm: f64) -> f64 {
         let r = residual_mm / self.sigma_mm;
         if r > 0.0 { LIMIT / r.max(LIMIT) } else { 1.0 / (1.0 + exp(self.log_shoulder + 0.5 * r * r)) }

@@ -1,4 +1,4 @@
-//! What every rung on the template's samples looks at, and its steps.
+//! Inputs, scratch memory and pose updates shared by the rungs on the template's samples.
 
 use super::soft::SoftMatch;
 use crate::math::{DVec3, Pose, sqrt};
@@ -8,7 +8,7 @@ use crate::register::template::Template;
 use crate::stop::{Stop, ask_often};
 use alloc::vec::Vec;
 
-/// Where a stage ended.
+/// The final state of a stage.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Outcome {
     pub t_sensor_object: Pose,
@@ -16,7 +16,7 @@ pub(super) struct Outcome {
     pub iterations: u32,
 }
 
-/// One patch and one template, with the settings; what every stage looks at.
+/// One patch and one template, with the settings: the input of every stage.
 #[derive(Clone, Copy)]
 pub(in crate::register) struct Problem<'a> {
     pub params: &'a RegisterParams,
@@ -25,7 +25,7 @@ pub(in crate::register) struct Problem<'a> {
     pub stop: Stop<'a>,
 }
 
-/// Vectors that the stages share and reuse.
+/// Vectors shared and reused by the stages.
 #[derive(Clone, Debug, Default)]
 pub(in crate::register) struct Scratch {
     /// The patch in the object's frame, at the current pose.
@@ -38,8 +38,8 @@ pub(in crate::register) struct Scratch {
 }
 
 impl Scratch {
-    /// Places the patch in the object's frame. The translation is taken off first, so that an offset of both costs
-    /// nothing.
+    /// Places the patch in the object's frame. Subtracts the translation first, so that a common offset
+    /// does not cost precision.
     pub fn place(&mut self, points_mm: &[DVec3], t_sensor_object: &Pose) {
         let back = t_sensor_object.rotation.conjugate();
         self.placed.clear();
@@ -53,21 +53,21 @@ impl Scratch {
         self.soft.clear();
     }
 
-    /// How far a motion in the object's frame moves the point of the patch that it moves most; NaN if it is no motion,
-    /// which the larger of two numbers would hide and call a short step.
+    /// Largest displacement of a patch point by a motion in the object's frame. NaN for an invalid
+    /// motion, which a maximum would hide and report as a short step.
     pub fn largest_move_mm(&self, motion: &Pose) -> f64 {
         let squared = |p: &DVec3| motion.transform_point(*p).distance_squared(*p);
         sqrt(self.placed.iter().map(squared).fold(0.0, |most, d| if d <= most { most } else { d }))
     }
 }
 
-/// The pose after the patch has been moved by `motion` in the object's frame: T D⁻¹.
+/// The pose after moving the patch by `motion` in the object's frame: T D⁻¹.
 pub(super) fn compose(t_sensor_object: &Pose, motion: &Pose) -> Pose {
     let product = *t_sensor_object * motion.inverse();
     product.normalized().unwrap_or(*t_sensor_object)
 }
 
-/// Refuses a placed patch of which fewer points than needed lie within `reach_mm` of the template.
+/// Rejects a placed patch with too few points within `reach_mm` of the template.
 pub(super) fn check_reach(
     problem: &Problem<'_>,
     placed: &[DVec3],

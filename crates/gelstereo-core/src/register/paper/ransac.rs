@@ -10,11 +10,12 @@ use crate::register::observe::{PatchFrame, Sighting, System};
 use crate::register::rigid::rigid_fit;
 use crate::stop::{Stopped, ask, ask_often};
 
-/// The best of `ransac_hypotheses` poses near the guess; the guess itself competes.
+/// The best of `ransac_hypotheses` poses near the guess, including the guess itself.
 ///
-/// A hypothesis draws three points of the patch and, near where the guess puts them, three template points at the
-/// same mutual distances to within the template's spacing. Its score is the sum over the patch of the squared
-/// distance to the template, each limited to that of an outlier (MSAC, Torr and Zisserman 2000).
+/// A hypothesis draws three points of the patch and, near their positions at the guess, three template
+/// points with the same mutual distances to within the template's spacing. Its score is the sum over the
+/// patch of the squared distance to the template, each limited to that of an outlier (MSAC, Torr and
+/// Zisserman 2000).
 pub(super) fn search(
     problem: &Problem<'_>,
     scratch: &mut Scratch,
@@ -41,8 +42,8 @@ pub(super) fn search(
     Ok(compose(guess, &motion))
 }
 
-/// The motion less what it does along the directions that the contact leaves free where it ends: chance chose that, and
-/// the guess knows better. Exact for a spin about an axis or a slide, whose twist is the same all the way.
+/// Removes the motion along directions that are free at its end: there the motion is random, and the
+/// guess is better. Exact for a spin about an axis or a slide, whose twist is constant along the way.
 fn without_free(problem: &Problem<'_>, scratch: &mut Scratch, motion: &Pose) -> Result<Pose, Stopped> {
     let Problem { params, template, .. } = *problem;
     let most = params.max_distance_mm * params.max_distance_mm;
@@ -69,12 +70,12 @@ fn without_free(problem: &Problem<'_>, scratch: &mut Scratch, motion: &Pose) -> 
     Ok(about * Pose::exp(omega, v_mm) * about.inverse())
 }
 
-/// A motion of the placed patch from one random triplet, where the template has one like it.
+/// A motion of the placed patch from one random triplet, if the template has a matching one.
 fn hypothesis(problem: &Problem<'_>, placed: &[DVec3], random: &mut Stream) -> Option<Pose> {
     let [a, b, c] = core::array::from_fn(|_| placed[random.below(placed.len())]);
     let margin_mm = problem.template.spacing_mm();
     let (ab, bc, ca) = (a.distance(b), b.distance(c), c.distance(a));
-    // A triplet narrower than the sampling says nothing of rotation.
+    // A triplet narrower than the sampling does not constrain rotation.
     if ab.min(bc).min(ca) <= 2.0 * margin_mm {
         return None;
     }
@@ -89,8 +90,8 @@ fn hypothesis(problem: &Problem<'_>, placed: &[DVec3], random: &mut Stream) -> O
     rigid_fit(&[a, b, c], &targets, &[]).ok().map(|fit| fit.t_target_source)
 }
 
-/// A uniformly drawn template point within reach of `near` that suits: the one with the least random key, so that the order
-/// in which the tree shows them, which ties of a part's extents turn, does not matter.
+/// Draws a suitable template point within reach of `near`, uniformly: the one with the smallest random
+/// key. The result is then independent of tree order, which changes with ties of the part's extents.
 fn draw(
     problem: &Problem<'_>,
     near: DVec3,
@@ -109,7 +110,7 @@ fn draw(
     least.map(|(_, k)| k)
 }
 
-/// Mean limited squared distance of the moved patch; gives up, above `limit`, as soon as it is certain to be worse.
+/// Sum of limited squared distances of the moved patch; stops early once it reaches `limit`.
 fn score(problem: &Problem<'_>, placed: &[DVec3], motion: &Pose, limit: f64) -> f64 {
     let most = problem.params.max_distance_mm * problem.params.max_distance_mm;
     let mut sum = 0.0;

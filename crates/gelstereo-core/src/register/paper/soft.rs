@@ -1,4 +1,5 @@
-//! The soft nearest neighbour of FilterReg (Gao and Tedrake 2019, Eq. 8): exact Gaussian sums over the template.
+//! The soft nearest neighbour of FilterReg (Gao and Tedrake 2019, Eq. 8): exact Gaussian sums over the
+//! template.
 
 use crate::math::{DVec3, exp_nonpositive, ln, sqrt};
 use crate::register::blocks::{Block, LANES, Lanes};
@@ -6,16 +7,16 @@ use crate::register::observe::Sighting;
 use crate::register::template::Template;
 use core::array;
 
-/// What a point sees of the template through a Gaussian of width σ, with p_k ∝ exp(-|y_k - x|² / 2σ²).
+/// Gaussian-weighted view of the template from a point, with width σ and p_k ∝ exp(-|y_k - x|² / 2σ²).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SoftMatch {
-    /// ln Σ exp(-|y_k - x|² / 2σ²): finite however far the template is, unless the square of σ vanishes; never NaN.
+    /// ln Σ exp(-|y_k - x|² / 2σ²). Finite at any distance of the template unless σ² underflows; never NaN.
     pub log_mass: f64,
     /// m - x, with m = Σ p_k y_k.
     pub offset_mm: DVec3,
     /// Σ p_k |y_k - m|².
     pub spread_mm2: f64,
-    /// Unit mean normal Σ p_k n_k; the nearest point's where that vanishes.
+    /// Unit mean normal Σ p_k n_k; the nearest point's if that vanishes.
     pub normal: DVec3,
     /// Σ p_k n_k·(y_k - x), the mean distance to the planes of the template's points.
     pub plane_distance_mm: f64,
@@ -26,10 +27,11 @@ pub struct SoftMatch {
 }
 
 impl SoftMatch {
-    /// The point's line of the linear system.
+    /// The point's row of the linear system.
     ///
-    /// On a curved surface n̂·(m - x) is short by κ σ² and Σ p n·(y - x) long by as much; their mean, the distance along
-    /// the mean of the two points' normals, is right to the second order (Rusinkiewicz 2019).
+    /// On a curved surface n̂·(m - x) is too short by κ σ² and Σ p n·(y - x) too long by as much. Their
+    /// mean, the distance along the mean of the two points' normals, is accurate to second order
+    /// (Rusinkiewicz 2019).
     pub(super) fn sighting(&self, template: &Template, lever: DVec3, weight: f64, sigma_mm: f64) -> Sighting {
         let along = self.normal.dot(self.offset_mm);
         Sighting {
@@ -42,16 +44,16 @@ impl SoftMatch {
     }
 }
 
-/// Share of a sum that may be left out: its logarithm. e^-28 = 7e-13 of a distance is far below what f64 coordinates of
-/// a measured point mean.
+/// Log of the share of a sum that may be omitted. e^-28 = 7e-13 of a distance is far below the accuracy
+/// of measured f64 coordinates.
 const LOG_LEFT_OUT: f64 = -28.0;
 
 /// The soft match of `point` (object frame) at width `sigma_mm`.
 ///
-/// The sums are taken relative to the nearest point's term, so that none of them underflows. A block of points is left
-/// out only where all its terms are below e^-28 / N of the nearest one's: since that one is part of the sum, the N
-/// points at most that are left out weigh less than e^-28 = 7e-13 of it. On a surface, where the sum over all beyond
-/// the radius R is e^(-R²/2σ²) of the whole, they weigh less than e^-28 / N.
+/// Sums are relative to the nearest point's term, so that none underflows. A block is omitted only if all
+/// its terms are below e^-28 / N of the nearest point's. That term is part of the sum, so at most N
+/// omitted points weigh less than e^-28 = 7e-13 of it. On a surface, where the sum beyond the radius R is
+/// e^(-R²/2σ²) of the whole, they weigh less than e^-28 / N.
 #[must_use]
 pub fn soft_match(template: &Template, point: DVec3, sigma_mm: f64) -> SoftMatch {
     let (tree, blocks) = (template.tree(), template.blocks());
@@ -67,9 +69,9 @@ pub fn soft_match(template: &Template, point: DVec3, sigma_mm: f64) -> SoftMatch
 
 /// Weighted moments about the nearest point.
 ///
-/// Its weight is the largest, p₀ >= 1/N of the whole, and its offset is 0, so that by Cauchy and Schwarz
-/// |Σ p e|² <= (1 - p₀) Σ p |e|²: what Σ p |e|² - |Σ p e|² loses to cancellation is bounded by 1/p₀, and where the
-/// nearest point is all there is, both are exactly 0.
+/// The nearest point has the largest weight, p₀ >= 1/N of the whole, and offset 0. By Cauchy-Schwarz
+/// |Σ p e|² <= (1 - p₀) Σ p |e|². The cancellation loss of Σ p |e|² - |Σ p e|² is therefore bounded by
+/// 1/p₀; with the nearest point alone both are exactly 0.
 struct Sums {
     point: DVec3,
     origin: DVec3,
@@ -86,7 +88,7 @@ struct Sums {
 
 impl Sums {
     fn new(point: DVec3, origin: DVec3, least: f64, twice_variance: f64) -> Self {
-        // A width whose square vanishes sees the nearest point alone.
+        // A width whose square underflows uses only the nearest point.
         let rate = (1.0 / twice_variance).min(f64::MAX);
         let zero = [0.0; LANES];
         Self {
@@ -127,7 +129,7 @@ impl Sums {
         let from_origin = DVec3::from_array(self.offset.map(|lanes| total(&lanes))) / mass;
         let mean_normal = DVec3::from_array(self.normal.map(|lanes| total(&lanes))) / mass;
         let length = sqrt(mean_normal.length_squared());
-        // On a point its term is 1, even where the width's square vanishes.
+        // The term of a coincident point is 1, even if σ² underflows.
         let exponent = if self.least > 0.0 { self.least / self.twice_variance } else { 0.0 };
         SoftMatch {
             log_mass: ln(mass) - exponent,

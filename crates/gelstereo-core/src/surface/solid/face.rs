@@ -1,14 +1,14 @@
-//! A triangle ready for queries, and how far a point is from it.
+//! A triangle prepared for nearest-point queries.
 
 use super::normals::longest;
 use super::weld::{Welded, lengths_squared};
 use crate::math::{DVec3, sqrt};
 use alloc::vec::Vec;
 
-/// Where on the surface a nearest point is.
+/// The feature that holds the nearest point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Site {
-    /// Within the face at this place in the order of the tree.
+    /// Inside the face at this position in tree order.
     Face(u32),
     /// Between the ends of this edge.
     Edge(u32),
@@ -16,7 +16,7 @@ pub(super) enum Site {
     Vertex(u32),
 }
 
-/// The best so far: least squared distance, then least triangle.
+/// Best candidate: least squared distance, then lowest triangle index.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Found {
     pub squared_mm2: f64,
@@ -24,10 +24,10 @@ pub(super) struct Found {
     pub site: Site,
 }
 
-/// An edge with what projection on it needs.
+/// An edge prepared for projection.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Edge {
-    /// Ends, ascending: from both sides the same bits.
+    /// Ends, ascending, so that both adjacent faces compute the same bits.
     pub ends: [u32; 2],
     /// 1 / |b - a|².
     pub inverse_squared: f64,
@@ -39,7 +39,7 @@ impl Edge {
         Self { ends, inverse_squared: 1.0 / a.distance_squared(b) }
     }
 
-    /// Squared distance, and where; `name` is the edge's own.
+    /// Squared distance and site; `name` is the edge's own index.
     #[inline]
     pub fn nearest(&self, name: u32, vertices_mm: &[DVec3], p_mm: DVec3) -> (f64, Site) {
         let [a, b] = self.ends.map(|i| vertices_mm[i as usize]);
@@ -54,7 +54,7 @@ impl Edge {
         }
     }
 
-    /// The nearest point of the edge's line.
+    /// Nearest point of the edge's line, relative to the edge's first end.
     pub fn foot(&self, vertices_mm: &[DVec3], p_mm: DVec3) -> DVec3 {
         let [a, b] = self.ends.map(|i| vertices_mm[i as usize]);
         let along = b - a;
@@ -62,11 +62,11 @@ impl Edge {
     }
 }
 
-/// A triangle in its own frame: x along its longest edge from `origin_mm`, y across it towards the third corner, z
-/// along the normal. On the longest edge even a sliver's frame and regions are known to rounding, where barycentric
-/// coordinates lose all digits.
+/// A triangle in its own frame: x along its longest edge from `origin_mm`, y in the plane towards the
+/// third corner, z along the normal. The longest edge keeps the frame of a sliver accurate to rounding;
+/// barycentric coordinates would lose all digits.
 ///
-/// It fills two lines of a cache: one tells the plane and the names, the other what only a point near the plane needs.
+/// It fills two cache lines: the first holds plane and indices, the second data needed only near the plane.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(128))]
 pub(super) struct Face {
@@ -84,11 +84,11 @@ pub(super) struct Face {
 
 const _: () = assert!(size_of::<Face>() == 128);
 
-/// A line through an edge meets one of its faces, whatever rounding says.
+/// A line through an edge must hit one of its two faces despite rounding.
 const ON_EDGE_MM: f64 = 1e-9;
 
 impl Face {
-    /// Of a triangle with an area and this unit normal.
+    /// A triangle with an area and this unit normal.
     pub fn new(welded: &Welded, triangle: usize, normal: DVec3) -> Self {
         let first = longest(welded, triangle);
         let turn = |k: usize| (first + k) % 3;
@@ -114,13 +114,13 @@ impl Face {
         }
     }
 
-    /// Height of a point over the plane, mm.
+    /// Signed height of a point above the plane, mm.
     #[inline]
     pub fn height_mm(&self, p_mm: DVec3) -> f64 {
         self.normal.dot(p_mm - self.origin_mm)
     }
 
-    /// Whether a point of the plane is within the triangle.
+    /// Whether a point in the plane is within the triangle.
     #[inline]
     pub fn contains(&self, p_mm: DVec3) -> bool {
         let q = p_mm - self.origin_mm;
@@ -130,7 +130,7 @@ impl Face {
         inside.into_iter().all(|side| side >= -ON_EDGE_MM)
     }
 
-    /// Squared distance and where, unless it is above `limit_mm2`. `place` is this face's own.
+    /// Squared distance and site, unless it exceeds `limit_mm2`. `place` is this face's own position.
     #[inline]
     pub fn nearest(
         &self,
@@ -158,7 +158,8 @@ impl Face {
         Some(self.nearest_on_edges((edges, vertices_mm), p_mm, inside))
     }
 
-    /// Of a point outside of these edges: the nearest point of a convex shape lies on an edge that is seen from there.
+    /// For a point outside these edges: the nearest point of a convex shape is on an edge that faces the
+    /// point.
     #[inline(never)]
     fn nearest_on_edges(
         &self,
@@ -179,13 +180,13 @@ impl Face {
     }
 }
 
-/// The smaller one; a single instruction, unlike `f64::min`.
+/// The smaller value; a single instruction, unlike `f64::min`.
 #[inline]
 fn smaller(a: f64, b: f64) -> f64 {
     if a < b { a } else { b }
 }
 
-/// All edges, ready for queries.
+/// All edges, prepared for queries.
 pub(super) fn edges(welded: &Welded) -> Vec<Edge> {
     welded.edges.iter().map(|&ends| Edge::new(ends, &welded.vertices_mm)).collect()
 }

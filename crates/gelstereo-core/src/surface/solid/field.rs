@@ -8,55 +8,55 @@ use alloc::vec::Vec;
 
 /// Cells along a block's side.
 const CELLS: usize = 8;
-/// Nodes along a block's side: those between two blocks are in both, so that a query reads one block.
+/// Nodes along a block's side. Adjacent blocks both store their shared nodes, so that a query reads one
+/// block.
 const NODES: usize = CELLS + 1;
 const BLOCK: usize = NODES * NODES * NODES;
-/// From the first to the last of a cell's eight nodes.
+/// Index span from the first to the last of a cell's eight nodes.
 const SPAN: usize = NODES * NODES + NODES + 2;
-/// No block here: the surface is out of reach.
+/// No block: the surface is out of reach.
 const NONE: u32 = u32::MAX;
-/// A node out of reach, or one beside a hole, where the sign changes without the surface being near.
+/// Node out of reach, or beside a hole, where the sign changes away from the surface.
 const UNKNOWN: i16 = i16::MIN;
-/// Most blocks in the box around the part.
+/// Largest number of blocks in the box around the part.
 const MAX_PLACES: f64 = 131_072.0;
-/// Most nodes; with them it is built in about a second.
+/// Largest number of nodes; building that many takes about a second.
 const MAX_NODES: usize = 2_000_000;
-/// How much wider cells are made when there are too many.
+/// Factor by which cells are enlarged when there are too many.
 const WIDER: f64 = 1.125;
 
-/// Signed distances at the nodes of a grid within reach of a surface, and between them by trilinear interpolation: 37
-/// ns a query where [`Solid::closest_from`] takes 300 and more (example `nearest`).
+/// Signed distances at grid nodes within reach of a surface, with trilinear interpolation. A query takes
+/// 37 ns; [`Solid::closest_from`] takes 300 ns or more (example `nearest`).
 ///
-/// A distance changes by no more than the way gone, so that an interpolated one is never wrong by more than √3/2 =
-/// 0.87 of [`Self::cell_mm`]. That happens at sharp edges alone: over a face it is exact but for the rounding to 16
-/// bits, and around a surface of radius R it is wrong by h² / 4R. Where signs jump, as they do between sheets that
-/// are not closed, it can be nearer to zero by up to 2.24 cells.
+/// A distance field has slope at most 1, so the interpolation error is at most √3/2 = 0.87 of
+/// [`Self::cell_mm`]. That occurs only at sharp edges. Over a face the value is exact up to rounding to
+/// 16 bits; around a surface of radius R the error is h² / 4R. Where signs jump, as between sheets that
+/// are not closed, the value can be too close to zero by up to 2.24 cells.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Field {
     low_mm: DVec3,
     cell_mm: f64,
     reach_mm: f64,
-    /// What one step of a value is.
+    /// Millimetres per unit of a value.
     step_mm: f64,
-    /// What a step over a cell is.
+    /// Gradient of one unit of difference across a cell.
     slope: f64,
     /// 1 / the width of a cell.
     per_cell: f64,
     /// Blocks along x, y and z.
     sides: [usize; 3],
-    /// And cells.
+    /// Cells along x, y and z.
     cells: DVec3,
-    /// Where a block's values begin, in blocks, or [`NONE`]; x runs fastest.
+    /// First value of each block, in blocks, or [`NONE`]; x runs fastest.
     block_at: Vec<u32>,
     values: Vec<i16>,
 }
 
 impl Field {
-    /// Of a surface, with cells of `cell_mm`, or as wide as it takes for at most two million nodes; the reach is two such cells
-    /// at least.
+    /// The field of a surface, with cells of `cell_mm`, enlarged if needed for at most two million nodes.
+    /// The reach is at least two such cells.
     ///
-    /// `None` for a reach or width that is not positive, or a reach that is not some cells wide or exceeds 1000 of
-    /// them.
+    /// `None` unless width and reach are positive, and the reach is 2 to 1000 cells.
     #[must_use]
     pub fn new(solid: &Solid, cell_mm: f64, reach_mm: f64) -> Option<Self> {
         Self::new_unless(solid, cell_mm, reach_mm, NEVER).ok().flatten()
@@ -84,24 +84,24 @@ impl Field {
                 return Ok(Some(field));
             }
             cell_mm *= WIDER;
-            // So that the same field is made of its own numbers.
+            // So that the field can be rebuilt from its own cell width and reach.
             reach_mm = reach_mm.max(2.0 * cell_mm);
         }
     }
 
-    /// Width of a cell, at least what was asked for.
+    /// Width of a cell, at least the requested one.
     #[must_use]
     pub const fn cell_mm(&self) -> f64 {
         self.cell_mm
     }
 
-    /// Largest distance that it knows, at least what was asked for.
+    /// Largest distance stored, at least the requested one.
     #[must_use]
     pub const fn reach_mm(&self) -> f64 {
         self.reach_mm
     }
 
-    /// Memory of the grid.
+    /// Memory of the grid, bytes.
     #[must_use]
     pub const fn bytes(&self) -> usize {
         self.values.len() * size_of::<i16>() + self.block_at.len() * size_of::<u32>()
@@ -114,12 +114,13 @@ impl Field {
         self.values.iter().fold(grid, |digest, value| digest.bytes(&value.to_le_bytes())).value()
     }
 
-    /// Distance, positive outside, and its gradient; `None` where the surface is out of reach, or beside a hole.
+    /// Distance, positive outside, and its gradient; `None` where the surface is out of reach, or beside
+    /// a hole.
     #[must_use]
     #[inline(always)]
     pub fn distance(&self, p_mm: DVec3) -> Option<(f64, DVec3)> {
         let at = (p_mm - self.low_mm) * self.per_cell;
-        // What is not a number is not within.
+        // NaN fails these comparisons.
         let is_within = |axis: usize| at[axis] >= 0.0 && at[axis] < self.cells[axis];
         if !(is_within(0) && is_within(1) && is_within(2)) {
             return None;
@@ -158,7 +159,7 @@ impl Field {
         for (place, block) in block_at.iter_mut().enumerate() {
             ask(stop, place)?;
             let middle = corner(place, sides) * side_mm + low_mm + 0.5 * side_mm;
-            // Whatever in the block is within reach of the surface brings its middle within this.
+            // If any point of the block is within reach, its middle is within this distance.
             if let Some(found) = solid.closest_within(middle, reach_mm + half_diagonal_mm, near) {
                 near = Some(found.triangle);
                 *block = count as u32;
@@ -198,12 +199,12 @@ impl Field {
         Ok(())
     }
 
-    /// The value of a node that a block before has too.
+    /// The value of a node shared with an earlier block.
     fn known(&self, place: usize, node: [usize; 3]) -> Option<i16> {
         let (mut stride, mut step) = (1, 1);
         let here = node[0] + NODES * (node[1] + NODES * node[2]);
         for axis in 0..3 {
-            // On the lower face, of which the block below has the nodes on its upper one.
+            // A node on the lower face is stored as the upper face of the block below.
             let is_first = (place / stride).is_multiple_of(self.sides[axis]);
             if node[axis] == 0 && !is_first && self.block_at[place - stride] != NONE {
                 return Some(
@@ -216,8 +217,9 @@ impl Field {
         None
     }
 
-    /// Unless a surface is closed and nowhere crosses itself, signs change where the nearest point jumps from one sheet
-    /// to another. A distance does not change by more than the way gone, and there it seems to.
+    /// Marks nodes as unknown where the difference to the next one exceeds a distance field's slope.
+    /// Signs jump there: on open or self-intersecting surfaces the nearest point switches from one sheet
+    /// to another.
     fn forget_jumps(&mut self) {
         let most = (self.cell_mm / self.step_mm) as i32 + 2;
         for block in self.values.chunks_exact_mut(BLOCK) {
@@ -234,18 +236,18 @@ impl Field {
     }
 }
 
-/// Block coordinates of a place.
+/// Block coordinates of a block index.
 fn corner(place: usize, sides: [usize; 3]) -> DVec3 {
     let [x, y, z] = [place % sides[0], place / sides[0] % sides[1], place / sides[0] / sides[1]];
     DVec3::new(x as f64, y as f64, z as f64)
 }
 
-/// Nodes farther from the surface are in no cell with a point within reach.
+/// Larger distances occur at no node of a cell that has a point within reach.
 fn largest_mm(cell_mm: f64, reach_mm: f64) -> f64 {
     reach_mm + DVec3::splat(cell_mm).length()
 }
 
-/// Value and gradient in steps between the eight nodes of a cell.
+/// Value and gradient, in stored units, between the eight nodes of a cell.
 #[inline(always)]
 fn interpolate(nodes: &[i16; SPAN], share: DVec3) -> Option<(f64, DVec3)> {
     const ROW: usize = NODES;
@@ -268,7 +270,7 @@ fn interpolate(nodes: &[i16; SPAN], share: DVec3) -> Option<(f64, DVec3)> {
     Some((at_y[0] + dz * z, gradient))
 }
 
-/// The smaller one; a single instruction, unlike `f64::min`.
+/// The smaller value; a single instruction, unlike `f64::min`.
 #[inline]
 fn smaller(a: f64, b: f64) -> f64 {
     if a < b { a } else { b }

@@ -21,7 +21,7 @@ use face::{Edge, Face, Found, Site};
 use tree::{Boxes, Item};
 use weld::{Kind, Welded};
 
-/// What the nearest point of the surface lies on.
+/// The feature that holds the nearest point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Feature {
     /// Within a triangle.
@@ -37,35 +37,37 @@ pub enum Feature {
 pub struct Closest {
     /// The point of the surface, object frame.
     pub point_mm: DVec3,
-    /// Outward unit normal there: the face's, or at an edge or vertex the angle-weighted mean of its faces'.
+    /// Outward unit normal there: the face's; at an edge or vertex the angle-weighted mean of its faces'
+    /// normals.
     pub normal: DVec3,
-    /// Distance, positive on the side that `normal` points to: outside, if the surface is closed.
+    /// Distance, positive on the side of `normal`: outside, if the surface is closed.
     pub distance_mm: f64,
-    /// The triangle, by its place in the mesh; of several at the same distance the first one.
+    /// Index of the triangle in the mesh; the lowest of several at the same distance.
     pub triangle: u32,
-    /// What the point lies on.
+    /// Feature that holds the point.
     pub feature: Feature,
 }
 
-/// Which faces a search is among: those whose outward normal n has n·d ≥ `least_cosine` for the unit vector d.
+/// Restricts a search to faces whose outward normal n has n·d ≥ `least_cosine` for the unit vector d.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Facing {
-    /// d, object frame, a unit vector: what presses on the face lies this way from it.
+    /// d, object frame, a unit vector: the direction from the face towards what presses on it.
     pub direction: DVec3,
-    /// From -1 for all faces over 0 for those that look this way at all, to 1.
+    /// -1 for all faces, 0 for those facing d at all, up to 1.
     pub least_cosine: f64,
 }
 
-/// The surface of a body, built once from a mesh: the nearest point of it, exactly as a search through all triangles
-/// would say.
+/// The surface of a body, built once from a mesh. Queries return exactly the nearest point of a
+/// brute-force search.
 ///
-/// Vertices at the same place are one. Inside and outside are told apart by the pseudo-normal of the face, edge or
-/// vertex that is nearest (Baerentzen and Aanaes 2005), which is exact for a closed surface; [`Self::report`] says
-/// whether it is one. With holes the distance is as exact, and its sign is that of the nearest side alone.
+/// Coincident vertices are merged. The sign is that of the pseudo-normal of the nearest face, edge or vertex
+/// (Baerentzen and Aanaes 2005), which is exact for a closed surface; [`Self::report`] states whether it is
+/// closed. With holes the distance stays exact, and its sign is only that of the nearest side.
 ///
-/// Queries allocate nothing. A tree of boxes, eight to a node, leads to few triangles: on a part of 5184 about a
-/// millimetre wide, with a first guess, 0.30 us for points 0.03 mm off the surface and 0.50 us for points 1.5 mm off;
-/// 0.43 and 0.70 us without (example `nearest`). Finer triangles at the same distance take longer.
+/// Queries do not allocate. An 8-way bounding-box tree leads to few triangles. Timings on a part of 5184
+/// triangles about a millimetre wide, with a first guess: 0.30 us for points 0.03 mm off the surface and
+/// 0.50 us for points 1.5 mm off; 0.43 and 0.70 us without (example `nearest`). Finer triangles at the
+/// same distance take longer.
 #[derive(Clone, Debug)]
 pub struct Solid {
     vertices_mm: Vec<DVec3>,
@@ -74,20 +76,20 @@ pub struct Solid {
     edges: Vec<Edge>,
     edge_normals: Vec<DVec3>,
     vertex_normals: Vec<DVec3>,
-    /// In the order of the tree.
+    /// In tree order.
     faces: Vec<Face>,
-    /// Where each triangle stands in that order.
+    /// Position of each triangle in tree order.
     place_of: Vec<u32>,
     boxes: Boxes,
     bounds_mm: (DVec3, DVec3),
-    /// What squared distances may be wrong by, over and above their share; see [`Self::limit`].
+    /// Absolute error bound of squared distances, in addition to the relative one; see [`Self::limit`].
     slack_mm2: f64,
     report: SolidReport,
 }
 
 impl Solid {
-    /// Of a mesh whose triangles are counter-clockwise seen from outside; holes, repetitions and triangles without an
-    /// area are no reason to refuse it, and are in the [`Self::report`].
+    /// From a mesh whose triangles are counter-clockwise seen from outside. Holes, duplicates and
+    /// triangles without area are accepted and listed in [`Self::report`].
     ///
     /// # Errors
     /// [`SolidError`].
@@ -142,31 +144,31 @@ impl Solid {
         })
     }
 
-    /// What was found when it was built.
+    /// Findings about the mesh.
     #[must_use]
     pub const fn report(&self) -> &SolidReport {
         &self.report
     }
 
-    /// Whether the sign of a distance tells inside from outside.
+    /// Whether the sign of a distance separates inside from outside.
     #[must_use]
     pub const fn is_closed(&self) -> bool {
         self.report.is_closed()
     }
 
-    /// Outward unit normal of a triangle, zero for one without an area, that repeats another, or that there is not.
+    /// Outward unit normal of a triangle; zero for one without area, a duplicate, or an unknown index.
     #[must_use]
     pub fn face_normal(&self, triangle: u32) -> DVec3 {
         self.face(triangle).map_or(DVec3::ZERO, |(_, face)| face.normal)
     }
 
-    /// The places of the mesh's vertices, each once, in ascending order.
+    /// The distinct vertex positions, ascending.
     #[must_use]
     pub fn vertices_mm(&self) -> &[DVec3] {
         &self.vertices_mm
     }
 
-    /// Corners of all triangles, in [`Self::vertices_mm`].
+    /// Corners of all triangles, as indices into [`Self::vertices_mm`].
     #[must_use]
     pub fn triangles(&self) -> &[[u32; 3]] {
         &self.corners
@@ -178,7 +180,7 @@ impl Solid {
         self.bounds_mm
     }
 
-    /// Digest of places and triangles.
+    /// Digest of vertices and triangles.
     #[must_use]
     pub fn digest(&self) -> u64 {
         let places = Digest::new().f64s(self.vertices_mm.iter().flat_map(|v| v.to_array()));
@@ -188,31 +190,31 @@ impl Solid {
 
     /// The nearest point of the surface.
     ///
-    /// Coordinates are good to 1e12 mm. A point that is not finite, or too far for its square, has the distance ∞
-    /// to the first face's corner.
+    /// Accurate for coordinates up to 1e12 mm. A point that is not finite, or whose squared distance
+    /// overflows, gets the distance ∞ to the first face's corner.
     #[must_use]
     pub fn closest(&self, p_mm: DVec3) -> Closest {
         self.resolve(p_mm, self.search(p_mm, None, f64::INFINITY, |_| true))
     }
 
-    /// As [`Self::closest`], and the same answer, sooner if `triangle` is near: that of the last query close by.
-    /// A name that no face has is a guess as good as none.
+    /// As [`Self::closest`], with the same result; faster if `triangle` is near, such as that of the last
+    /// nearby query. An index without a face has no effect.
     #[must_use]
     pub fn closest_from(&self, p_mm: DVec3, triangle: u32) -> Closest {
         self.resolve(p_mm, self.search(p_mm, Some(triangle), f64::INFINITY, |_| true))
     }
 
-    /// As [`Self::closest_from`], but `None` when nothing is within `reach_mm`, which is found out sooner.
+    /// As [`Self::closest_from`], but `None` if nothing is within `reach_mm`, which is faster.
     #[must_use]
     pub fn closest_within(&self, p_mm: DVec3, reach_mm: f64, triangle: Option<u32>) -> Option<Closest> {
         let found = self.search(p_mm, triangle, reach_mm * reach_mm, |_| true)?;
         Some(self.resolve(p_mm, Some(found))).filter(|c| c.distance_mm.abs() <= reach_mm)
     }
 
-    /// The nearest point of faces that look a given way, within `reach_mm`: on a thin plate the side that is touched,
-    /// however deep the point lies under it. `triangle` as in [`Self::closest_from`].
+    /// The nearest point of faces with a given orientation, within `reach_mm`: on a thin plate the
+    /// touched side, however deep the point is below it. `triangle` as in [`Self::closest_from`].
     ///
-    /// The sign of the distance is the side of the nearest face, edge or vertex.
+    /// The sign of the distance is that of the side of the nearest face, edge or vertex.
     #[must_use]
     pub fn closest_facing(
         &self,
@@ -226,8 +228,8 @@ impl Solid {
         Some(self.resolve(p_mm, Some(found))).filter(|c| c.distance_mm.abs() <= reach_mm)
     }
 
-    /// Where a line through `p_mm` that comes against `facing.direction` first meets a face that looks that way, of the
-    /// line's part within `reach_mm` of the point. The distance is along the line, positive before the face.
+    /// First hit of the line through `p_mm`, travelling against `facing.direction`, on a face with that
+    /// orientation, within `reach_mm` of the point. The distance is along the line, positive before the face.
     #[must_use]
     pub fn first_met(&self, p_mm: DVec3, facing: &Facing, reach_mm: f64) -> Option<Closest> {
         let way = facing.direction;
@@ -251,14 +253,14 @@ impl Solid {
         best
     }
 
-    /// A triangle's place in the order of the tree, and what is there.
+    /// A triangle's position in tree order, and the face there.
     #[inline]
     fn face(&self, triangle: u32) -> Option<(u32, &Face)> {
         let place = *self.place_of.get(triangle as usize)?;
         Some((place, self.faces.get(place as usize)?))
     }
 
-    /// The first face in (squared distance, triangle) of those asked for whose squared distance is up to `most_mm2`.
+    /// The first wanted face in order of (squared distance, triangle) with squared distance up to `most_mm2`.
     #[inline]
     fn search(
         &self,
@@ -293,10 +295,11 @@ impl Solid {
         best
     }
 
-    /// The squared distance that a box or plane must have for nothing in it to have come out below `squared_mm2`.
+    /// Squared distance beyond which a box or plane can be skipped: despite rounding, nothing in it can
+    /// evaluate to less than `squared_mm2`.
     ///
-    /// A distance d on a mesh with the diagonal D is wrong by e = 16 ε (D + d) at most, boxes by less, and
-    /// (d + e)² ≤ d² (1 + δ) + e² (1 + 1/δ) for every δ > 0; here δ = 1e-9.
+    /// On a mesh of diagonal D the error of a distance d is at most e = 16 ε (D + d), less for boxes.
+    /// For every δ > 0, (d + e)² ≤ d² (1 + δ) + e² (1 + 1/δ); here δ = 1e-9.
     #[inline]
     fn limit(&self, squared_mm2: f64) -> f64 {
         squared_mm2 * (1.0 + 2e-9) + self.slack_mm2
@@ -334,7 +337,7 @@ impl Solid {
     }
 }
 
-/// Length, negative behind the normal.
+/// Length, negative if the offset points against the normal.
 fn signed(offset_mm: DVec3, normal: DVec3) -> f64 {
     let length_mm = sqrt(offset_mm.length_squared());
     if offset_mm.dot(normal) < 0.0 { -length_mm } else { length_mm }

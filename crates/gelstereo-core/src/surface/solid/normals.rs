@@ -1,5 +1,5 @@
-//! Normals of faces, and pseudo-normals of edges and vertices, which tell inside from outside everywhere
-//! (Baerentzen and Aanaes 2005).
+//! Normals of faces, and pseudo-normals of edges and vertices, which give the sign of the distance
+//! everywhere (Baerentzen and Aanaes 2005).
 
 use super::weld::{Kind, Welded, lengths_squared};
 use crate::math::{DVec3, atan2, sqrt};
@@ -7,7 +7,7 @@ use crate::stop::{Stop, Stopped, ask};
 use crate::surface::area_vector;
 use alloc::vec::Vec;
 
-/// How many triangles without an area in a row are looked through for the face behind them.
+/// Largest number of consecutive triangles without area to cross in search of a face.
 const LOOKED_THROUGH: usize = 16;
 
 /// Outward unit normals; zero where there is none.
@@ -35,7 +35,7 @@ pub(super) fn normals(welded: &Welded, stop: Stop<'_>) -> Result<Normals, Stoppe
     Ok(Normals { faces, edges, vertices })
 }
 
-/// The vector's direction; zero when it has none.
+/// The unit vector, or zero when it has no direction.
 pub(super) fn unit(v: DVec3) -> DVec3 {
     let largest = v.abs().max_element();
     if largest > 0.0 && largest.is_finite() {
@@ -46,7 +46,7 @@ pub(super) fn unit(v: DVec3) -> DVec3 {
     }
 }
 
-/// Square to the longest edge: of a sliver the product of the edges is not, by rounding over its height.
+/// Made orthogonal to the longest edge: for a sliver the cross product is not, by rounding over its height.
 fn face_normal(welded: &Welded, triangle: usize) -> DVec3 {
     let (places, first) = (welded.places(triangle), longest(welded, triangle));
     let along = unit(places[(first + 1) % 3] - places[first]);
@@ -54,14 +54,15 @@ fn face_normal(welded: &Welded, triangle: usize) -> DVec3 {
     unit(normal - along * normal.dot(along))
 }
 
-/// Every face at an edge has the angle π there.
+/// Every face has the angle π at an edge, so all weights are equal.
 fn edge_normal(welded: &Welded, faces: &[DVec3], edge: usize) -> DVec3 {
     let mut sum = DVec3::ZERO;
     for side in welded.uses(edge) {
         let triangle = side.triangle as usize;
         sum += match welded.kinds[triangle] {
             Kind::Face => faces[triangle],
-            // From the long edge one looks through to both short ones, and from those to the long one.
+            // At a cap's long edge, uses the faces across both short edges; at a short edge, the face
+            // across the long one.
             Kind::Cap if usize::from(side.corner) == longest(welded, triangle) => {
                 let others = [1, 2].map(|k| (usize::from(side.corner) + k) % 3);
                 unit(others.iter().map(|&k| across(welded, faces, triangle, k)).sum())
@@ -69,7 +70,7 @@ fn edge_normal(welded: &Welded, faces: &[DVec3], edge: usize) -> DVec3 {
             Kind::Cap | Kind::Left => behind(welded, faces, triangle),
         };
     }
-    // Two faces back to back cancel, and a sum of rounding errors is no direction.
+    // The normals of two faces back to back cancel, and a sum of rounding errors has no direction.
     if sum.length_squared() > 1e-24 { unit(sum) } else { first_face(welded, faces, edge) }
 }
 
@@ -78,7 +79,7 @@ fn first_face(welded: &Welded, faces: &[DVec3], edge: usize) -> DVec3 {
     normals.find(|&n| n != DVec3::ZERO).unwrap_or(DVec3::ZERO)
 }
 
-/// The normal of the triangle on the other side of an edge, zero for one without an area.
+/// Normal of the triangle on the other side of an edge; zero if it has no area.
 fn across(welded: &Welded, faces: &[DVec3], triangle: usize, corner: usize) -> DVec3 {
     other(welded, triangle, corner).map_or(DVec3::ZERO, |t| faces[t])
 }
@@ -88,7 +89,7 @@ fn other(welded: &Welded, triangle: usize, corner: usize) -> Option<usize> {
     welded.uses(edge as usize).iter().map(|side| side.triangle as usize).find(|&t| t != triangle)
 }
 
-/// The normal of the face that a cap lies along: the one behind its longest edge.
+/// Normal of the face next to a cap, across the cap's longest edge.
 fn behind(welded: &Welded, faces: &[DVec3], cap: usize) -> DVec3 {
     let mut at = cap;
     for _ in 0..LOOKED_THROUGH {
@@ -101,7 +102,7 @@ fn behind(welded: &Welded, faces: &[DVec3], cap: usize) -> DVec3 {
     DVec3::ZERO
 }
 
-/// The corner from which the longest edge leaves; the first of equals.
+/// The corner at which the longest edge starts; the first of equals.
 pub(super) fn longest(welded: &Welded, triangle: usize) -> usize {
     let [a, b, c] = lengths_squared(&welded.places(triangle));
     if a >= b && a >= c {

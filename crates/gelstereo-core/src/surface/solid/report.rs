@@ -1,34 +1,34 @@
-//! What is known about a mesh as the boundary of a body, and why some bound none.
+//! Validity of a mesh as the boundary of a body, and errors.
 
 use crate::stop::Stopped;
 
-/// Most triangles that are held.
+/// Largest number of triangles.
 pub const MAX_TRIANGLES: usize = 4_000_000;
 
-/// Coordinates beyond this, a million kilometres, are taken for a mistake.
+/// Coordinates beyond this, a million kilometres, are treated as errors.
 pub const REACH_MM: f64 = 1e12;
 
-/// What a mesh is as the boundary of a body. Nothing of it keeps distances from being exact.
+/// Validity of a mesh as the boundary of a body. None of these defects makes distances inexact.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SolidReport {
     /// Triangles given.
     pub triangles: usize,
-    /// Triangles without an area beyond the rounding of their coordinates; distances pass over them.
+    /// Triangles whose area is below the rounding of their coordinates; distances ignore them.
     pub degenerate: usize,
-    /// Triangles that repeat an earlier one, facing the same way; distances pass over them.
+    /// Triangles that repeat an earlier one with the same orientation; distances ignore them.
     pub duplicates: usize,
-    /// Edges with a triangle on one side alone: the rims of holes.
+    /// Edges with a triangle on one side only: the rims of holes.
     pub boundary_edges: usize,
-    /// Edges along which two triangles run the same way, so that one of them is inside out.
+    /// Edges whose triangles have inconsistent orientation, so that one of two is inside out.
     pub clashing_edges: usize,
-    /// Edges that more than two triangles share: bodies that touch, or a wall within.
+    /// Edges shared by more than two triangles: touching bodies, or an internal wall.
     pub crowded_edges: usize,
     /// Signed volume, mm³ (divergence theorem): negative when faces are inside out, meaningless with holes.
     pub volume_mm3: f64,
 }
 
 impl SolidReport {
-    /// Whether the surface parts space into inside and outside: no holes, and neighbours face the same way.
+    /// Whether the surface separates inside from outside: no holes and consistent orientation.
     #[must_use]
     pub const fn is_closed(&self) -> bool {
         self.boundary_edges == 0 && self.clashing_edges == 0
@@ -41,7 +41,7 @@ impl SolidReport {
     }
 }
 
-/// Why a mesh has no distance.
+/// Why a mesh has no distance field.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SolidError {
     /// No triangle has an area beyond the rounding of its coordinates.
@@ -51,7 +51,7 @@ pub enum SolidError {
         /// Which vertex.
         vertex: usize,
     },
-    /// More triangles than four million.
+    /// More than four million triangles.
     TooMany {
         /// Triangles found.
         found: usize,

@@ -1,29 +1,29 @@
-//! A tree of boxes over triangles, eight children to a node.
+//! Bounding-box tree over triangles, eight children per node.
 //!
-//! Boxes only say where to look, so they are kept in single precision, from the middle of the surface, and taken a
-//! little larger than they are: eight of them are measured by as many instructions as four in double precision.
+//! Boxes only guide the search. They are stored in single precision, relative to the middle of the
+//! surface, and slightly enlarged. Testing eight takes as many instructions as four in double precision.
 
 use crate::math::DVec3;
 use crate::stop::{Stop, Stopped, ask};
 use alloc::vec::Vec;
 use core::ops::Range;
 
-/// Children of a node: their boxes are measured side by side.
+/// Children per node; their boxes are tested side by side.
 const WAYS: usize = 8;
-/// A child of this few triangles is a leaf.
+/// Largest number of triangles in a leaf.
 const LEAF: usize = 2;
-/// Bits of a child's name that say which node it is, or which triangle is the first of a leaf.
+/// Bits of a child's name that hold its node index, or the first triangle of a leaf.
 const NAME_BITS: u32 = 28;
 /// Levels for 2²⁸ triangles and more: each divides them by eight.
 const MAX_LEVELS: usize = 10;
-/// Open children at any time, at most, and room to write one that is not kept.
+/// Largest number of open children, with room for one that is written but not kept.
 const MAX_OPEN: usize = (WAYS - 1) * MAX_LEVELS + 2;
-/// How much larger boxes are taken than they are, as a share of the largest coordinate of box and point: four times
-/// what rounding either of them to single precision may be wrong by.
+/// Enlargement of boxes, as a share of the largest coordinate of box and point: four times the error of
+/// rounding either to single precision.
 const MARGIN: f64 = 1.0 / (1 << 22) as f64;
-/// A square of a distance to a box is a sum of three, each of two roundings of 2⁻²⁴.
+/// A squared distance to a box is a sum of three terms, each with two roundings of 2⁻²⁴.
 const ROUNDING: f64 = 1e-6;
-/// Of larger coordinates single precision has no sum of squares.
+/// Squared sums of larger coordinates overflow single precision.
 const FAR_MM: f64 = 1e18;
 /// Squares below this, of a distance of 1e-18 mm, are too small for single precision.
 const MIN_MM2: f64 = 1e-36;
@@ -33,22 +33,23 @@ struct Node {
     /// Lower corners of the children's boxes: x, y, z of all.
     low: [[f32; WAYS]; 3],
     high: [[f32; WAYS]; 3],
-    /// The node, or the first place of a leaf with the number of its triangles above [`NAME_BITS`].
+    /// The child node; or for a leaf its first position, with its number of triangles above
+    /// [`NAME_BITS`].
     child: [u32; WAYS],
 }
 
-/// Places of triangles, in boxes; ranges are split at their median in the total order (centre, index), so that
-/// coplanar and equal triangles split as evenly as any others.
+/// A tree of boxes over triangle positions. Ranges are split at the median in the total order (centre,
+/// index), so that coplanar and duplicate triangles split evenly too.
 #[derive(Clone, Debug)]
 pub(super) struct Boxes {
     nodes: Vec<Node>,
-    /// Where boxes are measured from.
+    /// Origin of the boxes' coordinates.
     middle_mm: DVec3,
-    /// Largest coordinate from there.
+    /// Largest coordinate relative to that origin.
     reach_mm: f64,
 }
 
-/// A box and what is in it.
+/// A triangle with its box.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Item {
     pub low: DVec3,
@@ -57,7 +58,7 @@ pub(super) struct Item {
 }
 
 impl Boxes {
-    /// Orders the items, of which there is at least one and fewer than 2²⁸, as the tree's places.
+    /// Sorts the items (at least one, fewer than 2²⁸) into tree order.
     pub fn new(items: &mut [Item], stop: Stop<'_>) -> Result<Self, Stopped> {
         let (low, high) = bounds(items);
         let middle_mm = low + (high - low) * 0.5;
@@ -67,13 +68,14 @@ impl Boxes {
         Ok(boxes)
     }
 
-    /// Calls `visit` for places, of near boxes first, whose box is within the squared distance `limit_mm2`, which is
-    /// finite and which `visit` may lower and returns. Some boxes that are a little farther are visited, too.
+    /// Calls `visit` for positions whose box is within the squared distance `limit_mm2`, roughly nearest
+    /// first. `limit_mm2` is finite; `visit` returns it and may lower it. Boxes slightly farther away may
+    /// be visited too.
     #[inline]
     pub fn near(&self, p_mm: DVec3, mut limit_mm2: f64, mut visit: impl FnMut(u32, f64) -> f64) {
         let q_mm = p_mm - self.middle_mm;
         let margin_mm = MARGIN * (q_mm.abs().max_element() + self.reach_mm);
-        // From everywhere beyond FAR_MM all boxes are as near, for their squares to have a value.
+        // Beyond FAR_MM all boxes count as equally near, so that squares stay finite.
         let from = (q_mm - margin_mm).to_array().map(|x| if x > FAR_MM { FAR_MM } else { x } as f32);
         let to = (q_mm + margin_mm).to_array().map(|x| if x < -FAR_MM { -FAR_MM } else { x } as f32);
         let query = (from, to);
@@ -98,12 +100,12 @@ impl Boxes {
         }
     }
 
-    /// Adds the node over these items, which stand from `first` on; its name.
+    /// Adds the node over these items, which start at position `first`; returns its index.
     fn grow(&mut self, items: &mut [Item], first: usize, stop: Stop<'_>) -> Result<u32, Stopped> {
         let name = self.nodes.len();
         ask(stop, name)?;
         self.nodes.push(Node {
-            // A box that is not there is infinitely far from everywhere.
+            // A missing child is infinitely far from everything.
             low: [[f32::INFINITY; WAYS]; 3],
             high: [[f32::NEG_INFINITY; WAYS]; 3],
             child: [0; WAYS],
@@ -133,7 +135,7 @@ impl Boxes {
 }
 
 impl Node {
-    /// Puts the children within reach on top of `open`, the nearest last; how many there are then.
+    /// Pushes the children within reach onto `open`, the nearest last; returns the new count.
     #[inline]
     fn open(
         &self,
@@ -144,8 +146,8 @@ impl Node {
     ) -> usize {
         let squared = self.squared(query);
         let (mut end, mut nearest, mut least) = (count, count, f32::INFINITY);
-        // Written first and counted then: which children are near cannot be foretold, and a branch would be wrong
-        // half of the time. What is not a number is not within.
+        // Writes first and counts afterwards: which children are near is unpredictable, so half of all
+        // branches would be mispredicted. NaN fails the comparison.
         for k in 0..WAYS {
             open[end] = (squared[k], self.child[k]);
             nearest = if squared[k] < least { end } else { nearest };
@@ -173,13 +175,13 @@ impl Node {
     }
 }
 
-/// The larger one, or `b` if one is not a number; a single instruction, unlike `f32::max`.
+/// The larger value, or `b` if either is NaN; a single instruction, unlike `f32::max`.
 #[inline]
 fn larger(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 
-/// The smaller one, or `b` if one is not a number.
+/// The smaller value, or `b` if either is NaN.
 #[inline]
 fn smaller(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
@@ -190,13 +192,13 @@ fn single(v: DVec3) -> [f32; 3] {
     v.to_array().map(|x| x as f32)
 }
 
-/// The square that a box within this squared distance does not exceed in single precision.
+/// Upper bound, in single precision, of the square of a box within this squared distance.
 #[inline]
 fn single_limit(squared_mm2: f64) -> f32 {
     ((squared_mm2 * (1.0 + ROUNDING) + MIN_MM2) as f32).min(f32::MAX)
 }
 
-/// Splits at the median, and the halves and quarters again.
+/// Splits at the median, then the halves and the quarters.
 fn eighths(items: &mut [Item]) -> [Range<usize>; WAYS] {
     let mut ends = [0; WAYS + 1];
     ends[WAYS] = items.len();

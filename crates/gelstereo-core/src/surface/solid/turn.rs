@@ -1,4 +1,4 @@
-//! Turning triangles so that neighbours face the same way and the whole faces outward.
+//! Orients triangles consistently and outward.
 
 use super::weld::{Kind, NONE, Use, Welded};
 use crate::math::sqrt;
@@ -6,21 +6,21 @@ use crate::stop::{NEVER, Stop, Stopped, ask};
 use crate::surface::{TriangleMesh, area_vector};
 use alloc::vec::Vec;
 
-/// What had to be turned.
+/// What was reoriented.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Turned {
-    /// Triangles that faced the other way than most of those they hang together with.
+    /// Triangles oriented against the majority of their connected shell.
     pub stray: usize,
-    /// Whether the whole was inside out.
+    /// Whether the whole surface was inside out.
     pub inside_out: bool,
 }
 
 impl TriangleMesh {
-    /// The same triangles, those turned that face the other way than the larger area of what they hang together with,
-    /// and then all of them if they bound a negative volume.
+    /// Reorients triangles that disagree with the larger area of their connected shell, then all of them
+    /// if they bound a negative volume.
     ///
-    /// Triangles hang together over edges of two. A surface with holes has no inside, and is turned by its majority
-    /// alone.
+    /// Shells are connected across edges of exactly two triangles. A surface with holes has no inside, so
+    /// only its majority decides.
     #[must_use]
     pub fn turned_outward(&self) -> (Self, Turned) {
         self.turned_outward_unless(NEVER).unwrap_or_default()
@@ -50,7 +50,7 @@ impl TriangleMesh {
     }
 }
 
-/// Which triangles face the other way than most of their shell.
+/// Flags triangles oriented against the majority of their shell.
 fn strays(welded: &Welded, stop: Stop<'_>) -> Result<Vec<bool>, Stopped> {
     let mut turned = alloc::vec![false; welded.corners.len()];
     let mut seen = turned.clone();
@@ -88,7 +88,7 @@ fn strays(welded: &Welded, stop: Stop<'_>) -> Result<Vec<bool>, Stopped> {
     Ok(turned)
 }
 
-/// The other triangle of an edge of two, and whether it runs along it the same way, as it should not.
+/// The other triangle of a two-triangle edge, and whether both traverse it in the same direction (an error).
 fn neighbour(uses: &[Use], triangle: usize) -> Option<(usize, bool)> {
     let [a, b] = uses else { return None };
     let other = if a.triangle as usize == triangle { b } else { a };

@@ -1,4 +1,4 @@
-//! Which triangles meet where: vertices at the same place are one, whatever the file says.
+//! Mesh topology, with vertices at the same position merged.
 
 use super::report::SolidReport;
 use crate::math::DVec3;
@@ -6,31 +6,31 @@ use crate::stop::{Stop, Stopped, ask};
 use crate::surface::{TriangleMesh, area_vector};
 use alloc::vec::Vec;
 
-/// No edge: the triangle takes no part.
+/// No edge: the triangle is ignored.
 pub(super) const NONE: u32 = u32::MAX;
 
-/// What a triangle is good for.
+/// Role of a triangle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     /// It has an area.
     Face,
-    /// Three places on a line: it joins its neighbours and is no surface itself.
+    /// Three collinear corners: it connects its neighbours but is not a surface itself.
     Cap,
-    /// Two corners at one place, or a repetition.
+    /// Ignored: two corners at one position, or a duplicate.
     Left,
 }
 
-/// One triangle's side of an edge.
+/// One triangle's side along an edge.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Use {
     pub triangle: u32,
-    /// The edge from this corner to the next one.
+    /// The side goes from this corner to the next one.
     pub corner: u8,
     /// Whether it runs from the edge's first end to its second.
     pub forward: bool,
 }
 
-/// Vertices, triangles and edges of a mesh with equal places welded.
+/// Vertices, triangles and edges of a mesh with coincident vertices merged.
 pub(super) struct Welded {
     pub vertices_mm: Vec<DVec3>,
     /// Corners of every triangle.
@@ -41,11 +41,11 @@ pub(super) struct Welded {
     /// The edges from each corner of a triangle to the next, or [`NONE`].
     pub edges_of: Vec<[u32; 3]>,
     uses: Vec<Use>,
-    /// Where each edge's uses begin, and their end.
+    /// Start of each edge's uses, and the end of the last one.
     first_use: Vec<u32>,
 }
 
-/// Sides sorted between two questions whether to stop: some milliseconds.
+/// Sides sorted between two stop checks: some milliseconds.
 const SORTED_AT_ONCE: usize = 1 << 16;
 
 impl Welded {
@@ -64,7 +64,7 @@ impl Welded {
             run.sort_unstable_by_key(key);
         }
         ask(stop, 0)?;
-        // The stable sort merges runs that are sorted.
+        // The stable sort merges the sorted runs.
         sides.sort_by_key(key);
         ask(stop, 0)?;
         let (mut edges, mut first_use) = (Vec::new(), Vec::new());
@@ -81,12 +81,12 @@ impl Welded {
         Ok(Self { vertices_mm, corners, kinds, edges, edges_of, uses, first_use })
     }
 
-    /// The triangles' sides along an edge.
+    /// The triangle sides along an edge.
     pub fn uses(&self, edge: usize) -> &[Use] {
         &self.uses[self.first_use[edge] as usize..self.first_use[edge + 1] as usize]
     }
 
-    /// The three places of a triangle.
+    /// The three corner positions of a triangle.
     pub fn places(&self, triangle: usize) -> [DVec3; 3] {
         self.corners[triangle].map(|i| self.vertices_mm[i as usize])
     }
@@ -117,7 +117,7 @@ impl Welded {
     }
 
     fn volume_mm3(&self) -> f64 {
-        // About a vertex: an offset of the whole part costs no digits.
+        // Relative to a vertex, so that an offset of the part does not cost precision.
         let origin = self.vertices_mm[0];
         let faces = (0..self.corners.len()).filter(|&t| self.kinds[t] == Kind::Face);
         faces
@@ -129,9 +129,9 @@ impl Welded {
     }
 }
 
-/// The different places in ascending order, and the place of every vertex.
+/// The distinct positions in ascending order, and the index of every vertex among them.
 fn weld(vertices_mm: &[DVec3]) -> (Vec<DVec3>, Vec<u32>) {
-    // A sum with 0.0 makes -0.0 the same place as 0.0.
+    // Adding 0.0 turns -0.0 into 0.0.
     let key = |i: u32| (vertices_mm[i as usize] + 0.0).to_array();
     let mut order: Vec<u32> = (0..vertices_mm.len() as u32).collect();
     order.sort_unstable_by(|&i, &j| {
@@ -159,8 +159,8 @@ fn kinds(vertices_mm: &[DVec3], corners: &[[u32; 3]]) -> Vec<Kind> {
             return Kind::Left;
         }
         let places = [a, b, c].map(|i| vertices_mm[i as usize]);
-        // Coordinates are known to half a unit in the last place; a height of 64 of those knows its direction to some
-        // hundredths.
+        // Coordinates are exact to half a unit in the last place. A height of 64 such units fixes the
+        // normal to a few hundredths.
         let largest = places.iter().fold(0.0_f64, |most, p| most.max(p.abs().max_element()));
         let rounding_mm = 64.0 * f64::EPSILON * largest;
         let longest_squared = lengths_squared(&places).into_iter().fold(0.0, f64::max);
@@ -175,7 +175,7 @@ pub(super) fn lengths_squared([a, b, c]: &[DVec3; 3]) -> [f64; 3] {
     [a.distance_squared(*b), b.distance_squared(*c), c.distance_squared(*a)]
 }
 
-/// Of triangles with the same corners in the same turn the first one stays.
+/// Ignores duplicates: of triangles with the same corners and orientation, only the first is kept.
 fn leave_repetitions(corners: &[[u32; 3]], kinds: &mut [Kind]) {
     let turned = |[a, b, c]: [u32; 3]| {
         if a < b && a < c {
