@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import numpy.typing as npt
+
 from gelstereo.calibrate.solve import board_points_mm
 
 Array = npt.NDArray[np.float64]

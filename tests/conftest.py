@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import signal
 
-import gelstereo
 import hypothesis
 import pytest
+
+import gelstereo
 
 # No example may depend on how fast the machine is, and every run tries the same ones.
 hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=True, max_examples=60)

@@ -9,9 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-import gelstereo
 import numpy as np
 import numpy.typing as npt
+
+import gelstereo
 
 Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]

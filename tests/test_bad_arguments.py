@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import gelstereo
 import numpy as np
 import pytest
+
+import gelstereo
 from gelstereo import (
     FingerKinematics,
     Params,
@@ -104,9 +105,9 @@ def beyond(gap_mm: float) -> Rig:
         (lambda: turned(2.0), "FrameError", "max_theta_rad is 2; valid is 0.001 to 1.57 rad"),
         (lambda: SensorMount.facing(FingerKinematics.robotiq_2f85(), [4e9, 0, 28]), "FrameError", "valid is"),
         (
-            lambda: Params().replace(register={"sigma_start_mm": 1e300}),
+            lambda: Params().replace(register={"filterreg": {"max_sigma_mm": 1e300}}),
             "ParamsError",
-            "sigma_start_mm is 1.*valid",
+            "max_sigma_mm is 1.*valid",
         ),
         (
             lambda: Params().replace(lattice={"pitch_mm": 1e9}),

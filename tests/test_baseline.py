@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import gelstereo
 import numpy as np
 import pytest
-from gelstereo_bench.frontier import baseline, baseline_register
-from gelstereo_bench.frontier.scenes import sphere_press
-from gelstereo.geometry import se3_exp
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+import gelstereo
+from gelstereo.geometry import se3_exp
+from gelstereo_bench.frontier import baseline, baseline_register
+from gelstereo_bench.frontier.scenes import sphere_press
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import pytest
+from scipy.ndimage import gaussian_filter
+
 from gelstereo import Scene, Simulator
 from gelstereo_bench.frontier.bounds import (
     Grain,
@@ -13,7 +15,6 @@ from gelstereo_bench.frontier.bounds import (
     edge_bound_px,
     marker_bounds_px,
 )
-from scipy.ndimage import gaussian_filter
 
 Array = npt.NDArray[np.float64]
 

@@ -5,16 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 import cv2
-import gelstereo
 import numpy as np
 import pytest
 from chessboards import BOARD, SIZE_PX, SQUARE_MM, TrueRig, board_poses, corner_views, draw_pair, write_pairs
+from real_data import DATA, needs
+
+import gelstereo
 from gelstereo import calibrate
 from gelstereo.calibrate.corner_worker import find_corners
 from gelstereo.calibrate.corners import CornerFinder, Corners, neighbouring_boards
 from gelstereo.calibrate.observe import Observation, align
 from gelstereo.calibrate.solve import board_points_mm
-from real_data import DATA, needs
 
 CHESS = DATA / "opencv_stereo_chess"
 NOISE_PX = 0.1

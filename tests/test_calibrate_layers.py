@@ -8,11 +8,12 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from scipy import optimize, stats
+
 from gelstereo import Params, Rig, geometry, triangulate
 from gelstereo.calibrate.errors import CalibrationError, UndeterminedLayersError
 from gelstereo.calibrate.layers import LayersCalibration, SeatedFrame, calibrate_layers
 from gelstereo.cli.main import main
-from scipy import optimize, stats
 
 F_PX = 600.0
 CAMERAS = Rig.parallel((640, 480), F_PX, 10.0)

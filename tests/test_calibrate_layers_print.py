@@ -11,16 +11,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import optimize, stats
+
 from gelstereo import Params, Pipeline, Rig, triangulate
 from gelstereo.calibrate.bundle import Linearised
 from gelstereo.calibrate.doubts import chi2_quantile
 from gelstereo.calibrate.layers import LayersCalibration, SeatedFrame, calibrate_layers
 from gelstereo.calibrate.print_error import print_variance
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from outside.images import Condition, Sequence
 from outside.optics import Camera, Optics, turned
-from scipy import optimize, stats
 
 COUNT, REACH, PITCH_MM, SIGMA_PX = 25, 6, 0.85, 0.03
 PRIORS = {"plate_0_thickness_mm": 0.05, "plate_0_index": 0.005}

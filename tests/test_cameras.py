@@ -5,13 +5,14 @@ from __future__ import annotations
 import sys
 
 import cv2
-import gelstereo as gs
 import numpy as np
 import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+
+import gelstereo as gs
 
 Bytes = npt.NDArray[np.uint8]
 LAYOUTS: list[gs.cameras.Layout] = [

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import cv2
-import gelstereo
 import numpy as np
 import numpy.typing as npt
 import pytest
+
+import gelstereo
 
 Floats = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]

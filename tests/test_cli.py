@@ -12,12 +12,13 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+from test_templates import ball_points, write_scan
+
 from gelstereo import Scene, Template, simulate
 from gelstereo.cli import main
 from gelstereo.cli.main import COMMANDS
 from gelstereo.cli.progress import progress
 from gelstereo.geometry import se3_exp
-from test_templates import ball_points, write_scan
 
 SCENE = """
 frame_rate_hz = 4

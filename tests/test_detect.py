@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+
 from gelstereo import DetectError, Detector, Error, ImageError, Params, Rig, SimulatedFrame
 
 PAPER = Params.preset("paper")

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import pytest
-from gelstereo import Rig, ShapeError, TriangulateError, disc_bias
-from gelstereo.geometry import se3_exp
 from hypothesis import given
 from hypothesis import strategies as st
+
+from gelstereo import Rig, ShapeError, TriangulateError, disc_bias
+from gelstereo.geometry import se3_exp
 
 Floats = npt.NDArray[np.float64]
 

@@ -11,9 +11,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-import gelstereo
 import pytest
 from chessboards import TrueRig, write_pairs
+
+import gelstereo
 
 REPOSITORY = Path(__file__).parents[1]
 MODULES = sorted(

@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 import trimesh
 from chessboards import TrueRig, write_pairs
+from test_templates import ball_points, write_scan
+
 from gelstereo import simulate
 from gelstereo.cli import main
 from gelstereo.cli.extras import module_of
 from gelstereo.cli.main import COMMANDS
-from test_templates import ball_points, write_scan
 
 SCENES = Path(__file__).parents[1] / "scenes"
 PRESS = """

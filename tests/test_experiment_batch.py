@@ -12,12 +12,13 @@ import sys
 from pathlib import Path
 
 import pytest
-from gelstereo_bench.experiments import batch
-from gelstereo_bench.experiments.batch import BatchError, Trial, keyed_seed, run_batch
-from gelstereo_bench.experiments.store import Record, Store, StoreError
 from hypothesis import given
 from hypothesis import strategies as st
 from trials import TRIALS, draw, not_json, refuses
+
+from gelstereo_bench.experiments import batch
+from gelstereo_bench.experiments.batch import BatchError, Trial, keyed_seed, run_batch
+from gelstereo_bench.experiments.store import Record, Store, StoreError
 
 
 @pytest.fixture(scope="module")

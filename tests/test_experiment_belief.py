@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gelstereo.geometry import se3_exp, se3_log
 from gelstereo_bench.experiments.insertion.belief import Belief, drawn
 from gelstereo_bench.experiments.insertion.chance import Prior
 from gelstereo_bench.experiments.insertion.sampling import InPlane, _density, believed
 from gelstereo_bench.experiments.insertion.sense import Found
-from gelstereo.geometry import se3_exp, se3_log
-from hypothesis import given
-from hypothesis import strategies as st
 
 #: A part that lies along the sensor's y, its face towards the camera, 4 mm below its axis.
 POSE = np.array([[0.0, 1.0, 0.0, 3.0], [0.0, 0.0, 1.0, -15.0], [1.0, 0.0, 0.0, 32.0], [0.0, 0.0, 0.0, 1.0]])

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 import pytest
+
 from gelstereo import parts
 from gelstereo_bench.experiments.insertion.bound import (
     Bound,

@@ -9,10 +9,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from trials import TRIALS, draw, refuses, slowly
+
 from gelstereo_bench.experiments import batch
 from gelstereo_bench.experiments.batch import BatchError, run_batch
 from gelstereo_bench.experiments.store import Record, Store
-from trials import TRIALS, draw, refuses, slowly
 
 
 @pytest.fixture(scope="module")

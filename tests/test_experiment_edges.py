@@ -6,7 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
 from gelstereo import Template, parts
+from gelstereo.geometry import se3_exp
 from gelstereo_bench.experiments.insertion import analysis, trials
 from gelstereo_bench.experiments.insertion.bound import heights_information
 from gelstereo_bench.experiments.insertion.chance import SAMPLES, Prior, chance
@@ -18,9 +22,6 @@ from gelstereo_bench.experiments.insertion.sampling import InPlane, believed
 from gelstereo_bench.experiments.insertion.sense import METHODS, Found
 from gelstereo_bench.experiments.insertion.teach import taught
 from gelstereo_bench.experiments.insertion.workplace import RANGES, workplace
-from gelstereo.geometry import se3_exp
-from hypothesis import given
-from hypothesis import strategies as st
 
 PITCH_MM = 0.9
 #: A contact of 9 x 18 mm on a lattice along x and y.

@@ -9,7 +9,13 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
 from gelstereo import Error
+from gelstereo.geometry import se3_exp, se3_log
+from gelstereo.view.html import Figure, Grid
 from gelstereo_bench.experiments.insertion import EXPERIMENT, analysis, physics_check, report, trials
 from gelstereo_bench.experiments.insertion.analysis import Verdict
 from gelstereo_bench.experiments.insertion.chance import SAMPLES, adjoint, chance, matters, weakest
@@ -19,11 +25,6 @@ from gelstereo_bench.experiments.insertion.physics import Hand, descend
 from gelstereo_bench.experiments.insertion.physics_check import limit
 from gelstereo_bench.experiments.insertion.robot import RobotErrors, over_hole
 from gelstereo_bench.experiments.insertion.trial import run
-from gelstereo.geometry import se3_exp, se3_log
-from gelstereo.view.html import Figure, Grid
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy import stats
 
 FITS = {letter: fit_of(letter) for letter in GRASPED}
 

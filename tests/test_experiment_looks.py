@@ -7,6 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gelstereo.geometry import se3_exp, se3_log
+from gelstereo.view.html import Grid
 from gelstereo_bench.experiments.insertion import analysis, trials
 from gelstereo_bench.experiments.insertion.analysis import Verdict
 from gelstereo_bench.experiments.insertion.belief import Belief
@@ -25,10 +30,6 @@ from gelstereo_bench.experiments.insertion.sampling import InPlane, believed
 from gelstereo_bench.experiments.insertion.sense import METHODS, Found
 from gelstereo_bench.experiments.insertion.trial import run
 from gelstereo_bench.experiments.insertion.workplace import workplace
-from gelstereo.geometry import se3_exp, se3_log
-from gelstereo.view.html import Grid
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 POSE = np.array([[0.0, 1.0, 0.0, 3.0], [0.0, 0.0, 1.0, -15.0], [1.0, 0.0, 0.0, 32.0], [0.0, 0.0, 0.0, 1.0]])
 seeds = st.integers(0, 2**31)

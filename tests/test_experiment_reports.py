@@ -19,8 +19,10 @@ from xml.etree import ElementTree
 import cv2
 import numpy as np
 import pytest
+
 from gelstereo import Params, parts
 from gelstereo.cli import main
+from gelstereo.view.html import Details, Figure, Grid, Heading, Paragraph, document
 from gelstereo_bench.experiments import boards, objects
 from gelstereo_bench.experiments.batch import Trial, run_batch
 from gelstereo_bench.experiments.boards_report import boards_report
@@ -30,7 +32,6 @@ from gelstereo_bench.experiments.objects_report import TABLE
 from gelstereo_bench.frontier.boards import BASELINE
 from gelstereo_bench.frontier.rungs import RUNGS
 from gelstereo_bench.frontier.scenes import BOARDS_MM
-from gelstereo.view.html import Details, Figure, Grid, Heading, Paragraph, document
 
 VOID = {"meta", "img", "br", "hr", "link"}
 

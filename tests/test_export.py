@@ -6,13 +6,14 @@ import json
 from pathlib import Path
 
 import cv2
-import gelstereo as gs
 import numpy as np
 import pytest
-from gelstereo.cli import main
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+
+import gelstereo as gs
+from gelstereo.cli import main
 
 pytest.importorskip("rosbags", reason="PyPI's rosbags is not installed")
 parquet = pytest.importorskip("pyarrow.parquet", reason="PyPI's pyarrow is not installed")

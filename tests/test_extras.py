@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import pytest
+
 from gelstereo.cli.main import COMMANDS
 from gelstereo.extras import REQUIREMENTS, MissingExtra, needs
 

@@ -7,11 +7,12 @@ import shutil
 import subprocess
 from pathlib import Path
 
-import gelstereo
 import numpy as np
 import pytest
 from test_recording_readers import host_binary
 from test_streams import folder_digests
+
+import gelstereo
 
 pytestmark = pytest.mark.long
 

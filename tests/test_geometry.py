@@ -8,11 +8,12 @@ from __future__ import annotations
 import mpmath
 import numpy as np
 import pytest
-from gelstereo import FingerKinematics, PoseError, RegisterError, geometry
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.spatial import cKDTree
+
+from gelstereo import FingerKinematics, PoseError, RegisterError, geometry
 
 mpmath.mp.dps = 50
 U = 2.0**-53

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 import trimesh
+
 from gelstereo import Template
 from gelstereo_bench.frontier.grasps import Grasp
 

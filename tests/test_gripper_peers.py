@@ -18,10 +18,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import gelstereo
 import pytest
 from gripper_peers.wire import Faults, Wire
 from test_recording_readers import host_binary
+
+import gelstereo
 
 pytest.importorskip("pymodbus")
 PEERS = Path(__file__).parent / "gripper_peers"

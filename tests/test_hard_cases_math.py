@@ -9,9 +9,10 @@ from __future__ import annotations
 import mpmath
 import numpy as np
 import pytest
-from gelstereo import PoseError, geometry
 from hypothesis import given
 from hypothesis import strategies as st
+
+from gelstereo import PoseError, geometry
 
 mpmath.mp.dps = 50
 U = 2.0**-53

@@ -11,10 +11,11 @@ from typing import Any
 import mpmath
 import numpy as np
 import pytest
-from gelstereo import Params, Rig, RigError, triangulate
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy import optimize
+
+from gelstereo import Params, Rig, RigError, triangulate
 
 mpmath.mp.dps = 50
 U = 2.0**-53

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import gelstereo
 import numpy as np
 import pytest
-from gelstereo import RegisterError, geometry
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import Rotation
+
+import gelstereo
+from gelstereo import RegisterError, geometry
 
 EPS = float(np.finfo(float).eps)
 METHODS = ["filterreg_point", "filterreg_plane", "ransac_icp"]
@@ -31,7 +32,7 @@ def moved(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def params(method: str, **register: float) -> gelstereo.Params:
-    settings = {"method": method, "ransac_hypotheses": 200, **register}
+    settings = {"method": method, "ransac_icp": {"hypotheses": 200}, **register}
     return gelstereo.Params().replace(register=settings)
 
 

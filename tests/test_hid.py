@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import sys
 
-import gelstereo.hid
 import pytest
-from gelstereo import HidError
-from gelstereo._native import Blink1Command, TaraAssembly, TaraRequest, hid_udev_rule
 from hypothesis import given
 from hypothesis import strategies as st
+
+import gelstereo.hid
+from gelstereo import HidError
+from gelstereo._native import Blink1Command, TaraAssembly, TaraRequest, hid_udev_rule
 
 REQUESTS = [
     TaraRequest.firmware(),

@@ -123,7 +123,7 @@ PATCH = (
 STILL_REGISTERS = "assert localize(few, template, t_sensor_object=guess, params=usual).digest == before"
 
 
-def registering(method: str, count: int = 20_000, **settings: float) -> tuple[str, str, str]:
+def registering(method: str, count: int = 20_000, **settings: dict[str, float]) -> tuple[str, str, str]:
     wide = {"register": {"method": method, **settings}}
     setup = PATCH.format(count=count, settings=wide, method=method)
     return setup, "localize(patch, template, t_sensor_object=guess, params=params)", STILL_REGISTERS
@@ -131,19 +131,29 @@ def registering(method: str, count: int = 20_000, **settings: float) -> tuple[st
 
 SAMPLES = {
     "filterreg_point": registering(
-        "filterreg_point", sigma_start_mm=2.0, max_iterations=100_000, step_tolerance=1e-12
+        "filterreg_point",
+        filterreg={"max_sigma_mm": 2.0},
+        advanced={"max_iterations": 100_000, "step_tolerance": 1e-12},
     ),
-    "filterreg_plane": registering("filterreg_plane", sigma_floor_mm=2.0, sigma_start_mm=2.0),
-    "ransac_icp": registering("ransac_icp", ransac_hypotheses=1_000_000),
+    "filterreg_plane": registering("filterreg_plane", filterreg={"min_sigma_mm": 2.0, "max_sigma_mm": 2.0}),
+    "ransac_icp": registering("ransac_icp", ransac_icp={"hypotheses": 1_000_000}),
     "surface_search": registering(
-        "surface_search", 2_000, starts=4096, budget=100_000_000, max_iterations=100_000
+        "surface_search",
+        2_000,
+        surface_search={"starts": 4096, "budget": 100_000_000},
+        advanced={"max_iterations": 100_000},
     ),
 }
 # The first frame is searched for, and goes on as if it had not been interrupted.
 LOCALIZER = (
     PATCH.format(
         count=2_000,
-        settings={"register": {"starts": 4096, "budget": 100_000_000, "method": "surface_search"}},
+        settings={
+            "register": {
+                "surface_search": {"starts": 4096, "budget": 100_000_000},
+                "method": "surface_search",
+            }
+        },
         method="surface_search",
     )
     + "; localizer = Localizer(template, t_sensor_object=guess, params=params)",

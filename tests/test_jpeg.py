@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
+
 from gelstereo import Scene, Simulator
 
 Image = npt.NDArray[np.uint8]

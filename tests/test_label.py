@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from gelstereo import LabelError, Params, foresight_sort, rest_lattice
 from hypothesis import given
 from hypothesis import strategies as st
+
+from gelstereo import LabelError, Params, foresight_sort, rest_lattice
 
 PITCH_PX = 17.0
 

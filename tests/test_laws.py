@@ -18,9 +18,10 @@ from collections.abc import Iterable
 import mpmath
 import numpy as np
 import pytest
-from gelstereo import geometry
 from hypothesis import example, given
 from hypothesis import strategies as st
+
+from gelstereo import geometry
 
 MOST_ULP = 4.0
 PI = math.pi

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 
-import gelstereo
 import numpy as np
 import numpy.typing as npt
 import pytest
 import tamaas
-from gelstereo.recordings import episodes, load_pytac3d, pytac3d_example
-from gelstereo_bench.reports import physics
-from gelstereo_bench.reports.recordings import SALIENCY_MM
 from layer_reference import Disc
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import nnls
 from scipy.stats import chi2
+
+import gelstereo
+from gelstereo.recordings import episodes, load_pytac3d, pytac3d_example
+from gelstereo_bench.reports import physics
+from gelstereo_bench.reports.recordings import SALIENCY_MM
 
 Array = npt.NDArray[np.float64]
 

@@ -9,9 +9,10 @@ import os
 import subprocess
 from pathlib import Path
 
-import gelstereo as gs
 import numpy as np
 import pytest
+
+import gelstereo as gs
 from gelstereo.cli import main
 
 pytestmark = pytest.mark.long

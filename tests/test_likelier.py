@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+
+from gelstereo.geometry import se3_exp
 from gelstereo_bench.frontier.grasps import GRASPED, NOISES, STARTS, Grasp, grasps, simulator_of
 from gelstereo_bench.frontier.likelier import log_likelihood, success_or_likelier
-from gelstereo.geometry import se3_exp
 
 
 @pytest.fixture(scope="module")

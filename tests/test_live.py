@@ -18,9 +18,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
-import gelstereo as gs
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import gelstereo as gs
 from gelstereo.cli import main
 from gelstereo.live import FolderSource, LiveFrame, LiveSensor, SceneSource
 from gelstereo.live.latest import Latest
@@ -32,8 +35,6 @@ from gelstereo.live.shown import Shown
 from gelstereo.live.source import _there_and_back
 from gelstereo.live.web import WebViewer
 from gelstereo.view.window import window_problem
-from hypothesis import given
-from hypothesis import strategies as st
 
 SCENES = Path(__file__).parents[1] / "scenes"
 SCENE = SCENES / "grasp_cylinder.toml"

@@ -8,9 +8,15 @@ import subprocess
 from pathlib import Path
 
 import cv2
-import gelstereo as gs
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from test_live import PATIENCE_S, SCENE, Played
+from test_recording_readers import check_frame, host_binary
+
+import gelstereo as gs
 from gelstereo._native import parse_toml
 from gelstereo.cli import main
 from gelstereo.export.images import decoded
@@ -21,11 +27,6 @@ from gelstereo.live.notes import config_toml, ros_covariance
 from gelstereo.live.record import LiveRecorder
 from gelstereo.live.run import LiveRun
 from gelstereo.view.recording import moment_of_recording
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
-from test_live import PATIENCE_S, SCENE, Played
-from test_recording_readers import check_frame, host_binary
 
 pytest.importorskip("rosbags", reason="PyPI's rosbags is not installed")
 

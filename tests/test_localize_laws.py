@@ -6,10 +6,11 @@ from collections import Counter, defaultdict
 
 import numpy as np
 import pytest
+
 from gelstereo import Params
 from outside.judge_registration import STARTS, Judged, contacts, registered
 
-PARAMS = Params().replace({"register": {"method": "surface_search", "search_radius_mm": 8.0}})
+PARAMS = Params().replace({"register": {"method": "surface_search", "advanced": {"search_radius_mm": 8.0}}})
 START = STARTS[1]
 
 

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.stats import binom, chi2
+
 from gelstereo import Params
 from gelstereo_bench.frontier.grasps import GRASPED, NOISES, STARTS, Grasp, grasps
 from gelstereo_bench.frontier.nees import Nees
-from scipy.stats import binom, chi2
 
 #: A right covariance fails a test once in so many runs of fresh seeds.
 _RARE = 1e-4
@@ -26,7 +27,11 @@ def contacts() -> list[Grasp]:
 
 def _nees(contacts: list[Grasp], budget: int) -> tuple[Nees, int]:
     """Of the successes, and how many of them ended by themselves."""
-    settings = {"method": "surface_search", "search_radius_mm": 8.0, "budget": budget}
+    settings = {
+        "method": "surface_search",
+        "advanced": {"search_radius_mm": 8.0},
+        "surface_search": {"budget": budget},
+    }
     params = Params().replace({"register": settings})
     nees, ended = Nees(), 0
     for seed, grasp in enumerate(contacts):
@@ -69,7 +74,9 @@ def test_successes_lie_within_their_covariance(contacts: list[Grasp], share: flo
 def test_edges_tell_where_a_flat_part_lies() -> None:
     """Faces tell three directions of a key; its outline tells the others, as well as it says."""
     key = next(press for press in GRASPED if press.name == "key")
-    params = Params().replace({"register": {"method": "surface_search", "search_radius_mm": 8.0}})
+    params = Params().replace(
+        {"register": {"method": "surface_search", "advanced": {"search_radius_mm": 8.0}}}
+    )
     outside, count = 0, 0
     for seed, grasp in enumerate(grasps(key, NOISES[0], range(301, 313))):
         found = grasp.registered(grasp.guess(STARTS[0], seed), params)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+
 from gelstereo import Params, RegisterError, ShapeError, Template, localize
 from gelstereo.geometry import se3_exp, se3_log
 

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from scipy.stats import binom
+
 from gelstereo import Localization, Params, Template, localize, parts
 from gelstereo.geometry import se3_exp
-from scipy.stats import binom
 
 PITCH_MM, REST_MM, PRESS_MM, SIGMA_MM = 1.5, 28.7, 1.2, 0.02
 #: The head is out of sight, as on a bolt that is held by it; the tip is 4 mm off the gel's middle.
@@ -47,7 +48,11 @@ class Pressed:
             # This gel comes back to rest at once beside the part.
             # Five pitches of 90 points take more than the usual budget.
             params=Params().replace(
-                {"register.method": method, "register.budget": 1_000_000, "contact.decay_mm": 0.1}
+                {
+                    "register.method": method,
+                    "register.surface_search.budget": 1_000_000,
+                    "contact.decay_mm": 0.1,
+                }
             ),
         )
 

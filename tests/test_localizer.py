@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from gelstereo import Localizer, Params, PoseError, RegisterError, Symmetry, Template, localize
-from gelstereo.geometry import se3_exp, se3_log
 from scipy.stats import chi2
 from test_localize_surface import corner
+
+from gelstereo import Localizer, Params, PoseError, RegisterError, Symmetry, Template, localize
+from gelstereo.geometry import se3_exp, se3_log
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +29,9 @@ def test_a_part_is_found_followed_lost_and_found_again(box: Template, method: st
     localizer = Localizer(box, t_sensor_object=guess, params=params)
     assert localizer.template is box and localizer.t_sensor_object is None
     found = localizer.process(salient, all_points_mm=everything)
-    assert found.tracking == "relocalized" and found.log_odds > 0 and off_deg(found.t_sensor_object, truth) < 2
+    assert (
+        found.tracking == "relocalized" and found.log_odds > 0 and off_deg(found.t_sensor_object, truth) < 2
+    )
     assert np.array_equal(localizer.t_sensor_object, found.t_sensor_object)
 
     # A step to the side, a small turn.

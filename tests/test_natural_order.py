@@ -5,9 +5,10 @@ from __future__ import annotations
 import random
 from pathlib import Path
 
-from gelstereo.cli.files import natural_key, stereo_pairs
 from hypothesis import given
 from hypothesis import strategies as st
+
+from gelstereo.cli.files import natural_key, stereo_pairs
 
 # The Rust source is tested against the same list.
 NAMES = (Path(__file__).parent / "natural_order.txt").read_text(encoding="utf-8").splitlines()

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from gelstereo import MeshError, ShapeError, Symmetry, Template, TemplateError
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from real_data import DATA
+
+from gelstereo import MeshError, ShapeError, Symmetry, Template, TemplateError
 
 MESHES = [*sorted(DATA.glob("factory_meshes/*.obj")), *sorted(DATA.glob("meshes_realsense/*.stl"))]
 

@@ -6,11 +6,12 @@ from pathlib import Path
 
 import hypothesis.extra.numpy as hnp
 import numpy as np
-from gelstereo import Template
-from gelstereo.geometry import nearest, shape_mesh
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
+
+from gelstereo import Template
+from gelstereo.geometry import nearest, shape_mesh
 
 EPS = float(np.finfo(float).eps)
 

@@ -6,9 +6,11 @@ import json
 from pathlib import Path
 from typing import Any
 
-import gelstereo
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
+
+import gelstereo
 from gelstereo._native import parse_toml
 from gelstereo_bench.frontier.grasps import GRASPED
 from outside import bonded, fields, grasped, images
@@ -17,7 +19,6 @@ from outside.judge import judged, under_glints
 from outside.judge_contacts import RULES, judge
 from outside.optics import Optics
 from outside.parts import Part, Posed, at_touch
-from scipy.spatial import cKDTree
 
 HERE = Path(images.__file__).parent
 STORED = images.names()

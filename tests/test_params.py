@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from gelstereo import Error, Params, ParamsError, Scene, SceneError
 from hypothesis import given
 from hypothesis import strategies as st
+
+from gelstereo import Error, Params, ParamsError, Scene, SceneError
 
 
 @given(
@@ -69,8 +70,20 @@ def test_replace_leaves_the_original_alone_and_none_restores_the_default() -> No
         ({"detect.smooth_kernel_px": "three"}, r"smooth_kernel_px = \"three\".*invalid type"),
         ({"contact.saliency_mm": float("nan")}, r"contact.saliency_mm is NaN"),
         ({"lattice.rows": -3}, r"rows = -3|-3"),
-        ({"register.gel_scale": 0.0009}, r"register.gel_scale is 0.0009; valid is from 0.001 to 1000"),
-        ({"register.gel_scale": 1001}, r"register.gel_scale is 1001"),
+        (
+            {"register.advanced.gel_scale": 0.0009},
+            r"register.advanced.gel_scale is 0.0009; valid is from 0.001 to 1000",
+        ),
+        ({"register.advanced.gel_scale": 1001}, r"register.advanced.gel_scale is 1001"),
+        (
+            {"register.budget": 100},
+            r"unknown field `budget`.*register.budget is now register.surface_search.budget",
+        ),
+        ({"register.method": "icp_plane"}, r"unknown variant `icp_plane`.*icp_plane is now surface_close"),
+        (
+            {"contact.learn_decay": True, "contact.saliency": "depth"},
+            r"contact.learn_decay = true requires contact.saliency = \"pressure\"",
+        ),
         ({"detect": 3}, r"detect = 3"),
         ({"detect.centre": object()}, r"centre: the setting is of type object; valid is a number"),
         ({"lattice.rows": 2**70}, r"rows: 1180591620717411303424 does not fit into 64 bits"),

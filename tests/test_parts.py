@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from gelstereo import MeshError, parts
 from hypothesis import given
 from hypothesis import strategies as st
+
+from gelstereo import MeshError, parts
 
 ALL = {**parts.PEGS, **parts.CONTACTS}
 

@@ -7,10 +7,11 @@ import pickle
 from pathlib import Path
 from typing import TypeVar
 
-import gelstereo as gs
 import numpy as np
 import pytest
 import trimesh
+
+import gelstereo as gs
 from gelstereo.geometry import se3_exp
 
 T = TypeVar("T")

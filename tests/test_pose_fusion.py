@@ -5,10 +5,11 @@ from __future__ import annotations
 import mpmath
 import numpy as np
 import pytest
-from gelstereo import RegisterError, geometry
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import optimize, stats
+
+from gelstereo import RegisterError, geometry
 
 seeds = st.integers(0, 2**31)
 #: Turns are known to mrad, shifts to 0.1 mm.

@@ -7,9 +7,10 @@ import shutil
 import cv2
 import numpy as np
 import pytest
+from real_data import DATA, needs
+
 from gelstereo.calibrate import StereoCalibration
 from gelstereo_bench.reports import chessboards
-from real_data import DATA, needs
 
 pytestmark = needs("opencv_stereo_chess")
 

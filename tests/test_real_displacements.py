@@ -6,6 +6,7 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
+
 from gelstereo import Scene, SceneError, Simulator
 from gelstereo.recordings import episodes, load_pytac3d, pytac3d_example
 from gelstereo_bench.reports.displacements import SALIENCY_MM, Replay, replay

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import gelstereo
 import numpy as np
 import pytest
-from gelstereo_bench.reports.gels import GELS, RealGel, draw
 from real_data import DATA, needs
+
+import gelstereo
+from gelstereo_bench.reports.gels import GELS, RealGel, draw
 
 TACT = [gel for gel in GELS if gel.name.startswith("9dtact")]
 KHSU = next(gel for gel in GELS if gel.name == "khsu")

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from real_data import DATA, needs
+
 from gelstereo_bench.frontier.grasps import STARTS
 from gelstereo_bench.frontier.rungs import rungs_of
 from gelstereo_bench.reports.meshes import PARTS, MeshPart, measure
-from real_data import DATA, needs
 
 pytest.importorskip("rtree", reason="rtree is absent (pip install './bench')")
 # The plug is open where its cable goes in.

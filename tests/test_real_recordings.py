@@ -7,6 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
 from gelstereo.recordings import (
     CloudRecording,
     RecordingError,
@@ -28,8 +31,6 @@ from gelstereo_bench.reports.recordings import (
     steadiness,
     touching,
 )
-from hypothesis import given
-from hypothesis import strategies as st
 
 needs_wheel = pytest.mark.skipif(
     find_spec("PyTac3D") is None,

@@ -6,6 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import chi2
+
 from gelstereo.geometry import se3_exp
 from gelstereo.recordings import (
     CloudRecording,
@@ -20,9 +24,6 @@ from gelstereo.recordings import (
     smoothing_frames,
     undo_smoothing,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy.stats import chi2
 
 SEEDS = st.integers(0, 2**32 - 1)
 NOISE_MM = np.array([0.0007, 0.0008, 0.0035])

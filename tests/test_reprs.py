@@ -7,9 +7,10 @@ import io
 from pathlib import Path
 from types import ModuleType
 
-import gelstereo as gs
 import numpy as np
 import pytest
+
+import gelstereo as gs
 from gelstereo import calibrate, cameras, grippers, hid, streams, templates
 
 MODULES = [gs, calibrate, cameras, gs.geometry, grippers, hid, streams, templates]

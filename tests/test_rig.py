@@ -8,10 +8,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from gelstereo import PoseError, Rig, RigError, ShapeError
-from gelstereo.geometry import se3_exp
 from hypothesis import given
 from hypothesis import strategies as st
+
+from gelstereo import PoseError, Rig, RigError, ShapeError
+from gelstereo.geometry import se3_exp
 
 SIZE_PX = (640, 480)
 

@@ -13,8 +13,9 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from gelstereo.view.steps import Steps
 from test_recording_readers import host_binary
+
+from gelstereo.view.steps import Steps
 
 #: Elements without an end.
 _VOID = {"meta", "br", "img", "link", "input"}

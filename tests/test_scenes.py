@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from gelstereo import Scene, SceneError, simulate
 from gelstereo.cli.main import main
-from gelstereo_bench.reports.scenes import Exhibit, digest, draw, moments
 from gelstereo.simulation import plan_record
+from gelstereo_bench.reports.scenes import Exhibit, digest, draw, moments
 
 REPOSITORY = Path(__file__).parents[1]
 FILES = sorted((REPOSITORY / "scenes").glob("*.toml"))

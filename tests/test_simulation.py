@@ -6,10 +6,11 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
-import gelstereo
 import numpy as np
 import numpy.typing as npt
 import pytest
+
+import gelstereo
 from gelstereo import Scene, SceneError, Sight, SimulatedFrame, Simulator
 
 Array = npt.NDArray[np.float64]

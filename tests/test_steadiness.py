@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+
 from gelstereo import Template
 from gelstereo.recordings import RecordingError
 from gelstereo_bench.reports.steadiness import rest_noise_mm, scatter_by_noise, scatter_over_time, stillest

@@ -9,13 +9,14 @@ import subprocess
 import zlib
 from pathlib import Path
 
-import gelstereo
 import numpy as np
 import pytest
-from gelstereo import streams
 from hypothesis import given
 from hypothesis import strategies as st
 from test_recording_readers import host_binary
+
+import gelstereo
+from gelstereo import streams
 
 FIELDS = struct.Struct("<4sBBBBQQIIIII")
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import gelstereo
 import numpy as np
 import pytest
+
+import gelstereo
 from gelstereo import DenseSurface, RestSurface, pressure_saliency
 
 ROWS, COLS, PITCH_MM, DECAY_MM = 13, 11, 0.9, 2.0

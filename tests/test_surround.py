@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import gelstereo
 import numpy as np
 import pytest
 from drawn import PITCH_MM, SIDE, SURFACE_MM, Press, Sensor
+
+import gelstereo
 from gelstereo.states import MarkerState
 
 #: At once 1.4 mm deep, or more, a part bends the gel by more than half a pitch between two frames.

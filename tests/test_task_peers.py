@@ -19,15 +19,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import gelstereo
 import numpy as np
 import numpy.typing as npt
 import pytest
-from gelstereo.streams import FrameWriter
 from gripper_peers.wire import Wire
 from slow_line import SlowLine
 from test_gripper_peers import Server, robotiq, wait_for
 from test_recording_readers import host_binary
+
+import gelstereo
+from gelstereo.streams import FrameWriter
 
 pytestmark = pytest.mark.realtime
 

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from real_data import DATA
+from step_file import write_box, write_pin
+
 from gelstereo import MeshError, Params, RegisterError, ShapeError, Template, TemplateError, localize
 from gelstereo.geometry import nearest, se3_exp, se3_log, shape_mesh
 from gelstereo.templates import MeshWarning, load_mesh
-from real_data import DATA
-from step_file import write_box, write_pin
 
 MESHES = [*sorted(DATA.glob("factory_meshes/*.obj")), *sorted(DATA.glob("meshes_realsense/*.stl"))]
 PLANE = Params().replace({"register.method": "filterreg_plane"})

@@ -5,11 +5,12 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from gelstereo import Params, Rig, RigError, ShapeError, TriangulateError, triangulate, triangulate_covariance
-from gelstereo.geometry import se3_exp
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+
+from gelstereo import Params, Rig, RigError, ShapeError, TriangulateError, triangulate, triangulate_covariance
+from gelstereo.geometry import se3_exp
 
 F_PX, BASELINE_MM = 560.0, 8.0
 RIG = Rig.parallel((640, 480), F_PX, BASELINE_MM)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+
 from outside.discs import CONDITIONS
 from outside.judge_discs import judged
 

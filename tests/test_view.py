@@ -9,14 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.writer import Writer
+from rosbags.typesys import Stores, get_typestore
+
 from gelstereo import Error, SimulatedFrame
 from gelstereo.geometry import se3_exp, shape_mesh, so3_exp, so3_log
 from gelstereo.view import Moment, draw
 from gelstereo.view.canvas import HELD, LOST, SALIENT, SEEN, Canvas
 from gelstereo.view.moment import Part, pose_in_words
 from gelstereo.view.recording import RecordingError, moment_of_recording
-from mcap.writer import Writer
-from rosbags.typesys import Stores, get_typestore
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 SHAPE = {"kind": "sphere", "radius_mm": 4.0}

@@ -10,6 +10,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_recording_readers import host_binary
+from test_run_report import Tree
+
 from gelstereo.cli import main
 from gelstereo.geometry import shape_mesh
 from gelstereo.view.edges import feature_edges_mm
@@ -17,10 +22,6 @@ from gelstereo.view.messages import RecordingError
 from gelstereo.view.moment import Part
 from gelstereo.view.step_window import step_after
 from gelstereo.view.steps import Step, Steps, notes_of, outcome_in_words
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from test_recording_readers import host_binary
-from test_run_report import Tree
 
 STAGES = ["rest", "close", "localize", "align", "insert", "retreat"]
 #: The time that a program of others may take on a busy machine.

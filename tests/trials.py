@@ -5,8 +5,9 @@ from __future__ import annotations
 import time
 from typing import Any
 
-import gelstereo
 import numpy as np
+
+import gelstereo
 from gelstereo_bench.experiments.batch import Trial, keyed_seed
 from gelstereo_bench.experiments.store import Record
 

@@ -10,9 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import cv2
-import gelstereo
 import numpy as np
 import numpy.typing as npt
+
+import gelstereo
 
 Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]

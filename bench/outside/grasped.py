@@ -19,9 +19,10 @@ import numpy as np
 import numpy.typing as npt
 import tomllib
 import trimesh
+from scipy.interpolate import RectBivariateSpline
+
 from gelstereo_bench.frontier.grasps import GRASPED, SIDE, Press, place
 from gelstereo_bench.frontier.scenes import SURFACE_MM, VGA
-from scipy.interpolate import RectBivariateSpline
 
 from . import bonded, laws
 

@@ -14,9 +14,10 @@ import argparse
 import sys
 from dataclasses import dataclass, field
 
-import gelstereo
 import numpy as np
 import numpy.typing as npt
+
+import gelstereo
 from gelstereo.states import MarkerState
 
 from .images import Condition, Sequence, names

@@ -13,9 +13,10 @@ import sys
 from collections import defaultdict
 from dataclasses import dataclass, field
 
-import gelstereo
 import numpy as np
 import numpy.typing as npt
+
+import gelstereo
 
 from .fields import DATA, Field
 from .judge import Flags, f1

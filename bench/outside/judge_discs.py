@@ -10,10 +10,11 @@ import argparse
 import sys
 from dataclasses import dataclass, field
 
-import gelstereo
 import numpy as np
-from gelstereo.states import MarkerState
 from scipy.spatial import cKDTree
+
+import gelstereo
+from gelstereo.states import MarkerState
 
 from .discs import CONDITIONS, SIDE, Array, Condition, Find, Image, Print, opencv_centres
 

@@ -25,6 +25,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+from scipy.stats import chi2
+
 from gelstereo import (
     Error,
     Localization,
@@ -34,11 +36,10 @@ from gelstereo import (
     localize,
     pressure_saliency,
 )
+from gelstereo.geometry import se3_exp
 from gelstereo_bench.frontier.grasps import GRASPED, SIDE, Grasp, Start, surface_normals
 from gelstereo_bench.frontier.nees import Nees
 from gelstereo_bench.frontier.scenes import SURFACE_MM, VGA
-from gelstereo.geometry import se3_exp
-from scipy.stats import chi2
 
 from .grasped import DATA, jobs, lattice
 
@@ -217,11 +218,13 @@ def main() -> int:
     parser.add_argument("--half", choices=("w", "j"), default="w", help="w: for work, j: judged")
     parser.add_argument("--without-gel", action="store_true", help="register without the gel's model")
     parser.add_argument("--by-part", action="store_true", help="a row for each part under each law")
-    parser.add_argument("--budget", type=int, help="`register.budget`")
+    parser.add_argument("--budget", type=int, help="`register.surface_search.budget`")
     options = parser.parse_args()
-    params = Params().replace({"register": {"method": "surface_search", "search_radius_mm": 8.0}})
+    params = Params().replace(
+        {"register": {"method": "surface_search", "advanced": {"search_radius_mm": 8.0}}}
+    )
     if options.budget:
-        params = params.replace({"register.budget": options.budget})
+        params = params.replace({"register.surface_search.budget": options.budget})
     if options.without_gel:
         # A gel that comes back to rest within a pitch is not asked.
         params = params.replace({"contact.decay_mm": 0.5})

@@ -1,8 +1,8 @@
 """Time frames that move, with a tray in view, beside OpenCV: `python -m outside.speed`.
 
 Each sequence's pairs are taken there and back, so every frame is another one. The core's own program is timed; it needs
-cargo and the sources. OpenCV is `gelstereo_bench.frontier.baseline_fast`, in the same run and in turn with the presets. Its
-threshold is set by hand, and it is given the markers' true places at rest.
+cargo and the sources. OpenCV is `gelstereo_bench.frontier.baseline_fast`, in the same run and in turn with the presets.
+Its threshold is set by hand, and it is given the markers' true places at rest.
 
 - tracking, ms: a frame that follows another, median;
 - afresh, ms: the same frames, each labelled as a first one;
@@ -21,8 +21,9 @@ from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
-import gelstereo
 import numpy as np
+
+import gelstereo
 from gelstereo_bench.frontier.baseline_fast import FastBaseline
 from gelstereo_bench.frontier.runners import geometry_of, write_input
 from gelstereo_bench.frontier.timing import Stopwatch, Times

@@ -259,7 +259,7 @@ fn accepted_nonsense_is_refused() {
         ("recording.path", Value::String(String::new())),
         ("params.lattice.pitch_mm", Value::Float(5.0)),
         ("mount.kinematics.max_theta_rad", Value::Float(9e18)),
-        ("params.register.sigma_start_mm", Value::Float(1e300)),
+        ("params.register.filterreg.max_sigma_mm", Value::Float(1e300)),
     ];
     for (path, value) in cases {
         let message = verdict(path, value).unwrap_err();
@@ -314,6 +314,8 @@ fn a_key_that_does_not_exist_is_told_from_the_one_that_was_meant() {
         ),
         ("[task]\ninsertoin_depth_mm = 3", "did you mean `task.insertion_depth_mm`?"),
         ("[tasks]\nlift_mm = 3", "line 1: there is no setting `tasks`; did you mean `task`?"),
+        ("[params.register]\nransac_hypotheses = 9", "did you mean `params.register.ransac_icp.hypotheses`?"),
+        ("[params.register]\nmethod = \"icp_plane\"", "did you mean `surface_close`?"),
         ("[params]\npitch_mm = 1", "did you mean `params.lattice.pitch_mm`?"),
         ("[params.detect]\npitch_mm = 1", "did you mean `params.lattice.pitch_mm`?"),
         ("[params.detect.fit]\nblur = 1", "did you mean `params.detect.fit.blur_px`?"),

@@ -95,17 +95,15 @@ fn vector(u: &mut Unstructured<'_>, scale: f64) -> Result<DVec3> {
 }
 
 fn settings(u: &mut Unstructured<'_>) -> Result<RegisterParams> {
-    Ok(RegisterParams {
-        method: *u.choose(&RUNGS)?,
-        max_iterations: u.int_in_range(1..=40)?,
-        ransac_hypotheses: 50,
-        starts: u.int_in_range(1..=16)?,
-        budget: *u.choose(&[1, 100, 10_000, 1_000_000])?,
-        outlier_share: *u.choose(&[0.0, 0.1, 0.9])?,
-        point_sigma_mm: *u.choose(&[0.03, 1e-6, 1.0])?,
-        sigma_floor_mm: *u.choose(&[0.1, 1e-6])?,
-        ..RegisterParams::default()
-    })
+    let mut params = RegisterParams { method: *u.choose(&RUNGS)?, ..RegisterParams::default() };
+    params.advanced.max_iterations = u.int_in_range(1..=40)?;
+    params.ransac_icp.hypotheses = 50;
+    params.surface_search.starts = u.int_in_range(1..=16)?;
+    params.surface_search.budget = *u.choose(&[1, 100, 10_000, 1_000_000])?;
+    params.advanced.outlier_share = *u.choose(&[0.0, 0.1, 0.9])?;
+    params.point_sigma_mm = *u.choose(&[0.03, 1e-6, 1.0])?;
+    params.filterreg.min_sigma_mm = *u.choose(&[0.1, 1e-6])?;
+    Ok(params)
 }
 
 /// Points on the part at the true pose, off it by noise; or anywhere.

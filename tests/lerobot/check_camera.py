@@ -8,16 +8,17 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import draccus
-import gelstereo as gs
 import lerobot_camera_gelstereo.camera_gelstereo as plugin
 import numpy as np
 import pytest
-from gelstereo.live import LiveFrame
 from lerobot.cameras import Camera, CameraConfig, make_cameras_from_configs
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 from lerobot.utils.import_utils import register_third_party_plugins
 from lerobot_camera_gelstereo import GelStereoCamera, GelStereoCameraConfig
 from lerobot_camera_gelstereo.pictures import displacement_picture
+
+import gelstereo as gs
+from gelstereo.live import LiveFrame
 
 SCENE = Path(__file__).resolve().parents[2] / "scenes" / "press_sphere.toml"
 register_third_party_plugins()

@@ -19,7 +19,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import gelstereo
 import image
 import machine
 import pytest
@@ -29,6 +28,8 @@ from peers import Agent, WorldCamera, listen
 from test_recording_readers import host_binary
 from whole_task.cell import Cell, Outcome, Setting
 from whole_task.judge import assert_at_rest, assert_triggers, assert_true, frames
+
+import gelstereo
 
 pytestmark = [pytest.mark.long, pytest.mark.realtime]
 

@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import gelstereo as gs
 import image
 import machine
 import numpy as np
 import numpy.typing as npt
 import pytest
 from guest.checks import CHECKS, load_all
+
+import gelstereo as gs
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 EXAMPLES = ["camera_probe", "hid_probe"]

@@ -15,10 +15,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import gelstereo
 from gripper_peers.wire import Faults, Wire
 from test_recording_readers import ROOT, host_binary
 
+import gelstereo
 from whole_task.lateness import Lateness
 from whole_task.world import World
 

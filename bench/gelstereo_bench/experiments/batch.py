@@ -17,8 +17,8 @@ from typing import Any, TypeAlias
 from urllib.parse import urlsplit
 
 from gelstereo import Error
-from gelstereo_bench.experiments.store import Record, Store
 from gelstereo.extras import said
+from gelstereo_bench.experiments.store import Record, Store
 from gelstereo_bench.reports.provenance import build_digest
 
 __all__ = ["BatchError", "Configuration", "Progress", "Run", "Trial", "keyed_seed", "run_batch"]

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from gelstereo.view.html import Block, Figure, Grid, Heading, Paragraph
 from gelstereo_bench.experiments.batch import Trial
 from gelstereo_bench.experiments.figures import as_svg, box_plots
 from gelstereo_bench.experiments.report import Report
 from gelstereo_bench.experiments.store import Record
 from gelstereo_bench.frontier.boards import BASELINE
 from gelstereo_bench.frontier.scenes import CONDITIONS
-from gelstereo.view.html import Block, Figure, Grid, Heading, Paragraph
 
 __all__ = ["PAPER_UM", "boards_report", "errors_um", "height_table", "salient_table"]
 

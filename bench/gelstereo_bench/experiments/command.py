@@ -25,9 +25,15 @@ All write report.html into the output folder: one file with its figures inside, 
 
 #: Every experiment is a module with an `Experiment` of the name ``EXPERIMENT``.
 EXPERIMENTS = {
-    "boards": ("gelstereo_bench.experiments.boards", "height of boards pressed into the gel (Table I, Fig. 14)"),
+    "boards": (
+        "gelstereo_bench.experiments.boards",
+        "height of boards pressed into the gel (Table I, Fig. 14)",
+    ),
     "objects": ("gelstereo_bench.experiments.objects", "objects pressed into the gel, and located (Fig. 12)"),
-    "insertion": ("gelstereo_bench.experiments.insertion", "grasp, localize, insert (Tables II and III, Fig. 15)"),
+    "insertion": (
+        "gelstereo_bench.experiments.insertion",
+        "grasp, localize, insert (Tables II and III, Fig. 15)",
+    ),
     "insertion-physics": (
         "gelstereo_bench.experiments.insertion.physics_check",
         "insertions judged by geometry against contact physics (extra physics)",

@@ -16,14 +16,14 @@ import numpy as np
 import numpy.typing as npt
 
 from gelstereo import Error, Frame, Params, Pipeline, SimulatedFrame, Simulator, Template, localize, parts
+from gelstereo.geometry import se3_log
+from gelstereo.view import Moment, draw
+from gelstereo.view.moment import Part, pose_in_words
 from gelstereo_bench.experiments.batch import Configuration, Trial, keyed_seed
 from gelstereo_bench.experiments.experiment import Experiment
 from gelstereo_bench.experiments.objects_report import objects_report
 from gelstereo_bench.frontier.grasps import NOISES, STARTS, Grasp, Press, place, surface_normals
 from gelstereo_bench.frontier.scenes import SURFACE_MM, VGA
-from gelstereo.geometry import se3_log
-from gelstereo.view import Moment, draw
-from gelstereo.view.moment import Part, pose_in_words
 
 __all__ = ["EXPERIMENT", "OBJECTS", "methods"]
 

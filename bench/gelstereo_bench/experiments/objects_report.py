@@ -10,13 +10,13 @@ import cv2
 import numpy as np
 import trimesh
 
+from gelstereo.view.html import Block, Figure, Grid, Heading, Paragraph
+from gelstereo.view.part import draw_template
 from gelstereo_bench.experiments.batch import Trial
 from gelstereo_bench.experiments.figures import as_svg, contact_maps
 from gelstereo_bench.experiments.report import Report
 from gelstereo_bench.experiments.store import Record
 from gelstereo_bench.frontier.scenes import CONDITIONS
-from gelstereo.view.html import Block, Figure, Grid, Heading, Paragraph
-from gelstereo.view.part import draw_template
 
 __all__ = ["TABLE", "objects_report", "summary_table"]
 

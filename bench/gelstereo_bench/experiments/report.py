@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from gelstereo_bench.experiments.batch import Trial
 from gelstereo.view.html import Block, Details, Grid, Heading, Paragraph, document
+from gelstereo_bench.experiments.batch import Trial
 from gelstereo_bench.reports.markdown import replace_between, table
 from gelstereo_bench.reports.provenance import build_digest, digest_of, machine, processor, versions
 

@@ -23,8 +23,8 @@ from gelstereo import (
     parts,
     pressure_saliency,
 )
-from gelstereo_bench.frontier.scenes import SURFACE_MM, VGA
 from gelstereo.geometry import se3_exp, se3_log
+from gelstereo_bench.frontier.scenes import SURFACE_MM, VGA
 
 if TYPE_CHECKING:
     import trimesh

@@ -179,8 +179,8 @@ def _near_table(
 def _budget_table(contacts: Sequence[Grasp], rounds: int) -> Table:
     """Success of the best rung from every start, all noises, and times from the middle one, by its budget of work."""
     usual = next(_params(rung) for rung in rungs_of("register") if rung.name == BEST)
-    budgets = sorted({usual.to_dict()["register"]["budget"], *_BUDGETS}, reverse=True)
-    params = {f"{budget}": usual.replace({"register.budget": budget}) for budget in budgets}
+    budgets = sorted({usual.to_dict()["register"]["surface_search"]["budget"], *_BUDGETS}, reverse=True)
+    params = {f"{budget}": usual.replace({"register.surface_search.budget": budget}) for budget in budgets}
     methods = {name: _with(each) for name, each in params.items()}
     times = time_side_by_side({name: _one_of(method, contacts) for name, method in methods.items()}, rounds)
     rows = []
@@ -276,7 +276,7 @@ def _native(rung: Rung) -> Method:
 
 def _params(rung: Rung) -> Params:
     """Guesses are farther off than usual."""
-    return rung.params().replace({"register": {"search_radius_mm": 8.0}})
+    return rung.params().replace({"register.advanced.search_radius_mm": 8.0})
 
 
 def _with(params: Params) -> Method:

@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from gelstereo import Error, Localization
 from gelstereo.extras import needs
+from gelstereo.geometry import se3_log
 from gelstereo_bench.frontier.grasps import STARTS, Grasp
 from gelstereo_bench.frontier.rungs import rungs_of
 from gelstereo_bench.frontier.table import Table
-from gelstereo.geometry import se3_log
 
 with needs(__name__):
     from scipy.stats import chi2
@@ -62,7 +62,7 @@ def nees_table(contacts: Mapping[str, Sequence[Grasp]]) -> Table:
     """Of the successes of every rung from the nearest start, by noise."""
     rows = []
     for rung in rungs_of("register"):
-        params = rung.params().replace({"register": {"search_radius_mm": 8.0}})
+        params = rung.params().replace({"register.advanced.search_radius_mm": 8.0})
         row = [rung.name]
         for grasped in contacts.values():
             nees = Nees()

@@ -13,13 +13,13 @@ import numpy.typing as npt
 
 from gelstereo import Error, Params, Pipeline, Scene, Template, localize
 from gelstereo.extras import needs
+from gelstereo.geometry import se3_exp, se3_log
 from gelstereo_bench.frontier import baseline_register
 from gelstereo_bench.frontier.rungs import Rung, rungs_of
 from gelstereo_bench.frontier.scenes import PARTS, Part, part_press
 from gelstereo_bench.frontier.sensing import Row
 from gelstereo_bench.frontier.table import Report
 from gelstereo_bench.frontier.timing import InstructionCounter, time_side_by_side
-from gelstereo.geometry import se3_exp, se3_log
 
 with needs(__name__):
     from scipy.spatial import cKDTree
@@ -162,11 +162,12 @@ def _native(rung: Rung) -> Method:
 
 
 def _baselines(register: Mapping[str, Any]) -> dict[str, Method]:
-    common = {name: register[name] for name in ("max_iterations", "step_tolerance")}
-    soft = {name: register[name] for name in ("sigma_start_mm", "sigma_floor_mm", "outlier_share")}
-    near = {"max_distance_mm": register["max_distance_mm"]}
-    random = {"hypotheses": register["ransac_hypotheses"], "seed": register["seed"]}
-    random["search_radius_mm"] = register["search_radius_mm"]
+    advanced, widths = register["advanced"], register["filterreg"]
+    common = {name: advanced[name] for name in ("max_iterations", "step_tolerance")}
+    soft = {"sigma_start_mm": widths["max_sigma_mm"], "sigma_floor_mm": widths["min_sigma_mm"]}
+    soft["outlier_share"] = advanced["outlier_share"]
+    near = {"max_distance_mm": advanced["max_distance_mm"]}
+    random = {**register["ransac_icp"], "search_radius_mm": advanced["search_radius_mm"]}
 
     def method(function: Callable[..., Array], settings: Mapping[str, Any]) -> Method:
         return lambda patch, guess: function(

@@ -11,7 +11,15 @@ import numpy.typing as npt
 
 from gelstereo import Error, Pipeline, SimulatedFrame
 from gelstereo_bench.frontier.rungs import EXACT, FAST, rungs_of
-from gelstereo_bench.frontier.scenes import BOARDS_MM, FACING_RAD, SURFACE_MM, VGA, board_shape, press, sphere_press
+from gelstereo_bench.frontier.scenes import (
+    BOARDS_MM,
+    FACING_RAD,
+    SURFACE_MM,
+    VGA,
+    board_shape,
+    press,
+    sphere_press,
+)
 from gelstereo_bench.frontier.table import Report, Table, Target
 
 __all__ = ["Score", "measure_saliency"]

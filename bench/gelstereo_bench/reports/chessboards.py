@@ -172,7 +172,9 @@ def _rig_of(models: Sequence[dict[str, list[float]]], size_px: tuple[int, int]) 
 
 def main(arguments: list[str] | None = None) -> int:
     """Fill docs/real-chessboards.md."""
-    parser = argparse.ArgumentParser(prog="python -m gelstereo_bench.reports.chessboards", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m gelstereo_bench.reports.chessboards", description=__doc__
+    )
     parser.add_argument("--data", type=Path, required=True, help="folder of the real images")
     parser.add_argument("--docs", type=Path, default=Path("docs"), help="folder of the manual")
     options = parser.parse_args(arguments)

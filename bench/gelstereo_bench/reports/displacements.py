@@ -4,8 +4,8 @@ The recordings of the wheel pytac3d are clouds without images. Their markers are
 rig, and the images go through detection, labels, tracking and triangulation; what comes out is compared with the
 recording.
 
-Run ``python -m gelstereo_bench.reports.displacements`` to fill docs/real-recordings.md and draw its picture; it needs the
-wheel (``pip install --no-deps pytac3d==3.3.0.9``) and the extra ``bench``.
+Run ``python -m gelstereo_bench.reports.displacements`` to fill docs/real-recordings.md and draw its picture; it needs
+the wheel (``pip install --no-deps pytac3d==3.3.0.9``).
 """
 
 from __future__ import annotations
@@ -120,7 +120,9 @@ def replay(recording: CloudRecording, preset: str = "balanced", keep: tuple[int,
 
 def main(arguments: list[str] | None = None) -> int:
     """Fill the section on displacements of docs/real-recordings.md and draw its picture."""
-    parser = argparse.ArgumentParser(prog="python -m gelstereo_bench.reports.displacements", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m gelstereo_bench.reports.displacements", description=__doc__
+    )
     parser.add_argument("--docs", type=Path, default=Path("docs"), help="folder of the manual")
     options = parser.parse_args(arguments)
     recording = load_pytac3d(pytac3d_example("example_1", "AD2-0065L"))

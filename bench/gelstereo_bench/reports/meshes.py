@@ -1,7 +1,7 @@
 """Meshes that others made, pressed into the simulated gel and localized.
 
-Run ``python -m gelstereo_bench.reports.meshes --meshes FOLDER`` to fill the table in docs/real-recordings.md. In the folder
-are ``factory_meshes`` (pegs and a bolt of isaac-sim/IsaacGymEnvs) and ``meshes_realsense`` (a USB plug of
+Run ``python -m gelstereo_bench.reports.meshes --meshes FOLDER`` to fill the table in docs/real-recordings.md. In the
+folder are ``factory_meshes`` (pegs and a bolt of isaac-sim/IsaacGymEnvs) and ``meshes_realsense`` (a USB plug of
 realsense-ros), both in metres.
 """
 
@@ -15,10 +15,10 @@ import numpy as np
 import trimesh
 
 from gelstereo import RegisterError
+from gelstereo.templates import load_mesh
 from gelstereo_bench.frontier.grasps import NOISES, STARTS, Press, Score, Start, grasps
 from gelstereo_bench.frontier.rungs import Rung, rungs_of
 from gelstereo_bench.reports.markdown import replace_between, table
-from gelstereo.templates import load_mesh
 
 __all__ = ["PARTS", "MeshPart", "main", "measure"]
 

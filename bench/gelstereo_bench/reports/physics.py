@@ -1,7 +1,7 @@
 """The elastic layer against a real sensor: what gel does beside a contact, from what it does under it.
 
-Run ``python -m gelstereo_bench.reports.physics`` to fill docs/simulator-physics.md; it needs the recordings of the wheel
-pytac3d (``pip install --no-deps pytac3d==3.3.0.9``).
+Run ``python -m gelstereo_bench.reports.physics`` to fill docs/simulator-physics.md; it needs the recordings of the
+wheel pytac3d (``pip install --no-deps pytac3d==3.3.0.9``).
 """
 
 from __future__ import annotations

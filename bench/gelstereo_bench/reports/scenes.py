@@ -1,7 +1,7 @@
 """The gallery of scenes: a picture, the plan and a digest of each.
 
-Run ``python -m gelstereo_bench.reports.scenes`` in the repository to fill docs/scenes.md and its pictures; ``--check`` says
-which digests have moved and writes nothing.
+Run ``python -m gelstereo_bench.reports.scenes`` in the repository to fill docs/scenes.md and its pictures; ``--check``
+says which digests have moved and writes nothing.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from gelstereo import Scene, SimulatedFrame, Simulator, simulate
-from gelstereo_bench.reports.markdown import replace_between, table
 from gelstereo.view.canvas import FAINT, INK, Canvas
 from gelstereo.view.picture import indentation_colours
+from gelstereo_bench.reports.markdown import replace_between, table
 
 __all__ = ["Exhibit", "digest", "draw", "main", "moments"]
 

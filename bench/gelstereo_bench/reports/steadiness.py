@@ -1,7 +1,7 @@
 """How much a registered pose scatters by the noise of a recording, beside its predicted covariance.
 
-Part of ``python -m gelstereo_bench.reports.recordings``. No part in the recording rests: it is moved by hand. So the noise of
-frames that nothing touches is put on a pressed frame; and in the stillest frames a parabola over time is taken out.
+Part of ``python -m gelstereo_bench.reports.recordings``. No part in the recording rests: it is moved by hand. So the noise
+of frames that nothing touches is put on a pressed frame; and in the stillest frames a parabola over time is taken out.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ def stillest(points_mm: Array, cores: Mapping[int, Indices], frames: int) -> tup
 def _params(method: str) -> Params:
     # Steps small enough that where the iteration stops adds nothing to the scatter. The gel leaves the part by more
     # than the noise: the default deviation of a point stays, and the information is scaled to the noise afterwards.
-    return Params().replace({"register": {"method": method, "step_tolerance": 1e-6}})
+    return Params().replace({"register.method": method, "register.advanced.step_tolerance": 1e-6})
 
 
 def _twists(found: Sequence[Localization], centre_mm: Array) -> Array:

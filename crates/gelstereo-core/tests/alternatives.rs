@@ -200,10 +200,11 @@ fn answers_are_ranked_and_those_that_have_no_place_are_not_hidden() {
     let problem = thread(0.3, &mut random);
     let guess = screwed(&problem, 0.3, 0.0);
     let with = |sigma_mm: f64, budget: u32| {
-        let params = RegisterParams { start_sigma_mm: sigma_mm, budget, ..search() };
+        let mut params = RegisterParams { start_sigma_mm: sigma_mm, ..search() };
+        params.surface_search.budget = budget;
         register(&params, &blind(&problem), template, &guess)
     };
-    let all = RegisterParams::default().budget;
+    let all = RegisterParams::default().surface_search.budget;
     // Known to 0.4 mm: the next pitch is 1.05 mm off, and as a guess 3.2 less likely; the one beyond 19.
     let near = with(0.4, all);
     assert!(near.alternatives.len() <= 1 && !near.alternatives.is_cut());

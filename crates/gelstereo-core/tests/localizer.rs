@@ -15,7 +15,9 @@ use problems::parts::Part;
 use problems::{Problem, REST_MM, Sensing};
 
 fn localizer(method: RegisterMethod, expected: &Pose) -> Localizer {
-    Localizer::new(&RegisterParams { method, outlier_share: 0.05, ..Default::default() }, expected)
+    let mut params = RegisterParams { method, ..Default::default() };
+    params.advanced.outlier_share = 0.05;
+    Localizer::new(&params, expected)
 }
 
 fn sensed(part: &Part, t_sensor_object: Pose, random: &mut Stream) -> Problem {

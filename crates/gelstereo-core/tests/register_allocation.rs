@@ -32,7 +32,8 @@ fn a_second_run_allocates_nothing() {
         RegisterMethod::SurfaceClose,
         RegisterMethod::SurfaceSearch,
     ] {
-        let settings = RegisterParams { method, ransac_hypotheses: 100, ..Default::default() };
+        let mut settings = RegisterParams { method, ..Default::default() };
+        settings.ransac_icp.hypotheses = 100;
         let mut registrar = Registrar::new(&settings);
         let before = ALLOCATIONS.get();
         registrar.run(&contact.points_mm, &template, &guess).unwrap();
@@ -63,7 +64,8 @@ fn what_the_gel_is_asked_allocates_nothing() {
     let stiff = Patch { decay_mm: 0.1, ..contact };
     assert_ne!(registrar.register(&stiff, &template, &guess).unwrap().log_likelihood, first.log_likelihood);
     // With less work than one of several candidates takes the answer is as valid.
-    let short = RegisterParams { budget: 60_000, ..settings };
+    let mut short = settings;
+    short.surface_search.budget = 60_000;
     let short = Registrar::new(&short).register(&contact, &template, &guess).unwrap();
     assert!(short.covariance().iter().flatten().all(|x| x.is_finite()));
 }

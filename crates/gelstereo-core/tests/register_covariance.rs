@@ -71,7 +71,8 @@ fn at_camera(points: Vec<DVec3>) -> Vec<DVec3> {
 }
 
 fn found(method: RegisterMethod, points_mm: &[DVec3]) -> Registration {
-    let params = RegisterParams { method, ransac_hypotheses: 100, starts: 8, ..Default::default() };
+    let mut params = RegisterParams { method, ..Default::default() };
+    (params.ransac_icp.hypotheses, params.surface_search.starts) = (100, 8);
     Registrar::new(&params).run(points_mm, template(), &Pose::from_translation_mm(AWAY_MM)).unwrap()
 }
 
@@ -122,15 +123,14 @@ proptest! {
             p
         };
         let points: Vec<DVec3> = places.iter().flat_map(|p| vec![on_face(p); copies]).collect();
-        let params = RegisterParams {
+        let mut params = RegisterParams {
             method: METHODS[method],
             point_sigma_mm: sigma_mm,
             start_sigma_deg: guess.0,
             start_sigma_mm: guess.1,
-            ransac_hypotheses: 100,
-            starts: 8,
             ..Default::default()
         };
+        (params.ransac_icp.hypotheses, params.surface_search.starts) = (100, 8);
         let at = Pose::from_translation_mm(AWAY_MM);
         let Ok(found) = Registrar::new(&params).run(&at_camera(points), template(), &at) else { return Ok(()) };
         let covariance = found.covariance();

@@ -35,13 +35,9 @@ fn registered(method: RegisterMethod, ellipticity: f64, sigma_mm: f64) -> Regist
         DVec3::new(x, RADIUS_MM * sin, f64::from(k / 9) - 2.0)
     });
     let points: Vec<DVec3> = on_it.chain([DVec3::new(RADIUS_MM + 0.3, -0.5, 0.0)]).collect();
-    let settings = RegisterParams {
-        method,
-        point_sigma_mm: sigma_mm,
-        surface_sigma_mm: 0.1 * sigma_mm,
-        outlier_share: 0.01,
-        ..Default::default()
-    };
+    let mut settings = RegisterParams { method, point_sigma_mm: sigma_mm, ..Default::default() };
+    settings.advanced.surface_sigma_mm = 0.1 * sigma_mm;
+    settings.advanced.outlier_share = 0.01;
     let press = DVec3::new(1.0, 1.0, 0.0).normalize();
     let contact = gelstereo_core::register::Contact {
         press_direction: press,

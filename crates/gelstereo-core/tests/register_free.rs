@@ -8,7 +8,7 @@ use crate::solids;
 
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec3, Pose};
-use gelstereo_core::params::{RegisterMethod, RegisterParams};
+use gelstereo_core::params::{RegisterMethod, RegisterParams, SurfaceSearchParams};
 use gelstereo_core::register::{Registrar, Registration, Template};
 use gelstereo_core::surface::TriangleMesh;
 use problems::gel::Gel;
@@ -117,8 +117,11 @@ fn an_answer_does_not_depend_on_the_contact_before() {
     };
     let (first, second) = (sensed(&cylinder, lying(-15.0)), sensed(&ball, above));
     for budget in (1..100).map(|k| 1500 * k) {
-        let params =
-            RegisterParams { method: RegisterMethod::SurfaceSearch, budget, ..RegisterParams::default() };
+        let params = RegisterParams {
+            method: RegisterMethod::SurfaceSearch,
+            surface_search: SurfaceSearchParams { budget, ..Default::default() },
+            ..Default::default()
+        };
         let answer = |registrar: &mut Registrar, (problem, template, guess): &(Problem, Template, Pose)| {
             registrar.register(&problem.contact(), template, guess).unwrap()
         };

@@ -20,7 +20,9 @@ fn vector(limit: f64) -> impl Strategy<Value = DVec3> {
 }
 
 fn params(method: RegisterMethod) -> RegisterParams {
-    RegisterParams { method, ransac_hypotheses: 200, ..Default::default() }
+    let mut params = RegisterParams { method, ..Default::default() };
+    params.ransac_icp.hypotheses = 200;
+    params
 }
 
 fn angle_between(a: DQuat, b: DQuat) -> f64 {
@@ -52,7 +54,8 @@ fn row_06_too_few_and_bad_points_are_refused() {
             }
             other => panic!("{other:?}"),
         }
-        let absurd = RegisterParams { sigma_floor_mm: f64::NAN, ..params(method) };
+        let mut absurd = params(method);
+        absurd.filterreg.min_sigma_mm = f64::NAN;
         let answer = Registrar::new(&absurd).run(&[top; 3], &template, &Pose::IDENTITY);
         assert!(matches!(answer, Err(RegisterError::Params(_))));
     }
@@ -118,14 +121,12 @@ fn row_09_the_same_problem_in_metres() {
                 .unwrap();
         for method in METHODS {
             let mm = params(method);
-            let m = RegisterParams {
-                sigma_start_mm: mm.sigma_start_mm * scale,
-                sigma_floor_mm: mm.sigma_floor_mm * scale,
-                max_distance_mm: mm.max_distance_mm * scale,
-                point_sigma_mm: mm.point_sigma_mm * scale,
-                search_radius_mm: mm.search_radius_mm * scale,
-                ..mm.clone()
-            };
+            let mut m = mm.clone();
+            m.point_sigma_mm *= scale;
+            m.filterreg.max_sigma_mm *= scale;
+            m.filterreg.min_sigma_mm *= scale;
+            m.advanced.max_distance_mm *= scale;
+            m.advanced.search_radius_mm *= scale;
             let small_guess = Pose { translation_mm: guess.translation_mm * scale, ..guess };
             let a = Registrar::new(&mm).run(&contact.points_mm, &template, &guess).unwrap();
             let b = Registrar::new(&m).run(&scaled(&contact.points_mm), &small, &small_guess).unwrap();
@@ -299,7 +300,8 @@ fn row_10_ransac_leaves_free_directions_at_the_guess() {
     for seed in 0..10 {
         let contact = Contact::press(&shape, Pose::exp(DVec3::Y * 1.5, DVec3::ZERO), 1.0, 0.03, &mut random);
         let guess = contact.guess(0.05, 0.5, &mut random);
-        let settings = RegisterParams { seed, ..params(RegisterMethod::RansacIcp) };
+        let mut settings = params(RegisterMethod::RansacIcp);
+        settings.ransac_icp.seed = seed;
         let found = Registrar::new(&settings).run(&contact.points_mm, &template, &guess).unwrap();
         // Along and about the cylinder's axis, z of the object.
         let (omega, v_mm) = (found.t_sensor_object.inverse() * guess).log();

@@ -229,21 +229,17 @@ fn scaled(scale: f64, method: RegisterMethod) -> (Template, RegisterParams) {
     let places = mesh.vertices_mm().iter().map(|&p| p * scale).collect();
     let mesh = TriangleMesh::new(places, mesh.triangles().to_vec()).unwrap();
     let template = Template::from_mesh(&mesh, 0.4 * scale, 1).unwrap();
-    let d = RegisterParams::default();
-    let params = RegisterParams {
-        method,
-        max_distance_mm: d.max_distance_mm * scale,
-        point_sigma_mm: d.point_sigma_mm * scale,
-        search_radius_mm: d.search_radius_mm * scale,
-        start_sigma_mm: d.start_sigma_mm * scale,
-        surface_sigma_mm: d.surface_sigma_mm * scale,
-        gel_scale: scale,
-        ..d
-    };
+    let mut params = RegisterParams { method, ..Default::default() };
+    params.point_sigma_mm *= scale;
+    params.start_sigma_mm *= scale;
+    params.advanced.max_distance_mm *= scale;
+    params.advanced.search_radius_mm *= scale;
+    params.advanced.surface_sigma_mm *= scale;
+    params.advanced.gel_scale = scale;
     (template.with_field(Template::DEFAULT_CELL_MM * scale, Template::DEFAULT_REACH_MM * scale), params)
 }
 
-/// With the gel's size, as [`RegisterParams::gel_scale`] says it, all lengths are of one unit, and nothing but roundings
+/// With the gel's size, as [`AdvancedRegisterParams::gel_scale`] says it, all lengths are of one unit, and nothing but roundings
 /// depends on which. Where a rounding turns which step is the last one answers differ by what steps are told apart by; of these
 /// none does.
 #[test]

@@ -45,11 +45,14 @@ impl Given {
     }
 
     fn sampled(&self, seed: u64) -> Registration {
-        self.run(&RegisterParams { method: RegisterMethod::RansacIcp, seed, ..Default::default() }).unwrap()
+        let mut params = RegisterParams { method: RegisterMethod::RansacIcp, ..Default::default() };
+        params.ransac_icp.seed = seed;
+        self.run(&params).unwrap()
     }
 
     fn run(&self, params: &RegisterParams) -> Result<Registration, RegisterError> {
-        let params = RegisterParams { ransac_hypotheses: 200, ..params.clone() };
+        let mut params = params.clone();
+        params.ransac_icp.hypotheses = 200;
         let template = Template::new(&self.samples_mm, &self.normals, SPACING_MM).unwrap();
         Registrar::new(&params).run(&self.points_mm, &template, &self.guess)
     }

@@ -42,7 +42,8 @@ fn torn(part: &Part, random: &mut Stream) -> Template {
 
 /// Contacts found from starts within 5 degrees and 1 mm.
 fn tally(part: &Part, template: &Template, method: RegisterMethod) -> Tally {
-    let settings = RegisterParams { method, surface_sigma_mm: 0.01, ..Default::default() };
+    let mut settings = RegisterParams { method, ..Default::default() };
+    settings.advanced.surface_sigma_mm = 0.01;
     let mut registrar = Registrar::new(&CLASSES[0].params(&settings));
     let mut random = Stream::new(21, part.name);
     let mut out = Tally::default();

@@ -167,7 +167,8 @@ fn a_spent_budget_leaves_a_valid_answer() {
     let guess = problem.guess(0.1, 0.5, &mut random);
     let mut last = f64::NEG_INFINITY;
     for budget in [1, 1000, 10_000, 30_000, 100_000, 1_000_000] {
-        let settings = RegisterParams { budget, ..params(RegisterMethod::SurfaceSearch) };
+        let mut settings = params(RegisterMethod::SurfaceSearch);
+        settings.surface_search.budget = budget;
         let found = Registrar::new(&settings).register(&problem.contact(), template, &guess).unwrap();
         assert!(
             found.t_sensor_object.rotation.is_finite() && found.t_sensor_object.translation_mm.is_finite()
@@ -192,7 +193,8 @@ fn a_budget_stops_every_rung_and_what_it_returns_is_what_it_says() {
         let guess = problem.guess(0.05, 0.5, &mut random);
         for method in RUNGS {
             for budget in [1, 3_000, 30_000] {
-                let settings = RegisterParams { budget, ..params(method) };
+                let mut settings = params(method);
+                settings.surface_search.budget = budget;
                 let found = Registrar::new(&settings).register(&problem.contact(), template, &guess).unwrap();
                 if budget == 1 && method != RegisterMethod::SurfaceSearch {
                     assert!(!found.converged, "{name} {method:?}");
@@ -308,7 +310,8 @@ fn row_32_singular_and_slightly_negative_covariances_are_taken_and_negative_ones
     for method in RUNGS {
         let run = |covariances: &[Symmetric<3>], surface_sigma_mm: f64| {
             let contact = Contact { covariance_mm2: Some(covariances), ..problem.contact() };
-            let params = RegisterParams { surface_sigma_mm, ..params(method) };
+            let mut params = params(method);
+            params.advanced.surface_sigma_mm = surface_sigma_mm;
             Registrar::new(&params).register(&contact, template, &guess)
         };
         let mixed = |ways: [usize; 2], least: f64| {
@@ -450,7 +453,8 @@ proptest! {
         let (_, template) = some("square peg");
         let guess = Pose::exp(DVec3::from_array(omega), DVec3::from_array(v));
         let contact = Contact { unpressed_mm: &rest, ..Contact::new(&points) };
-        let settings = RegisterParams { starts: 16, ..params(RUNGS[method]) };
+        let mut settings = params(RUNGS[method]);
+        settings.surface_search.starts = 16;
         if let Ok(found) = Registrar::new(&settings).register(&contact, template, &guess) {
             prop_assert!(found.t_sensor_object.rotation.is_finite() && found.t_sensor_object.translation_mm.is_finite());
             prop_assert!(found.information.iter().chain(&found.covariance()).flatten().all(|x| x.is_finite()));

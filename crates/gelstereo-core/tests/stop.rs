@@ -69,7 +69,9 @@ const METHODS: [RegisterMethod; 6] = [
 ];
 
 fn registrar(method: RegisterMethod) -> Registrar {
-    Registrar::new(&RegisterParams { method, ransac_hypotheses: 50, starts: 16, ..RegisterParams::default() })
+    let mut params = RegisterParams { method, ..Default::default() };
+    (params.ransac_icp.hypotheses, params.surface_search.starts) = (50, 16);
+    Registrar::new(&params)
 }
 
 #[test]
@@ -112,7 +114,8 @@ fn a_registration_that_is_stopped_leaves_nothing_behind() {
 fn a_localizer_that_is_stopped_goes_on_as_before() {
     let points = patch();
     let contact = Contact::new(&points);
-    let params = RegisterParams { starts: 16, ..RegisterParams::default() };
+    let mut params = RegisterParams::default();
+    params.surface_search.starts = 16;
     let mut plain = Localizer::new(&params, &Pose::IDENTITY);
     let digests: Vec<u64> =
         (0..3).map(|_| plain.run(&contact, &TEMPLATE).unwrap().registration.digest()).collect();

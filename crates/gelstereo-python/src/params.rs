@@ -77,7 +77,7 @@ impl Params {
     ///     Naming the line, if a name is unknown or a value makes no sense.
     #[classmethod]
     fn from_toml(_cls: &Bound<'_, PyType>, text: &str) -> PyResult<Self> {
-        Self::checked(tree::from_toml(text).map_err(ParamsError::new_err)?)
+        Self::checked(tree::from_toml(text).map_err(refused)?)
     }
 
     /// All settings as TOML text; `from_toml` gives back an equal value.
@@ -123,7 +123,7 @@ impl Params {
     ) -> PyResult<Self> {
         let mut inner = self.inner.clone();
         for mapping in [changes, settings.map(|s| s.as_mapping())].into_iter().flatten() {
-            inner = tree::replace(&inner, mapping).map_err(ParamsError::new_err)?;
+            inner = tree::replace(&inner, mapping).map_err(refused)?;
         }
         Self::checked(inner)
     }
@@ -135,4 +135,14 @@ impl Params {
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<tree::Reduced<'py>> {
         tree::reduce(slf)
     }
+}
+
+/// The parser's message; a former name gets the present one beside it.
+fn refused(message: String) -> PyErr {
+    let unknown = ["unknown field `", "unknown variant `"].into_iter();
+    let name = unknown.filter_map(|words| message.split_once(words)?.1.split('`').next()).next();
+    ParamsError::new_err(match name.and_then(core::former) {
+        Some((former, present)) => format!("{message}; {former} is now {present}"),
+        None => message,
+    })
 }

@@ -214,7 +214,7 @@ impl Config {
     /// The first [`ConfigError`] found.
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.params.validate().map_err(ConfigError::Params)?;
-        range::check_seed("params.register.seed", self.params.register.seed)?;
+        range::check_seed("params.register.ransac_icp.seed", self.params.register.ransac_icp.seed)?;
         self.mount.validate().map_err(ConfigError::Mount)?;
         let rig = self.rig()?;
         rig.validate().map_err(ConfigError::Rig)?;

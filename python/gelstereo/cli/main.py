@@ -32,8 +32,14 @@ COMMANDS = {
     ),
     "export": ("gelstereo.export.command", "recordings to a dataset of another program"),
     # The project's laboratory, which only a clone has.
-    "experiment": ("gelstereo_bench.experiments.command", "the paper's experiments, simulated, with a report each"),
-    "frontier": ("gelstereo_bench.frontier.command", "measure every method and write docs/accuracy-vs-time.md"),
+    "experiment": (
+        "gelstereo_bench.experiments.command",
+        "the paper's experiments, simulated, with a report each",
+    ),
+    "frontier": (
+        "gelstereo_bench.frontier.command",
+        "measure every method and write docs/accuracy-vs-time.md",
+    ),
 }
 
 EXAMPLES = """examples:

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from gelstereo._native import Error
-from gelstereo.view.html import Beside, Block, Grid, Heading, Paragraph, document
 from gelstereo.view.canvas import Image
+from gelstereo.view.html import Beside, Block, Grid, Heading, Paragraph, document
 from gelstereo.view.picture import draw
 from gelstereo.view.steps import Step, Steps, notes_of
 

@@ -20,7 +20,9 @@ const TURNS_RAD: [f64; 3] = [0.0, 0.02, 0.04];
 const STARTS: u32 = 32;
 
 fn settings(method: RegisterMethod) -> RegisterParams {
-    RegisterParams { method, starts: STARTS, ..RegisterParams::default() }
+    let mut params = RegisterParams { method, ..RegisterParams::default() };
+    params.surface_search.starts = STARTS;
+    params
 }
 
 /// The frames in which a part touches, and where it is.

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from gelstereo.geometry import se3_exp, se3_log
 from gelstereo_bench.experiments.insertion.chance import Prior, object_covariance
 from gelstereo_bench.experiments.insertion.sense import Found
-from gelstereo.geometry import se3_exp, se3_log
 
 __all__ = ["Belief", "drawn"]
 

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from gelstereo import FreeDirection
+from gelstereo.geometry import se3_exp
 from gelstereo_bench.experiments.insertion.hole import Hole, InsertedEnd
 from gelstereo_bench.experiments.insertion.sense import Found
-from gelstereo.geometry import se3_exp
 
 __all__ = ["SAMPLES", "Prior", "adjoint", "chance", "matters", "object_covariance", "weakest"]
 

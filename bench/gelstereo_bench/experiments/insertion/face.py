@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gelstereo import Template
-from gelstereo_bench.experiments.insertion.bound import heights_information
 from gelstereo.extras import needs
+from gelstereo_bench.experiments.insertion.bound import heights_information
 
 with needs(__name__):
     from scipy.spatial import cKDTree

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from gelstereo.extras import needs
 from gelstereo_bench.experiments.figures import as_svg
 from gelstereo_bench.experiments.insertion.analysis import wilson
 from gelstereo_bench.experiments.insertion.grasp import Fit
 from gelstereo_bench.experiments.insertion.hole import Hole
-from gelstereo.extras import needs
 
 with needs(__name__):
     from matplotlib.figure import Figure

@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gelstereo import parts
-from gelstereo_bench.experiments.insertion.hole import Hole, InsertedEnd
 from gelstereo.geometry import se3_exp
+from gelstereo_bench.experiments.insertion.hole import Hole, InsertedEnd
 
 if TYPE_CHECKING:
     import trimesh

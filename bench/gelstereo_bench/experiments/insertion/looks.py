@@ -19,13 +19,13 @@ import numpy as np
 import numpy.typing as npt
 
 from gelstereo import RegisterError
+from gelstereo.geometry import se3_exp
 from gelstereo_bench.experiments.insertion.belief import Belief, drawn
 from gelstereo_bench.experiments.insertion.bound import heights_information
 from gelstereo_bench.experiments.insertion.chance import SAMPLES, adjoint, chance
 from gelstereo_bench.experiments.insertion.grasp import Hold
 from gelstereo_bench.experiments.insertion.sense import Method
 from gelstereo_bench.experiments.insertion.workplace import RANGES, Workplace
-from gelstereo.geometry import se3_exp
 
 __all__ = ["CELL", "LEAST_CHANCE", "MAX_LOOKS", "Cell", "Look", "Regrasp", "look_until_known", "regrasps"]
 

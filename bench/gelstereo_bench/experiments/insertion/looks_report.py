@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gelstereo.view.html import Block, Grid, Heading, Paragraph
 from gelstereo_bench.experiments.insertion.analysis import Verdict, wilson
 from gelstereo_bench.experiments.insertion.grasp import GRASPED
 from gelstereo_bench.experiments.insertion.looks import CELL, LEAST_CHANCE, MAX_LOOKS, Regrasp
-from gelstereo.view.html import Block, Grid, Heading, Paragraph
 
 __all__ = ["PACE", "Pace", "looks_blocks", "part_name", "share_text"]
 

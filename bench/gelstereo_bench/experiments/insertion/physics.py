@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gelstereo_bench.experiments.insertion.hole import Hole, InsertedEnd
 from gelstereo.extras import needs
 from gelstereo.geometry import so3_from_matrix
+from gelstereo_bench.experiments.insertion.hole import Hole, InsertedEnd
 
 __all__ = ["Hand", "descend"]
 

@@ -13,6 +13,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from gelstereo.geometry import se3_exp
+from gelstereo.view.html import Block, Figure, Grid, Heading, Paragraph
 from gelstereo_bench.experiments.batch import Configuration, Trial, keyed_seed
 from gelstereo_bench.experiments.experiment import Experiment
 from gelstereo_bench.experiments.figures import as_svg, box_plots
@@ -20,8 +22,6 @@ from gelstereo_bench.experiments.insertion.grasp import GRASPED, Fit, fit_of
 from gelstereo_bench.experiments.insertion.physics import Hand, descend
 from gelstereo_bench.experiments.report import Report
 from gelstereo_bench.experiments.store import Record
-from gelstereo.geometry import se3_exp
-from gelstereo.view.html import Block, Figure, Grid, Heading, Paragraph
 
 __all__ = ["EXPERIMENT", "limit"]
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from gelstereo.view.html import Block, Figure, Grid, Heading, Paragraph
 from gelstereo_bench.experiments.batch import Trial
 from gelstereo_bench.experiments.insertion import analysis, figures
 from gelstereo_bench.experiments.insertion.analysis import PAPER_SHARE, Verdict
@@ -20,7 +21,6 @@ from gelstereo_bench.experiments.insertion.workplace import PRIOR, RANGES, workp
 from gelstereo_bench.experiments.report import Report
 from gelstereo_bench.experiments.store import Record
 from gelstereo_bench.frontier.scenes import CONDITIONS
-from gelstereo.view.html import Block, Figure, Grid, Heading, Paragraph
 
 __all__ = ["insertion_report", "reason"]
 

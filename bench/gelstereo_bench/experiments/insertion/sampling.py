@@ -21,10 +21,10 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from gelstereo.geometry import se3_exp, se3_log
 from gelstereo_bench.experiments.insertion.belief import Belief
 from gelstereo_bench.experiments.insertion.chance import Prior, adjoint, object_covariance
 from gelstereo_bench.experiments.insertion.sense import Found
-from gelstereo.geometry import se3_exp, se3_log
 
 __all__ = ["InPlane", "believed"]
 

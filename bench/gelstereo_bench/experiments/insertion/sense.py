@@ -58,7 +58,12 @@ class Method:
 
     def held(self, by_mm: float) -> Params:
         """Settings that look near a guess only, which holds the pose by a prior of so many mm."""
-        near = {"start_sigma_mm": by_mm, "start_sigma_deg": 5.0 * by_mm, "starts": 1, "max_iterations": 4}
+        near = {
+            "start_sigma_mm": by_mm,
+            "start_sigma_deg": 5.0 * by_mm,
+            "surface_search": {"starts": 1},
+            "advanced": {"max_iterations": 4},
+        }
         return self.params().replace({"register": near})
 
 

@@ -8,11 +8,11 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from gelstereo.geometry import se3_exp, se3_log
 from gelstereo_bench.experiments.insertion.belief import Belief
 from gelstereo_bench.experiments.insertion.looks import Look, chance_of, look_until_known
 from gelstereo_bench.experiments.insertion.sense import Method
 from gelstereo_bench.experiments.insertion.workplace import Workplace, workplace
-from gelstereo.geometry import se3_exp, se3_log
 
 __all__ = ["Taught", "taught"]
 

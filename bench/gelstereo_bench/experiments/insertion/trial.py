@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gelstereo import Frame, RegisterError
+from gelstereo.geometry import se3_log
 from gelstereo_bench.experiments.batch import Configuration
 from gelstereo_bench.experiments.insertion.bound import Bound
 from gelstereo_bench.experiments.insertion.chance import matters, weakest
@@ -18,7 +19,6 @@ from gelstereo_bench.experiments.insertion.sense import METHODS, Method
 from gelstereo_bench.experiments.insertion.teach import Taught, taught
 from gelstereo_bench.experiments.insertion.workplace import RANGES, Workplace, workplace
 from gelstereo_bench.experiments.store import Record
-from gelstereo.geometry import se3_log
 
 __all__ = ["run"]
 

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gelstereo import Frame, RegisterError, Scene, SimulatedFrame, Simulator, Template
+from gelstereo.states import MarkerState
 from gelstereo_bench.experiments.insertion.belief import Belief
 from gelstereo_bench.experiments.insertion.bound import Bound, SmoothSurface, least_covariance
 from gelstereo_bench.experiments.insertion.chance import Prior
@@ -19,7 +20,6 @@ from gelstereo_bench.experiments.insertion.rows import markers_alike
 from gelstereo_bench.experiments.insertion.sampling import believed
 from gelstereo_bench.experiments.insertion.sense import METHODS, Found, Method, Registering, Senses
 from gelstereo_bench.frontier.scenes import VGA
-from gelstereo.states import MarkerState
 
 __all__ = ["PRIOR", "RANGES", "Workplace", "sensor_scene", "workplace"]
 

@@ -87,8 +87,10 @@ impl ContactParams {
         length("contact.saliency_mm", self.saliency_mm)?;
         let decay = self.decay_mm;
         check((1e-3..=1e3).contains(&decay), "contact.decay_mm", decay, "0.001 to 1000 mm")?;
-        let learns = !self.learn_decay || self.saliency == Saliency::Pressure;
-        check(learns, "contact.learn_decay", 1.0, "0 (false), or contact.saliency = pressure")?;
+        if self.learn_decay && self.saliency != Saliency::Pressure {
+            let (setting, required) = ("contact.learn_decay = true", "contact.saliency = \"pressure\"");
+            return Err(ParamsError::Requires { setting, required });
+        }
         share("contact.patch_share", self.patch_share)?;
         motion("contact.grasp_trigger_px", self.grasp_trigger_px)?;
         motion("contact.insertion_trigger_px", self.insertion_trigger_px)

@@ -9,6 +9,7 @@ mod label;
 mod lattice;
 mod presets;
 mod register;
+mod renamed;
 mod track;
 mod triangulate;
 
@@ -18,7 +19,11 @@ pub use detect::{
 };
 pub use label::{LabelMethod, LabelParams};
 pub use lattice::LatticeParams;
-pub use register::{GuessSigma, RegisterMethod, RegisterParams};
+pub use register::{
+    AdvancedRegisterParams, FilterregParams, GuessSigma, RansacIcpParams, RegisterMethod, RegisterParams,
+    SurfaceSearchParams,
+};
+pub use renamed::{former, renamed_setting, replaced_method};
 pub use track::{Motion, TrackParams};
 pub use triangulate::{DiscBias, TriangulateMethod, TriangulateParams};
 
@@ -48,18 +53,31 @@ pub struct Params {
 
 /// A setting that makes no sense.
 #[derive(Clone, Debug, PartialEq)]
-pub struct ParamsError {
-    /// Where it stands, for example `detect.smooth_kernel_px`.
-    pub name: &'static str,
-    /// What was found.
-    pub found: f64,
-    /// What would be valid.
-    pub valid: &'static str,
+pub enum ParamsError {
+    /// A number is out of range.
+    Range {
+        /// Where it stands, for example `detect.smooth_kernel_px`.
+        name: &'static str,
+        /// What was found.
+        found: f64,
+        /// What would be valid.
+        valid: &'static str,
+    },
+    /// A setting needs another one.
+    Requires {
+        /// The setting with its value, for example `contact.learn_decay = true`.
+        setting: &'static str,
+        /// What it needs.
+        required: &'static str,
+    },
 }
 
 impl core::fmt::Display for ParamsError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        write!(f, "{} is {}; valid is {}", self.name, self.found, self.valid)
+        match self {
+            Self::Range { name, found, valid } => write!(f, "{name} is {found}; valid is {valid}"),
+            Self::Requires { setting, required } => write!(f, "{setting} requires {required}"),
+        }
     }
 }
 
@@ -82,7 +100,7 @@ impl Params {
 }
 
 fn check(ok: bool, name: &'static str, found: f64, valid: &'static str) -> Result<(), ParamsError> {
-    if ok { Ok(()) } else { Err(ParamsError { name, found, valid }) }
+    if ok { Ok(()) } else { Err(ParamsError::Range { name, found, valid }) }
 }
 
 /// A length of a sensor or part: from a nanometre, far below what is sensed, to ten metres.

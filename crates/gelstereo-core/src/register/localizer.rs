@@ -47,7 +47,7 @@ pub struct Located {
 ///
 /// If the gel model explained the contact in which the part was found, a pose is accepted while its
 /// [`Misfit`] is typical: as at earlier accepted poses and, at first, as expected from noise and
-/// `register.outlier_share`. For independent markers a correct pose at its optimum would be rejected once
+/// `register.advanced.outlier_share`. For independent markers a correct pose at its optimum would be rejected once
 /// in a million frames. This detects a part that was rotated while out of contact, if the gel shows it; a
 /// rotation with the same gel shape is undetectable.
 ///
@@ -94,9 +94,9 @@ impl Localizer {
             expected: *expected,
             last: None,
             is_held: false,
-            outlier_share: params.outlier_share,
+            outlier_share: params.advanced.outlier_share,
             asks_gel: false,
-            usual: UsualResiduals::new(params.outlier_share),
+            usual: UsualResiduals::new(params.advanced.outlier_share),
         }
     }
 

@@ -24,12 +24,12 @@ pub struct Registration {
     pub observability: Observability,
     /// Prior accuracy of the pose: `register.start_sigma_deg` and `register.start_sigma_mm`.
     pub guess_sigma: GuessSigma,
-    /// Whether the steps fell below `register.step_tolerance` before the iterations, or the budget, ran
+    /// Whether the steps fell below `register.advanced.step_tolerance` before the iterations, or the budget, ran
     /// out. Otherwise the covariance includes the remaining step, in every direction.
     pub converged: bool,
     /// Iterations of the last stage.
     pub iterations: u32,
-    /// Points within `register.max_distance_mm` of the template.
+    /// Points within `register.advanced.max_distance_mm` of the template.
     pub inliers: usize,
     /// Number of points given.
     pub points: usize,

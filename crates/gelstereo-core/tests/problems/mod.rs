@@ -237,7 +237,9 @@ pub const CLASSES: [Class; 4] = [
 impl Class {
     /// The settings of someone who knows how many outliers there are, and nothing else.
     pub fn params(&self, params: &RegisterParams) -> RegisterParams {
-        RegisterParams { outlier_share: self.sensing.outliers.max(0.02), ..params.clone() }
+        let mut params = params.clone();
+        params.advanced.outlier_share = self.sensing.outliers.max(0.02);
+        params
     }
 }
 

@@ -1,7 +1,11 @@
 //! Keys and words that the configuration does not have, with the one that was probably meant.
 
 use super::{FieldDoc, TypeDoc, settings_of, type_doc};
+use gelstereo_core::params::{renamed_setting, replaced_method};
 use toml::de::{DeTable, DeValue};
+
+/// Where the settings of the pipeline stand.
+const PARAMS: &str = "params.";
 
 /// A key or word that does not exist.
 #[derive(Clone, Debug, PartialEq)]
@@ -131,7 +135,13 @@ impl Checker<'_> {
             line: self.line(start),
             path: path.to_owned(),
             kind: UnknownKind::Word { found: found.to_owned() },
-            suggestions: nearest(found, valid.iter().copied()).map(str::to_owned).into_iter().collect(),
+            suggestions: path
+                .strip_prefix(PARAMS)
+                .and_then(|path| replaced_method(path, found))
+                .or_else(|| nearest(found, valid.iter().copied()))
+                .map(str::to_owned)
+                .into_iter()
+                .collect(),
             valid: valid.into_iter().map(|word| format!("\"{word}\"")).collect(),
         }))
     }
@@ -144,7 +154,11 @@ impl Checker<'_> {
             let kind = UnknownKind::KeyOfOtherKind { kind: kind.to_owned(), other: other.name.to_owned() };
             return Unknown { line, path, kind, suggestions: Vec::new(), valid: Vec::new() };
         }
-        let suggestions = suggest(&path, &self.known(of, &path, kind));
+        let renamed = path.strip_prefix(PARAMS).and_then(renamed_setting);
+        let suggestions = match renamed {
+            Some(present) => vec![format!("{PARAMS}{present}")],
+            None => suggest(&path, &self.known(of, &path, kind)),
+        };
         let here = of.tag.into_iter().chain(of.keys(kind).map(|field| field.key)).map(str::to_owned);
         let valid = if suggestions.is_empty() { here.collect() } else { Vec::new() };
         Unknown { line, path, kind: UnknownKind::Key, suggestions, valid }

@@ -16,7 +16,6 @@ from contextlib import contextmanager
 from typing import Any
 
 import gelstereo as gs
-
 from guest.checks import Figures, check
 from guest.devices import MODES, camera
 from guest.usb.camera import Camera, plugged

@@ -25,12 +25,12 @@ pub(super) fn registration(
     let width_mm = width_floor_mm(problem);
     match_inliers(problem, scratch, width_mm)?;
     if scratch.sources.len() < MIN_PATCH {
-        check_reach(problem, &scratch.placed, params.max_distance_mm)?;
+        check_reach(problem, &scratch.placed, params.advanced.max_distance_mm)?;
     }
     let frame = PatchFrame::new(&scratch.sources, template.spacing_mm());
     let mut system = System::new(frame.radius_mm, params.point_sigma_mm);
     let by_plane = params.method == RegisterMethod::FilterregPlane;
-    let one_sided = OneSided::new(params.point_sigma_mm, params.max_distance_mm);
+    let one_sided = OneSided::new(params.point_sigma_mm, params.advanced.max_distance_mm);
     let (mut sum_squared, mut total, mut along_normals) = (0.0, 0.0, 0.0);
     for (step, (soft, &point)) in scratch.soft.iter().zip(&scratch.sources).enumerate() {
         ask_often(stop, step)?;
@@ -81,7 +81,7 @@ fn match_inliers(problem: &Problem<'_>, scratch: &mut Scratch, width_mm: f64) ->
     for (step, (&placed, &point)) in scratch.placed.iter().zip(problem.points_mm).enumerate() {
         ask_often(problem.stop, step)?;
         let soft = soft_match(problem.template, placed, width_mm);
-        if soft.distance_mm <= problem.params.max_distance_mm {
+        if soft.distance_mm <= problem.params.advanced.max_distance_mm {
             scratch.sources.push(placed);
             scratch.targets.push(point);
             scratch.soft.push(soft);

@@ -38,18 +38,20 @@ pub(super) fn run(
 ) -> Result<Outcome, RegisterError> {
     let (params, spacing_mm) = (problem.params, problem.template.spacing_mm());
     let floor_mm = width_floor_mm(problem);
-    let tolerance_mm = params.step_tolerance * spacing_mm;
+    let tolerance_mm = params.advanced.step_tolerance * spacing_mm;
     let mut sigma_mm = match metric {
-        Metric::Point => params.sigma_start_mm.max(floor_mm),
+        Metric::Point => params.filterreg.max_sigma_mm.max(floor_mm),
         Metric::Plane => one_sided::first(params),
     };
     let mut outcome = Outcome { t_sensor_object: *guess, converged: false, iterations: 0 };
     scratch.place(problem.points_mm, guess);
-    check_reach(problem, &scratch.placed, params.search_radius_mm)?;
-    while outcome.iterations < params.max_iterations && !outcome.converged {
+    check_reach(problem, &scratch.placed, params.advanced.search_radius_mm)?;
+    while outcome.iterations < params.advanced.max_iterations && !outcome.converged {
         let motion = step(problem, scratch, metric, sigma_mm)?;
         let next_sigma_mm = match metric {
-            Metric::Point => width_mm(scratch, &motion).clamp(floor_mm, params.sigma_start_mm.max(floor_mm)),
+            Metric::Point => {
+                width_mm(scratch, &motion).clamp(floor_mm, params.filterreg.max_sigma_mm.max(floor_mm))
+            }
             Metric::Plane => one_sided::next(params, sigma_mm),
         };
         let is_short = |motion: &Pose| scratch.largest_move_mm(motion) <= tolerance_mm;
@@ -67,7 +69,7 @@ pub(super) fn run(
 /// Smallest width. Over samples with spacing s the sum of Gaussians of width s/2 ripples by
 /// 2 e^(-π²/2) = 1.4 % (Poisson summation). Narrower ones resolve single points and lock the patch to them.
 pub(super) fn width_floor_mm(problem: &Problem<'_>) -> f64 {
-    problem.params.sigma_floor_mm.max(0.5 * problem.template.spacing_mm())
+    problem.params.filterreg.min_sigma_mm.max(0.5 * problem.template.spacing_mm())
 }
 
 /// One E step and one M step; returns the motion of the patch in the object's frame. Leaves the pairs in
@@ -108,14 +110,14 @@ fn expect(problem: &Problem<'_>, scratch: &mut Scratch, sigma_mm: f64) -> Result
 /// One Gauss-Newton step on the distances along the normals, with standard deviation `sigma_mm` for contacts.
 fn plane_step(problem: &Problem<'_>, scratch: &Scratch, sigma_mm: f64) -> Pose {
     let frame = PatchFrame::new(&scratch.sources, problem.template.spacing_mm());
-    let one_sided = OneSided::new(sigma_mm, problem.params.max_distance_mm);
+    let one_sided = OneSided::new(sigma_mm, problem.params.advanced.max_distance_mm);
     let point_sigma_mm = problem.params.point_sigma_mm;
     let mut system = System::new(frame.radius_mm, point_sigma_mm);
     for ((soft, &point), &weight) in scratch.soft.iter().zip(&scratch.sources).zip(&scratch.weights) {
         let seen = soft.sighting(problem.template, point - frame.centre_mm, weight, point_sigma_mm);
         system.add(&Sighting { weight: weight * one_sided.weight(seen.residual), ..seen });
     }
-    frame.motion(system.solve(problem.params.max_distance_mm))
+    frame.motion(system.solve(problem.params.advanced.max_distance_mm))
 }
 
 /// The part of a point-metric step that counts for convergence. Along free directions the patch drifts
@@ -150,13 +152,13 @@ fn width_mm(scratch: &Scratch, motion: &Pose) -> f64 {
 /// hence of density 1 / (2 D s²) per sample: c = (2π σ²)^(3/2) w / (1 - w) / (2 D s²). The unit-free 1/N
 /// of the original would make the result depend on the unit of length.
 fn log_outlier_mass(problem: &Problem<'_>, sigma_mm: f64) -> f64 {
-    let share = problem.params.outlier_share;
+    let share = problem.params.advanced.outlier_share;
     if share == 0.0 {
         // ln 0, which the exponential maps back to 0.
         return f64::NEG_INFINITY;
     }
     let spacing_mm = problem.template.spacing_mm();
     let variance = core::f64::consts::TAU * sigma_mm * sigma_mm;
-    let slab = 2.0 * problem.params.max_distance_mm * spacing_mm * spacing_mm;
+    let slab = 2.0 * problem.params.advanced.max_distance_mm * spacing_mm * spacing_mm;
     1.5 * ln(variance) + ln(share / (1.0 - share)) - ln(slab)
 }

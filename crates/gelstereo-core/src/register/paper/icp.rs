@@ -12,11 +12,11 @@ pub(super) fn run(
     scratch: &mut Scratch,
     start: &Pose,
 ) -> Result<Outcome, RegisterError> {
-    let tolerance_mm = problem.params.step_tolerance * problem.template.spacing_mm();
+    let tolerance_mm = problem.params.advanced.step_tolerance * problem.template.spacing_mm();
     let mut outcome = Outcome { t_sensor_object: *start, converged: false, iterations: 0 };
     scratch.place(problem.points_mm, start);
-    check_reach(problem, &scratch.placed, problem.params.max_distance_mm)?;
-    while outcome.iterations < problem.params.max_iterations && !outcome.converged {
+    check_reach(problem, &scratch.placed, problem.params.advanced.max_distance_mm)?;
+    while outcome.iterations < problem.params.advanced.max_iterations && !outcome.converged {
         pair(problem, scratch)?;
         let motion = fit(scratch);
         outcome.converged = scratch.largest_move_mm(&motion) <= tolerance_mm;
@@ -29,7 +29,7 @@ pub(super) fn run(
 
 /// Pairs every placed point with its nearest template point within reach.
 fn pair(problem: &Problem<'_>, scratch: &mut Scratch) -> Result<(), Stopped> {
-    let reach_squared = problem.params.max_distance_mm * problem.params.max_distance_mm;
+    let reach_squared = problem.params.advanced.max_distance_mm * problem.params.advanced.max_distance_mm;
     scratch.clear_pairs();
     for (step, &point) in scratch.placed.iter().enumerate() {
         ask_often(problem.stop, step)?;

@@ -45,7 +45,7 @@ impl OneSided {
 
 /// σ of the first iteration.
 pub(super) fn first(params: &RegisterParams) -> f64 {
-    params.sigma_start_mm.max(params.point_sigma_mm)
+    params.filterreg.max_sigma_mm.max(params.point_sigma_mm)
 }
 
 /// σ of the iteration after one at `sigma_mm`.
@@ -79,6 +79,6 @@ mod tests {
             widths.push(next(&params, widths[k]));
         }
         assert!(widths.windows(2).all(|w| w[1] < w[0] || w[1] == params.point_sigma_mm));
-        assert_eq!((widths[0], widths[20]), (params.sigma_start_mm, params.point_sigma_mm));
+        assert_eq!((widths[0], widths[20]), (params.filterreg.max_sigma_mm, params.point_sigma_mm));
     }
 }

@@ -23,14 +23,14 @@ pub(super) fn search(
 ) -> Result<Pose, RegisterError> {
     let params = problem.params;
     scratch.place(problem.points_mm, guess);
-    check_reach(problem, &scratch.placed, params.search_radius_mm)?;
-    let mut random = Stream::new(params.seed, "ransac");
+    check_reach(problem, &scratch.placed, params.advanced.search_radius_mm)?;
+    let mut random = Stream::new(params.ransac_icp.seed, "ransac");
     let centre = centroid(&scratch.placed);
     let mut best = (Pose::IDENTITY, score(problem, &scratch.placed, &Pose::IDENTITY, f64::INFINITY));
-    for _ in 0..params.ransac_hypotheses {
+    for _ in 0..params.ransac_icp.hypotheses {
         ask(problem.stop, 0)?;
         let Some(motion) = hypothesis(problem, &scratch.placed, &mut random) else { continue };
-        if motion.transform_point(centre).distance(centre) > params.search_radius_mm {
+        if motion.transform_point(centre).distance(centre) > params.advanced.search_radius_mm {
             continue;
         }
         let cost = score(problem, &scratch.placed, &motion, best.1);
@@ -46,7 +46,7 @@ pub(super) fn search(
 /// guess is better. Exact for a spin about an axis or a slide, whose twist is constant along the way.
 fn without_free(problem: &Problem<'_>, scratch: &mut Scratch, motion: &Pose) -> Result<Pose, Stopped> {
     let Problem { params, template, .. } = *problem;
-    let most = params.max_distance_mm * params.max_distance_mm;
+    let most = params.advanced.max_distance_mm * params.advanced.max_distance_mm;
     scratch.clear_pairs();
     for (step, &point) in scratch.placed.iter().enumerate() {
         ask_often(problem.stop, step)?;
@@ -80,7 +80,7 @@ fn hypothesis(problem: &Problem<'_>, placed: &[DVec3], random: &mut Stream) -> O
         return None;
     }
     let points = problem.template.points_mm();
-    let reach_mm = problem.params.search_radius_mm;
+    let reach_mm = problem.params.advanced.search_radius_mm;
     let first = draw(problem, a, reach_mm, random, |_| true)?;
     let at = |q: DVec3, from: DVec3, distance: f64| (q.distance(from) - distance).abs() <= margin_mm;
     let second = draw(problem, b, reach_mm, random, |q| at(q, points[first], ab))?;
@@ -112,7 +112,7 @@ fn draw(
 
 /// Sum of limited squared distances of the moved patch; stops early once it reaches `limit`.
 fn score(problem: &Problem<'_>, placed: &[DVec3], motion: &Pose, limit: f64) -> f64 {
-    let most = problem.params.max_distance_mm * problem.params.max_distance_mm;
+    let most = problem.params.advanced.max_distance_mm * problem.params.advanced.max_distance_mm;
     let mut sum = 0.0;
     for &point in placed {
         let nearest = problem.template.tree().nearest(motion.transform_point(point));

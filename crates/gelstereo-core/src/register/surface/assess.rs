@@ -1,4 +1,4 @@
-//! What the contact says about the pose that was found: information, free directions, and other poses as likely.
+//! Assessment of the found pose: information matrix, free directions, and alternatives.
 
 use super::candidate::{Candidate, End};
 use super::contact::Samples;
@@ -12,23 +12,24 @@ use crate::register::observe::{Sighting, System, dot, stack};
 use crate::register::{Alternative, Alternatives, FreeDirections, Observability, Registration, Verdict};
 use core::f64::consts::PI;
 
-/// Past half of what is told being missing, squares do not say how much is.
+/// Least share of the information that remains after the missing information; with less, the quadratic
+/// approximation is not valid.
 const MIN_CURVED: f64 = 0.5;
 
-/// What the gel tells of a pose.
+/// Information of the gel about a pose.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Told {
     pub press_direction: DVec3,
-    /// About (ρ ω, v) about the centroid.
+    /// Of (ρ ω, v) about the centroid.
     pub information: Symmetric<6>,
-    /// How far the step is that was not taken, over the patch.
+    /// Length of the step that was not taken, over the patch.
     pub left_mm: f64,
 }
 
-/// What was read at a pose: distances, heights of the gel, and what these tell if it was asked.
+/// Readings at a pose: distances, gel heights, and the gel's information if its model was used.
 pub(super) type AtBest<'a> = (&'a RefineScratch, &'a GelFitScratch, Option<Told>);
 
-/// Of the best candidate, from the readings there, or where the part looks the same.
+/// Result for the best candidate, from the readings there, or where the part looks the same.
 pub(super) fn registration(
     params: &RegisterParams,
     samples: &Samples,
@@ -41,27 +42,28 @@ pub(super) fn registration(
     let back = t_sensor_object.inverse();
     let (mut sum_squared, mut total, mut inliers) = (0.0, 0.0, 0);
     for (r, touches) in scratch.here.all[..samples.pressed.len()].iter().zip(&scratch.touches) {
-        inliers += usize::from(r.distance_mm.abs() <= params.max_distance_mm);
+        inliers += usize::from(r.distance_mm.abs() <= params.advanced.max_distance_mm);
         sum_squared += touches * r.distance_mm * r.distance_mm;
         total += touches;
     }
     let asked = readings.2.is_some().then_some(readings.1);
     let mut in_object = observe(params, samples, read, readings, end.converged);
     if let Some(settled) = asked {
-        let touching = settled.here.touching_misfit(params.outlier_share, |_| false);
+        let touching = settled.here.touching_misfit(params.advanced.outlier_share, |_| false);
         in_object = in_object.widened(law_excess(samples, touching));
     }
-    // Salient markers carry pressure, and should touch. Where the gel is known and its model explains too little, they do not.
+    // Salient markers carry pressure and should be in contact. If the gel is known but its model explains
+    // too little, the test fails.
     let is_salient = |k: usize| samples.gel.nodes[k].index < samples.pressed.len();
     let tested = match asked {
-        Some(settled) => Some(settled.here.touching_misfit(params.outlier_share, is_salient)),
+        Some(settled) => Some(settled.here.touching_misfit(params.advanced.outlier_share, is_salient)),
         None if params.method == RegisterMethod::SurfaceSearch && samples.gel.is_known() => {
             Some((f64::INFINITY, 0.0))
         }
         None => None,
     };
     let at_pose = odds(params, samples, (scratch, asked)).log;
-    // One start looks nowhere else.
+    // A single start searches nowhere else.
     let has_searched = params.method == RegisterMethod::SurfaceSearch;
     let elsewhere = if has_searched { searched(params, &in_object, candidates) } else { 0.0 };
     let observability = in_object.turned(&pose(samples, read), samples.centre_mm);
@@ -89,19 +91,19 @@ pub(super) fn registration(
     }
 }
 
-/// How many times larger the variances are than independent noise makes them, from the mean squared deviation of the
-/// markers that touch, and their number.
+/// Ratio of the variances to those of independent noise, from the mean squared deviation of the markers
+/// in contact, and their number.
 ///
-/// What the gel's law has wrong moves neighbours together: over a decay length l, which covers n = π l² / pitch² markers.
-/// Of the mean square, 1 is noise and the rest is that error; a sum over n markers has n + n² (χ² - 1) of variance in
-/// place of n.
+/// Errors of the gel model are common to neighbours within a decay length l, i.e. to n = π l² / pitch²
+/// markers. Of the mean square χ², 1 is noise and the rest is that error. A sum over n markers has the
+/// variance n + n² (χ² - 1) instead of n.
 fn law_excess(samples: &Samples, (squared, touching): (f64, f64)) -> f64 {
     let shared = (PI * samples.gel.stiffness(0.0)).min(touching);
     1.0 + shared * (squared - 1.0).max(0.0)
 }
 
-/// What the contact determines of a pose and what it leaves free, from the readings there, and whether steps have ended
-/// there by themselves; in the object's frame.
+/// Determined and free directions of a pose in the object's frame, from the readings there, and whether
+/// its steps converged.
 pub(super) fn observe(
     params: &RegisterParams,
     samples: &Samples,
@@ -111,7 +113,7 @@ pub(super) fn observe(
 ) -> Observability {
     let placement = &best.placement;
     let sigma_mm = params.point_sigma_mm;
-    // The steps took no others for touching: those pushed at most, and a push tells of one side alone.
+    // Only these were in contact during the steps. Others pushed at most, which bounds one side alone.
     let touching = || {
         let points = samples.pressed.iter().zip(&scratch.here.all).zip(&scratch.touches);
         points.filter(|(_, touches)| **touches > 0.0)
@@ -155,11 +157,12 @@ pub(super) fn observe(
     seen
 }
 
-/// What is to be added to the variance along a direction for not knowing which points touch.
+/// Additional variance along a direction, since the points in contact are uncertain.
 ///
-/// The weights tell Σ w t as if they were known. They change with the pose, and the likelihood is curved by
-/// Σ w t (1 - (1 - w) r²) alone (Louis 1982). Where the points pull against one another, by w r each, more than goes with
-/// such a curvature, the pose is as uncertain as that says: Σ w² t r² over the curvature squared (White 1982).
+/// For known weights the information is Σ w t. But they change with the pose, and the curvature of the
+/// likelihood is only Σ w t (1 - (1 - w) r²) (Louis 1982). Where the gradients of the points, w r each,
+/// scatter more than that curvature implies, the variance is Σ w² t r² over the curvature squared (White
+/// 1982).
 #[derive(Clone, Copy, Debug, Default)]
 struct Doubt {
     told: f64,
@@ -168,7 +171,8 @@ struct Doubt {
 }
 
 impl Doubt {
-    /// Of a point: the probability w that it touches, what it would tell, t = J² / σ², and how far off it is, r² / σ².
+    /// Adds a point: its contact probability w, its information t = J² / σ², and its squared distance r²
+    /// / σ².
     fn add(&mut self, w: f64, t: f64, r_squared: f64) {
         let pulls = w * t * r_squared;
         self.told += w * t;
@@ -186,7 +190,7 @@ impl Doubt {
     }
 }
 
-/// What the heights of the gel tell, with the noise of the normals that they are told by.
+/// Adds the information of the gel heights, with the noise of their normals.
 fn add_settled(
     system: &mut System,
     samples: &Samples,
@@ -200,7 +204,7 @@ fn add_settled(
     for ((node, sight), count_per_mm2) in nodes.filter(|(_, count)| **count > 0.0) {
         let Some(foot) = sight.foot.as_ref() else { continue };
         let variance_mm2 = node.sample.variance(best.placement.sensor_direction(foot.normal));
-        // A height is the distance along the normal over this.
+        // A height is the distance along the normal over the cosine.
         let cosine = foot.normal.dot(press);
         system.add(&Sighting {
             lever: back * node.sample.p_mm,
@@ -210,7 +214,7 @@ fn add_settled(
             normal_variance: foot.curvature_per_mm * foot.curvature_per_mm * variance_mm2,
         });
     }
-    // (ρ ω, v) in the object's axes: both halves turned.
+    // Rotates both halves of (ρ ω, v) to the object's axes.
     let turn = crate::math::DMat3::from_quat(back);
     let turned = |x: [f64; 3]| (turn * DVec3::from_array(x)).to_array();
     let halves = |row: [f64; 6]| {
@@ -263,7 +267,7 @@ mod tests {
 
     #[test]
     fn what_is_missing_is_what_the_likelihood_is_not_curved_by() {
-        // Contact and outliers, which are anywhere: no free gel, whose density has slopes of its own.
+        // Contact and uniform outliers: no free gel, whose density has slopes of its own.
         let mixture = Loose::new(0.8, (1.0, STRAY_MM)).with(1.0);
         let all_mm = [-0.03, -0.02, 0.0, 0.01, 0.04];
         let cost =
@@ -272,14 +276,15 @@ mod tests {
         let curved = (cost(h) - 2.0 * cost(0.0) + cost(-h)) / (h * h);
         let told: f64 = all_mm.iter().map(|d_mm| at(&mixture, *d_mm).0).sum::<f64>() / (SIGMA_MM * SIGMA_MM);
         let variance = 1.0 / told + doubt_of(&mixture, &all_mm);
-        // (h / σ)² of a fourth derivative that is a few times the second.
+        // The error is (h / σ)² of a fourth derivative that is a few times the second.
         assert!((variance * curved - 1.0).abs() < 1e-4, "{}", variance * curved);
         assert!(told > 1.02 * curved);
     }
 
     #[test]
     fn points_that_scatter_more_than_their_noise_tell_as_much_less() {
-        // Where no point is doubted, that is the mean's variance: 4 σ² over their number at two standard deviations.
+        // If all points are in contact, this is the variance of the mean: 4 σ² over their number at two
+        // standard deviations.
         let sure = |r: f64| core::iter::repeat_n((1.0, 1.0, r * r), 10);
         assert!((0.1 + doubt(sure(2.0)) - 0.4).abs() < 1e-15);
         assert_eq!(doubt(sure(0.5)), 0.0);

@@ -1,17 +1,17 @@
-//! A pose in the running, and where its refinement ended.
+//! A candidate pose, and the outcome of its refinement.
 
 use super::gel::rest::Rest;
 use super::normal_system::Placement;
 
-/// A pose in the running.
+/// A candidate pose.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Candidate {
     pub placement: Placement,
-    /// Of the gel, where it is asked.
+    /// Gel parameters, if the gel model is used.
     pub rest: Rest,
-    /// Which of the kept predictions is its own, where the gel is asked.
+    /// Slot of its kept prediction, if the gel model is used.
     pub slot: usize,
-    /// The lower the better; comparable within a round.
+    /// Lower is better; comparable within a round.
     pub cost: f64,
 }
 
@@ -21,7 +21,7 @@ impl Candidate {
     }
 }
 
-/// Where the refinement of a pose ended.
+/// Outcome of the refinement of a pose.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct End {
     pub converged: bool,

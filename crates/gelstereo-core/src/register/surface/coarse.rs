@@ -1,4 +1,4 @@
-//! Coarse looks: one pass over some of the points, on the field, for convergence.
+//! Coarse passes over some of the points, on the field, for convergence.
 
 use super::contact::Samples;
 use super::distances::{Coarse, Near, press_in_object};
@@ -7,7 +7,7 @@ use super::normal_system::{Normal, Placement};
 use super::point::Sample;
 use crate::math::DVec3;
 
-/// Which points are looked at.
+/// The points of a pass.
 #[derive(Clone, Copy)]
 pub(super) struct View<'a> {
     pub pressed: &'a [Sample],
@@ -27,19 +27,19 @@ impl<'a> View<'a> {
         }
     }
 
-    /// Points looked at.
+    /// Number of points.
     pub fn len(&self) -> u64 {
         (self.pressed.len() + self.unpressed.len()) as u64
     }
 
-    /// The linear system of a placement, all points with the same width.
+    /// The linear system of a placement, with the same width for all points.
     pub fn look(&self, part: &Coarse<'_>, placement: &Placement, width_mm: f64) -> Normal {
         let within = |_, x_mm, press| part.within(x_mm, press).ok();
         self.sum(part, placement, width_mm, within)
     }
 
-    /// The same, one look after another: markers that were clear of the part are asked again when they may be in it. What
-    /// the field does not know is `reach_mm` off.
+    /// The same for successive passes: markers that were clear of the part are evaluated again only when
+    /// they may be inside it. Points outside the field count as `reach_mm` away.
     pub fn look_again(
         &self,
         part: &Coarse<'_>,
@@ -75,7 +75,7 @@ impl<'a> View<'a> {
         sum
     }
 
-    /// Its cost alone.
+    /// The cost alone.
     pub fn cost(&self, part: &Coarse<'_>, placement: &Placement, width_mm: f64) -> f64 {
         let mut sum = 0.0;
         let within = |_, x_mm, press| part.within(x_mm, press).ok();
@@ -83,7 +83,7 @@ impl<'a> View<'a> {
         sum
     }
 
-    /// Every point that says something, with its weight and cost.
+    /// Passes every point that contributes to `seen`, with its weight and cost.
     #[inline]
     fn each(
         &self,
@@ -107,7 +107,7 @@ impl<'a> View<'a> {
     }
 }
 
-/// Where a marker was looked up, and how far over the part it was there.
+/// Position at which a marker was evaluated, and its distance from the part there.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Clear {
     at_mm: DVec3,
@@ -122,7 +122,8 @@ impl Clear {
         Self { at_mm, over_mm }
     }
 
-    /// Whether it is higher than that for sure. Between its nodes the field's slope along each axis is 1 at most, √3 in all.
+    /// Whether the distance at `x_mm` is surely above `level_mm`. Between nodes the slope of the field
+    /// along each axis is at most 1, √3 in all.
     #[inline]
     pub fn is_over(&self, x_mm: DVec3, level_mm: f64) -> bool {
         let above_mm = self.over_mm - level_mm;
@@ -136,7 +137,8 @@ mod tests {
     use crate::math::random::Stream;
     use crate::surface::{Field, Solid, TriangleMesh};
 
-    /// A wedge, whose sharp edge the field cuts off, and places some of whose ways out of it and back lie along its slopes.
+    /// A wedge whose sharp edge the field cuts off, and random pairs of positions, some of them along its
+    /// slopes.
     #[test]
     fn what_was_clear_and_has_not_gone_far_is_not_within() {
         let corners = [[0.0, 0.0], [6.0, 0.0], [3.0, 1.0]];

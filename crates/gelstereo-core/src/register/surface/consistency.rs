@@ -1,8 +1,7 @@
-//! Whether a pose that was followed is still the part's: what the gel does there, against what was measured
-//! everywhere.
+//! Consistency check of a tracked pose: the predicted gel against all markers.
 //!
-//! A pose that is wrong can touch most of the patch. The gel beside it then stands too high or too low, and over all
-//! markers that shows in their squared deviations.
+//! A wrong pose can be in contact with most of the patch. The gel beside it is then too high or too low,
+//! which shows in the squared deviations over all markers.
 
 use super::candidate::Candidate;
 use super::gel::prediction::{GelFitScratch, LIFTED, MAX_SQUARE, Prediction};
@@ -10,24 +9,26 @@ use super::gel::rest::Rest;
 use super::state::Search;
 use crate::math::sqrt;
 
-/// Steps from a pose that comes from a rung without the gel: it is off by several standard deviations of theirs.
+/// Steps from a pose of a rung without the gel model, which is off by several standard deviations of the
+/// gel fit.
 const STEPS: u32 = 3;
-/// A right pose at its peak is doubted once in e^14, 1.2 million, frames, were its markers independent. What is wrong
-/// of the gel's law is shared by neighbours; what is usual holds that.
+/// A correct converged pose is doubted once in e^14, 1.2 million, frames if its markers are independent.
+/// Errors of the gel model are common to neighbours; the usual residuals include them.
 const ALARM_LOG: f64 = 14.0;
-/// Of so many frames in which it is known what is usual, one is looked at to the end and learned from, whatever it shows.
+/// Once the usual residuals are known, one of this many frames is run to the end and learned from,
+/// whatever its result.
 const LEARNED_OF: u32 = 8;
-/// Markers that are remembered, of some ten frames, and those that what is known before stands for.
+/// Number of remembered markers, those of some ten frames, and the weight of the prior in markers.
 const REMEMBERED: f64 = 4000.0;
 const BEFORE: f64 = 100.0;
 
-/// How far the markers that the part lifts, by the pose or by what was measured, are from where the gel would be:
+/// Deviation of the markers that the part lifts, by the pose or by measurement, from the predicted gel:
 /// squares of their distances in standard deviations, each up to 16.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Misfit {
-    /// How many are lifted.
+    /// Number of lifted markers.
     pub markers: usize,
-    /// Mean of the squares; about 1 at a right pose.
+    /// Mean of the squares; about 1 at a correct pose.
     pub mean: f64,
     /// Mean of the squares' squares.
     pub mean_square: f64,
@@ -50,18 +51,18 @@ impl Misfit {
     }
 }
 
-/// The squares at poses that were believed, each at its peak.
+/// The squares at accepted poses after convergence.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::register) struct UsualResiduals {
     mean: f64,
     mean_square: f64,
     markers: f64,
-    /// Frames since the last one that was learned from.
+    /// Frames since the last one learned from.
     since: u32,
 }
 
 impl UsualResiduals {
-    /// Before any: of normal deviations, and of outliers.
+    /// Prior before any frame: normal deviations, and outliers.
     pub fn new(outlier_share: f64) -> Self {
         let good = 1.0 - outlier_share;
         Self {
@@ -72,15 +73,16 @@ impl UsualResiduals {
         }
     }
 
-    /// Whether a frame need not be looked at to the end: so many markers are remembered that it is known what is usual, and
-    /// this is not the one of several that is learned from.
+    /// Whether a frame need not be run to the end: enough markers are remembered, and it is not the one
+    /// of several that is learned from.
     pub fn is_enough(&mut self) -> bool {
         self.since += 1;
         self.markers >= REMEMBERED && self.since < LEARNED_OF
     }
 
-    /// The older ones count less. Of frames that were looked at to the end whatever they showed: of those that stop as soon
-    /// as they are usual the ones that do not would raise it, and with it what is usual, for ever.
+    /// Learns from a frame; older ones count less. The frame must have run to the end whatever its
+    /// result. Others stop as soon as they are usual, and learning from those that do not would raise the
+    /// usual residuals without limit.
     pub fn learn(&mut self, one: &Misfit) {
         let count = one.markers as f64;
         let share = count / (self.markers + count);
@@ -90,8 +92,9 @@ impl UsualResiduals {
         self.since = 0;
     }
 
-    /// Whether markers that deviate as usual deviate as much with a probability below e^-14 (Bernstein 1924): n squares
-    /// below b, of variance v, exceed their mean by t in all with less than e^(-t² / 2 (n v + b t / 3)).
+    /// Whether markers with usual deviations deviate as much with a probability below e^-14 (Bernstein
+    /// 1924): n squares below b, of variance v, exceed their mean by t in all with less than e^(-t² / 2
+    /// (n v + b t / 3)).
     pub fn is_exceeded(&self, by: &Misfit) -> bool {
         let count = by.markers as f64;
         let variance = (self.mean_square - self.mean * self.mean).max(0.0);
@@ -102,7 +105,7 @@ impl UsualResiduals {
 }
 
 impl Search<'_> {
-    /// At the guess, after as few steps as make it usual, or else after all.
+    /// Deviation at the guess, after the first step at which it is usual, or after all steps.
     pub fn misfit(&self, usual: Option<&UsualResiduals>, settled: &mut GelFitScratch) -> Misfit {
         let mut one = Candidate::at(self.prior.guess);
         one.rest = Rest { plane_mm: self.samples.gel.rest_plane(self.samples.radius_mm), log_decay: 0.0 };
@@ -133,11 +136,12 @@ mod tests {
     #[test]
     fn what_deviates_more_than_chance_explains_exceeds_the_usual() {
         let mut usual = UsualResiduals { mean: 1.0, mean_square: 3.0, markers: REMEMBERED, since: 0 };
-        // b = 74.67; of 400 squares of variance 2 the excess is 74.67 + √(74.67² + 28 · 800) = 242.0, 0.605 each.
+        // b = 74.67; for 400 squares of variance 2 the excess is 74.67 + √(74.67² + 28 · 800) = 242.0,
+        // 0.605 each.
         assert!(!usual.is_exceeded(&misfit(400, 1.604)) && usual.is_exceeded(&misfit(400, 1.606)));
         assert!(!usual.is_exceeded(&misfit(0, 0.0)) && !usual.is_exceeded(&misfit(5, 16.0)));
         assert!(usual.is_exceeded(&misfit(30, 16.0)));
-        // A tenth of outliers is no surprise where it is said to be; markers that tell of none make it one.
+        // A tenth of outliers is usual where expected, and unusual after learning from markers without any.
         usual = UsualResiduals::new(0.1);
         assert!(!usual.is_exceeded(&misfit(400, 2.5)));
         for _ in 0..20 {
@@ -146,7 +150,7 @@ mod tests {
         assert!(usual.is_exceeded(&misfit(400, 2.5)) && !usual.is_exceeded(&misfit(400, 1.5)));
     }
 
-    /// One frame of several is looked at to the end, from when enough are remembered.
+    /// One of several frames is run to the end, once enough markers are remembered.
     #[test]
     fn what_is_learned_from_is_not_chosen_by_what_it_shows() {
         let mut usual = UsualResiduals::new(0.1);

@@ -1,4 +1,4 @@
-//! What was sensed, as the surface rungs see it: points about the patch's centroid, and which of them a coarse look needs.
+//! Input of the surface rungs: points relative to the patch's centroid, and the subsets for coarse passes.
 
 use super::gel::model::Gel;
 use super::gel::unsupported::Pressures;
@@ -11,19 +11,19 @@ use crate::register::limits::REACH_MM;
 use crate::spatial::Grid;
 use alloc::vec::Vec;
 
-/// A contact as it was sensed, in the sensor's frame.
+/// A measured contact, in the sensor's frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Contact<'a> {
-    /// Salient points: those that the part presses on, and the gel's shoulder beside it.
+    /// Salient points: those pressed by the part, and the gel's shoulder beside it.
     pub points_mm: &'a [DVec3],
-    /// Covariance of each of them; without it each has `register.point_sigma_mm` along every axis.
+    /// Covariance of each of them. Without it each has `register.point_sigma_mm` along every axis.
     pub covariance_mm2: Option<&'a [Symmetric<3>]>,
-    /// Markers that nothing presses on. The part is nowhere between them and the camera; may be empty.
+    /// Unpressed markers. The part is nowhere between them and the camera; may be empty.
     pub unpressed_mm: &'a [DVec3],
-    /// The way from the part into the gel, a unit vector: only faces that look this way can be touched.
+    /// Direction from the part into the gel, a unit vector. Only faces that look this way can be in contact.
     pub press_direction: DVec3,
-    /// Length over which the gel's surface comes back to rest beside a contact, `contact.decay_mm`. With it and the
-    /// markers that nothing presses on it is known which markers a pose touches.
+    /// Length over which the gel's surface returns to rest beside a contact, `contact.decay_mm`. With it
+    /// and the unpressed markers, the markers in contact at a pose can be predicted.
     pub decay_mm: f64,
 }
 
@@ -35,7 +35,7 @@ impl<'a> Contact<'a> {
         Self { points_mm, covariance_mm2: None, unpressed_mm: &[], press_direction: DVec3::NEG_Z, decay_mm }
     }
 
-    /// Refuses covariances and markers without meaning; the salient points have been checked.
+    /// Refuses an invalid input, except for the salient points, which have been checked.
     pub(super) fn check(&self) -> Result<(), RegisterError> {
         if let Some(index) = self.unpressed_mm.iter().position(|p| !is_within(p)) {
             return Err(RegisterError::MarkerNotFinite { index });
@@ -51,7 +51,7 @@ impl<'a> Contact<'a> {
         if all.len() != self.points_mm.len() {
             return Err(RegisterError::Covariances { points: self.points_mm.len(), covariances: all.len() });
         }
-        // Not more negative than rounding makes a singular one.
+        // No more negative than a singular matrix is by rounding.
         let good = |c: &Symmetric<3>| {
             let is_finite = c.iter().flatten().all(|x| x.is_finite());
             is_finite
@@ -66,7 +66,8 @@ impl<'a> Contact<'a> {
         }
     }
 
-    /// Refuses a patch that lies across the way of the press: a thin one by its normal, a long one by its length.
+    /// Refuses a patch that does not face the press: a thin one by its normal, a long one by its longest
+    /// axis.
     fn check_facing(&self) -> Result<(), RegisterError> {
         let centre_mm = centroid(self.points_mm);
         let mut spread = [[0.0; 3]; 3];
@@ -94,18 +95,18 @@ impl<'a> Contact<'a> {
     }
 }
 
-/// A patch farther from facing the press than this was not pressed that way. Gel follows slopes of at most about 45 degrees,
+/// Largest angle between the patch and facing the press. Gel follows slopes of at most about 45 degrees,
 /// and a patch's normal is a mean.
 const MAX_ASIDE_DEG: f64 = 60.0;
-/// A direction of the patch is told from the next when it is spread twice as far: its variance is four times as large.
+/// Ratio of variances from which two axes of a patch are distinct: twice the spread.
 const TOLD: f64 = 4.0;
 
-/// Whether a marker can be where it is said to be; what is not a number is not within.
+/// Whether a marker is within [`REACH_MM`] along every axis; NaN is not.
 pub(super) fn is_within(p_mm: &DVec3) -> bool {
     p_mm.x.abs() <= REACH_MM && p_mm.y.abs() <= REACH_MM && p_mm.z.abs() <= REACH_MM
 }
 
-/// Whether a matrix is positive definite beyond doubt, by the pivots of its elimination: no asking for eigenvalues.
+/// Whether a matrix is positive definite beyond doubt, by its pivots, which is cheaper than eigenvalues.
 fn is_positive(c: &Symmetric<3>) -> bool {
     let doubt = 1e-6 * (c[0][0] + c[1][1] + c[2][2]);
     let (first, y, z) = (c[0][0], c[0][1] / c[0][0], c[0][2] / c[0][0]);
@@ -114,16 +115,16 @@ fn is_positive(c: &Symmetric<3>) -> bool {
     doubt > 0.0 && first > doubt && second > doubt && third > doubt
 }
 
-/// Unpressed markers this far from the patch tell of the part; those beyond are not looked at.
+/// Largest distance from the patch of the unpressed markers that are used.
 const AROUND_MM: f64 = 6.0;
-/// A coarse look needs some of those this near.
+/// Largest distance of those for coarse passes.
 const BESIDE_MM: f64 = 3.5;
-/// Salient points of the coarsest look.
+/// Number of salient points in a coarse pass.
 pub(super) const COARSE: usize = 24;
-/// And other markers, of those beside the patch.
+/// Number of other markers in a coarse pass, from those beside the patch.
 const COARSE_UNPRESSED: usize = 48;
 const MEDIUM_UNPRESSED: usize = 128;
-/// Salient points of the second look.
+/// Number of salient points in a medium pass.
 pub(super) const MEDIUM: usize = 64;
 
 /// The points of one contact. The first [`COARSE`] and [`MEDIUM`] of `pressed` are spread over the patch.
@@ -137,22 +138,22 @@ pub(super) struct Samples {
     pub pressed: Vec<Sample>,
     /// How many of them are spread over the patch.
     pub spread_count: usize,
-    /// How many of them do not hang; they come first.
+    /// How many of them may be in contact; they come first.
     may_touch: usize,
-    /// Those that a coarse look takes first.
+    /// Unpressed markers, those for coarse passes first.
     pub unpressed: Vec<Sample>,
-    /// How many of `unpressed` a coarse and a medium look take.
+    /// How many of `unpressed` a coarse and a medium pass use.
     pub coarse_unpressed: usize,
     pub medium_unpressed: usize,
-    /// Of every salient point the nearest salient ones; its own index where there are fewer.
+    /// For every salient point, the nearest salient ones; its own index where there are fewer.
     pub neighbours: Vec<[u32; NEIGHBOURS]>,
-    /// How far toward the camera markers come before they are salient.
+    /// Position along the press from which markers are salient.
     pub salient_from_mm: f64,
-    /// From the lowest salient point to the highest, and no less than noise makes of level ones.
+    /// Height from the lowest salient point to the highest, at least that which noise gives level ones.
     pub height_mm: f64,
-    /// Of the contact: over which the gel comes back to rest.
+    /// Decay length of the gel's surface beside the contact.
     pub decay_mm: f64,
-    /// All markers, where a search asks what the gel does.
+    /// All markers, if a search uses the gel model.
     pub gel: Gel,
     pressures: Pressures,
     nearest_squared: Vec<f64>,
@@ -160,38 +161,38 @@ pub(super) struct Samples {
     grid: Grid,
 }
 
-/// Which markers are wanted.
+/// Which markers are used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Extent {
     Salient,
-    /// And the others around it, all alike: what is picked of them would depend on the frame.
+    /// Also the others around it, all of them: a selection would depend on the frame.
     Near,
     Around,
     Gel,
 }
 
-/// More salient points than this are not asked for their neighbours, which may take the square of their number.
+/// Largest number of salient points for a neighbour search, whose cost may grow with their square.
 const MAX_ASKED: usize = 2000;
 
-/// With fewer points that do not hang, all are looked at first.
+/// With fewer points that may be in contact, all are used in the first passes.
 const MIN_TOUCHING: usize = 12;
 
-/// Standard deviations within which all points are as high.
+/// Standard deviations within which points count as level.
 const LEVEL: f64 = 8.0;
 
-/// Markers around one: the eight of a lattice.
+/// Number of markers around one: the eight of a lattice.
 const RING: usize = 8;
-/// Standard deviations by which the mean of the markers around is higher where the gel hangs.
+/// Standard deviations by which the mean of the markers around is higher where the gel is free.
 const HOLLOW: f64 = 3.0;
 
-/// Salient points around one that tell whether the gel touches there.
+/// Number of neighbours that determine the prior contact probability of a salient point.
 pub(super) const NEIGHBOURS: usize = 6;
 
 impl Samples {
-    /// The salient points alone, soon; or all markers that a search of one start needs; or of many.
+    /// Fills in the salient points alone (fast), or all markers for a search from one start or from many.
     pub fn fill(&mut self, contact: &Contact<'_>, params: &RegisterParams, extent: Extent) {
         let sigma_mm = params.point_sigma_mm;
-        self.gel_scale = params.gel_scale;
+        self.gel_scale = params.advanced.gel_scale;
         let square = sigma_mm * sigma_mm;
         let isotropic = [square, square, square, 0.0, 0.0, 0.0];
         self.centre_mm = crate::math::centroid(contact.points_mm);
@@ -214,7 +215,7 @@ impl Samples {
         }
         if extent != Extent::Salient {
             self.find_hanging(contact);
-            // The first one's noise is what steps are measured by: in every frame the same one.
+            // The first point's noise scales the step tolerance, so it must be the same one in every frame.
             self.spread(if extent == Extent::Near { 1 } else { MEDIUM });
             if extent == Extent::Near {
                 self.take_near(contact.unpressed_mm, isotropic);
@@ -229,13 +230,14 @@ impl Samples {
         }
     }
 
-    /// Noise of the salient points along a direction, the surer ones before the others (harmonic mean of the variances).
+    /// Noise standard deviation of the salient points along a direction. The harmonic mean of the
+    /// variances favours the more precise points.
     pub fn sigma_mm(&self, direction: DVec3) -> f64 {
         let sum: f64 = self.pressed.iter().map(|s| 1.0 / s.variance(direction)).sum();
         sqrt(self.pressed.len() as f64 / sum)
     }
 
-    /// What is not known of the noise of other markers is taken to be as with the salient ones.
+    /// Other markers have no covariance and get the mean of the salient ones'.
     fn fill_gel(&mut self, contact: &Contact<'_>) {
         if contact.unpressed_mm.is_empty() {
             return;
@@ -250,7 +252,7 @@ impl Samples {
         gel.fill((markers, pressed.len()), contact.press_direction, contact.decay_mm, *gel_scale);
     }
 
-    /// All markers beside salient ones, these first, about the centroid with the press along z.
+    /// Salient markers and those beside them, in this order, relative to the centroid with the press along z.
     fn lay_flat(&mut self, contact: &Contact<'_>) {
         let (a, b) = contact.press_direction.any_orthonormal_pair();
         let (centre_mm, beside_mm) = (self.centre_mm, BESIDE_MM * self.gel_scale);
@@ -271,7 +273,7 @@ impl Samples {
         self.flat.extend(contact.unpressed_mm.iter().map(flat).filter(beside));
     }
 
-    /// The lowest salient point shows where saliency begins; points that are all as high do not.
+    /// The lowest salient point defines where saliency begins, unless the points are level.
     fn find_saliency(&mut self, press: DVec3) {
         let along = |s: &Sample| s.p_mm.dot(press);
         let heights = || self.pressed.iter().map(along);
@@ -282,7 +284,8 @@ impl Samples {
         self.salient_from_mm = if high - low > LEVEL * sigma_mm { low } else { f64::NEG_INFINITY };
     }
 
-    /// Finds the salient points beside the contact: by the gel's pressure where the gel is known, else by its bend.
+    /// Finds the salient points that are not in contact: by the gel's pressure where the gel is known,
+    /// else by its curvature.
     fn find_hanging(&mut self, contact: &Contact<'_>) {
         let count = contact.points_mm.len();
         if contact.unpressed_mm.is_empty() || count > MAX_ASKED {
@@ -298,7 +301,7 @@ impl Samples {
         } else {
             self.find_hollow(contact);
         }
-        // Those that may touch first.
+        // Those that may be in contact first.
         let mut touching = 0;
         for k in 0..count {
             if !self.pressed[k].hangs {
@@ -309,8 +312,8 @@ impl Samples {
         self.may_touch = touching;
     }
 
-    /// Free gel of height h obeys h - l² Δh = 0 (Pasternak 1954): it is hollow, Δh > 0, where gel on a flat or round part
-    /// is not. Height over the mean of the markers around tells.
+    /// Free gel of height h obeys h - l² Δh = 0 (Pasternak 1954). It is concave, Δh > 0, where gel on a
+    /// flat or round part is not. The test is the height over the mean of the markers around.
     fn find_hollow(&mut self, contact: &Contact<'_>) {
         let press = contact.press_direction;
         self.lay_flat(contact);
@@ -323,7 +326,8 @@ impl Samples {
             };
             let ring = self.grid.nearest_others::<RING>(k, at.truncate(), squared);
             let mean = ring.iter().map(|(_, j)| flat[*j as usize] - at).sum::<DVec3>() / RING as f64;
-            // All around it, and near: where markers are missing or the gel ends nothing is known.
+            // The markers must be near and on all sides: next to missing markers or the gel's border
+            // nothing is known.
             let is_around =
                 mean.truncate().length_squared() < 0.04 * ring[0].0 && ring[RING - 1].0 < 6.25 * ring[0].0;
             let sigma_mm = sqrt(self.pressed[k].variance(press) * (1.0 + 1.0 / RING as f64));
@@ -344,19 +348,19 @@ impl Samples {
         for (k, s) in pressed.iter().enumerate() {
             let squared = |j: usize| s.p_mm.distance_squared(pressed[j].p_mm);
             let best = grid.nearest_others::<NEIGHBOURS>(k, flat[k].truncate(), squared);
-            // Those behind a gap are no neighbours.
+            // Points behind a gap are no neighbours.
             let limit = 4.0 * best[0].0;
             neighbours.push(best.map(|(squared, j)| if squared <= limit { j } else { k as u32 }));
         }
     }
 
-    /// How many come first that are looked at first.
+    /// Number of leading points that are used in the first passes.
     pub fn may_touch(&self) -> usize {
         if self.may_touch >= MIN_TOUCHING { self.may_touch } else { self.pressed.len() }
     }
 
-    /// Brings points that are far from each other to the front (Gonzalez 1985), beginning with the one nearest to the
-    /// centroid.
+    /// Moves points that are far from each other to the front (farthest-point sampling, Gonzalez 1985),
+    /// beginning with the one nearest to the centroid.
     fn spread(&mut self, most: usize) {
         let among = self.may_touch();
         let count = most.min(among);
@@ -378,7 +382,7 @@ impl Samples {
         }
     }
 
-    /// Those no farther from the patch's outermost point than they may be and tell of the part.
+    /// Takes the unpressed markers within the radius of the patch's outermost point plus [`BESIDE_MM`].
     fn take_near(&mut self, unpressed_mm: &[DVec3], covariance: [f64; 6]) {
         let widest = self.pressed.iter().map(|s| s.p_mm.length_squared()).fold(0.0, f64::max);
         let reach_mm = sqrt(widest) + BESIDE_MM * self.gel_scale;
@@ -393,7 +397,8 @@ impl Samples {
         (self.coarse_unpressed, self.medium_unpressed) = (self.unpressed.len(), self.unpressed.len());
     }
 
-    /// Those around the patch: some beside it first, then the others beside it, then the rest.
+    /// Takes those around the patch: a sample of those beside it first, then the others beside it, then
+    /// the rest.
     fn take_unpressed(&mut self, unpressed_mm: &[DVec3], covariance: [f64; 6]) {
         self.unpressed.clear();
         let spread = &self.pressed[..COARSE.min(self.pressed.len())];
@@ -412,7 +417,7 @@ impl Samples {
                 beside += 1;
             }
         }
-        // Spread over those beside: equal steps through them, which come in the order of the lattice.
+        // Samples those beside in equal steps; they come in the order of the lattice.
         self.coarse_unpressed = COARSE_UNPRESSED.min(beside);
         self.medium_unpressed = MEDIUM_UNPRESSED.min(beside);
         for k in 1..self.medium_unpressed {
@@ -430,8 +435,8 @@ mod tests {
     use super::*;
     use crate::math::random::Stream;
 
-    /// Evidence is divided by variances and by the patch's height, and takes the logarithm of that: of points that are as
-    /// high, said to be known exactly along the press, or a rounding better than that, both are still positive.
+    /// The evidence divides by variances and by the patch's height, and takes logarithms of them. Both must
+    /// stay positive for level points whose variance along the press is zero, or negative by rounding.
     #[test]
     fn row_32_a_direction_known_exactly_leaves_positive_variances() {
         for along_press in [0.0, -1e-9] {
@@ -467,7 +472,8 @@ mod tests {
             }
             let values = eigen(&c).values;
             seen[usize::from(is_positive(&c))] += 1;
-            // Least eigenvalue over trace: a pivot is at least the least eigenvalue, and no less doubtful.
+            // Every pivot is at least the least eigenvalue, so a pivot that fails bounds it relative to
+            // the trace.
             assert!(!is_positive(&c) || values[0] > 0.0, "{c:?} {values:?}");
             assert!(is_positive(&c) || values[0] < 2e-6 * (c[0][0] + c[1][1] + c[2][2]).abs(), "{c:?}");
         }

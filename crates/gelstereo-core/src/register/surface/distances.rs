@@ -1,94 +1,96 @@
-//! How far points are from the part: on the exact triangles, and on the field that is a sum away.
+//! Distances of points from the part: on the exact triangles, and on the field, which takes one weighted sum.
 
 use super::normal_system::Placement;
 use super::smooth_normals::Relief;
 use crate::math::{DVec3, abs, sqrt};
 use crate::surface::{Facing, Feature, Field, Solid};
 
-/// A face that looks away from the gel by more than this cosine cannot be touched. Noise and a guess's tilt get it.
+/// Least cosine to the press of a face that can be in contact; negative, to allow for noise and for the
+/// tilt of a guess.
 const MIN_COSINE: f64 = -0.1;
-/// Lookups on the way through the part to the face that can be touched.
+/// Lookups along the way through the part to a face that can be in contact.
 const MAX_LOOKUPS: usize = 8;
 
-/// The distance to the part and the outward normal where it is nearest, object frame.
+/// Distance to the part, and outward normal at the nearest point; object frame.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Near {
     pub distance_mm: f64,
     pub normal: DVec3,
-    /// How fast the normal turns along the surface; 0 where that is not known.
+    /// Rotation of the normal along the surface; 0 where unknown.
     pub curvature_per_mm: f64,
 }
 
-/// Something that knows distances to a part.
+/// Distance queries to a part.
 pub(super) trait Distances {
-    /// `press` is the way from the part into the gel, object frame; distances out of `range` need not be exact.
+    /// `press` is the direction from the part into the gel, object frame; distances out of `range` need
+    /// not be exact.
     fn at(&self, x_mm: DVec3, press: DVec3, range: Range, last: &mut Last) -> Near;
 }
 
-/// From which to which distance a point matters, mm.
+/// Range of distances at which a point matters, mm.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Range {
     pub from_mm: f64,
     pub to_mm: f64,
 }
 
-/// What is kept of a point from lookup to lookup.
+/// State of a point that is kept between lookups.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Last {
-    /// The triangle that was nearest.
+    /// The last nearest triangle.
     pub triangle: u32,
-    /// What lookups have cost, in lookups of the field.
+    /// Work of the lookups, in lookups of the field.
     pub work: u64,
 }
 
-/// Where the part lies under a marker, along the press.
+/// The part's surface under a marker, along the press.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Foot {
-    /// How far the marker is over it; negative within the part.
+    /// Height of the marker over it; negative inside the part.
     pub over_mm: f64,
-    /// Outward there, object frame.
+    /// Outward normal, object frame.
     pub normal: DVec3,
     pub curvature_per_mm: f64,
 }
 
-/// How far over and under a marker the part is looked for.
+/// Search range along the press: largest distance of the marker over the part, and under its surface.
 const OVER_MM: f64 = 2.0;
 pub(super) const UNDER_MM: f64 = 1.5;
-/// Faces that are steeper than this, cosine to the press, are looked for along the line itself, and not by distances.
+/// Faces with a smaller cosine to the press are intersected with the line itself, not found by distances.
 const STEEP_COSINE: f64 = 0.2;
-/// What is steeper still, within 2 degrees of the press, is a wall beside which gel hangs.
+/// Faces with a smaller cosine, within 2 degrees of the press, are walls beside which the gel is free.
 const WALL_COSINE: f64 = 0.03;
-/// The field finds a foot on a steep face to this.
+/// Accuracy of a foot on a steep face from the field.
 const MET_MM: f64 = 0.4;
-/// Steps of sphere tracing (Hart 1996), and how near to the surface they end, in cells.
+/// Steps of sphere tracing (Hart 1996), and the distance at which they end, in cells.
 const MAX_STEPS: usize = 12;
 const NEAR: f64 = 0.2;
-/// Steps of Newton on the triangles; a foot this far from them is none.
+/// Newton steps on the triangles, and their convergence limit.
 const MAX_REFINED: usize = 4;
 const ON_MM: f64 = 2e-3;
-/// Within this a face is as flat as it is here, to a micrometre.
+/// Step length within which a face is flat to a micrometre.
 const CLOSE_MM: f64 = 0.03;
 
-/// Lines that take their steps in turn: each step waits for the one before it on its line, and for none on another.
+/// Number of interleaved lines: each step depends on the previous one of its line, and on no other line.
 const TOGETHER: usize = 4;
 
-/// The line through a marker along the press, and what of it is known.
+/// Line through a marker along the press, and what is known of it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Line {
     x_mm: DVec3,
-    /// How far over the marker gel coming against the press is.
+    /// Current position, as the height over the marker; it moves against the press.
     at_mm: f64,
     is_done: bool,
-    /// The first of the part that it meets.
+    /// First intersection with the part.
     pub foot: Option<Foot>,
-    /// How near it came to the part.
+    /// Least distance from the part so far.
     pub clear_mm: f64,
-    /// How far the marker is over the first place where the part is as near as the field may be wrong by.
+    /// Height of the marker over the first position whose distance is within the field's error.
     near_over_mm: Option<f64>,
 }
 
 impl Line {
-    /// Through a marker, object frame, from `start_mm` over it on.
+    /// The line through a marker, object frame, from `start_mm` over it on.
     pub const fn new(x_mm: DVec3, start_mm: f64) -> Self {
         Self {
             x_mm,
@@ -100,14 +102,14 @@ impl Line {
         }
     }
 
-    /// One that is known not to meet it.
+    /// A line that is known to miss the part.
     pub const fn past() -> Self {
         Self { is_done: true, ..Self::new(DVec3::ZERO, 0.0) }
     }
 }
 
 impl Coarse<'_> {
-    /// All lines to the part, or past it.
+    /// Marches all lines to the part, or past it.
     pub fn march(&self, lines: &mut [Line], press: DVec3) {
         for few in lines.chunks_mut(TOGETHER) {
             for _ in 0..MAX_STEPS {
@@ -130,7 +132,7 @@ impl Coarse<'_> {
         line.is_done |= line.at_mm < -OVER_MM * self.gel_scale;
     }
 
-    /// What the field says where the line is; how far it can go on.
+    /// Evaluates the field at the line's position; returns the next step length.
     #[inline(always)]
     fn look(&self, line: &mut Line, (distance_mm, gradient): (f64, DVec3), press: DVec3) -> f64 {
         let near_mm = NEAR * self.field.cell_mm();
@@ -155,13 +157,13 @@ impl Coarse<'_> {
 }
 
 impl Exact<'_> {
-    /// Of a line that has marched on the field, the first of the part that it meets on the triangles; without one, how near
-    /// it came to the part.
+    /// First intersection with the triangles of a line that has marched on the field. Without one, the
+    /// error is the least distance from the part.
     pub fn foot(&self, line: &Line, press: DVec3, hint: &mut u32) -> Result<Foot, f64> {
         let (scale, x_mm) = (self.field.gel_scale, line.x_mm);
         let mut foot = match (line.foot, line.near_over_mm) {
             (Some(foot), _) => foot,
-            // An edge that the field cuts off: ask the faces.
+            // An edge that the field cuts off: use the triangles.
             (None, Some(near_mm)) => {
                 return self.first_met(x_mm, near_mm, press, hint).ok_or(line.clear_mm);
             }
@@ -193,7 +195,8 @@ impl Exact<'_> {
         self.first_met(x_mm, coarse_mm, press, hint).ok_or(0.0)
     }
 
-    /// On a steep face, or beside an edge, where the nearest face may be another one than the line meets.
+    /// Intersects the line with the triangles: on a steep face or beside an edge, the nearest face may be
+    /// another one.
     #[cold]
     fn first_met(&self, x_mm: DVec3, coarse_mm: f64, press: DVec3, hint: &mut u32) -> Option<Foot> {
         let facing = Facing { direction: press, least_cosine: WALL_COSINE };
@@ -226,15 +229,15 @@ impl Distances for Coarse<'_> {
 }
 
 impl Coarse<'_> {
-    /// The distance of a point, and its normal.
+    /// Distance of a point, and its normal.
     #[inline(always)]
     pub fn near_at(&self, x_mm: DVec3, press: DVec3) -> Near {
         let near = self.lookup(x_mm, press);
         if near.normal.dot(press) >= MIN_COSINE { near } else { self.through(x_mm, press, near) }
     }
 
-    /// As [`Self::near_at`]; where that is sure to be outside of the part, which takes no direction, how far: ∞ out of the
-    /// field's reach.
+    /// As [`Self::near_at`]. If the point is surely outside the part, which needs no direction, the error
+    /// is its distance: ∞ out of the field's reach.
     #[inline(always)]
     pub fn within(&self, x_mm: DVec3, press: DVec3) -> Result<Near, f64> {
         let (distance_mm, gradient) = self.field.distance(x_mm).ok_or(f64::INFINITY)?;
@@ -246,7 +249,7 @@ impl Coarse<'_> {
         Ok(if is_touched { near } else { self.through(x_mm, press, near) })
     }
 
-    /// Out of the field's reach there is no part.
+    /// Out of the field's reach the distance is that reach.
     #[inline(always)]
     fn lookup(&self, x_mm: DVec3, press: DVec3) -> Near {
         let (distance_mm, gradient) = self.field.distance(x_mm).unwrap_or((self.field.reach_mm(), press));
@@ -260,8 +263,9 @@ impl Coarse<'_> {
         Near { distance_mm, normal, curvature_per_mm: 0.0 }
     }
 
-    /// The nearest face cannot be touched: the back of a thin plate. Goes on along the press until the nearest face can,
-    /// and takes the distance to its plane; a way that leads out of the part says that nothing is there.
+    /// For a nearest face that cannot be in contact, such as the back of a thin plate. Continues along
+    /// the press until the nearest face can be, and takes the distance to its plane. If the way leaves
+    /// the part, keeps the first result.
     #[cold]
     fn through(&self, x_mm: DVec3, press: DVec3, first: Near) -> Near {
         let least_mm = self.field.cell_mm();
@@ -271,7 +275,7 @@ impl Coarse<'_> {
             let next = self.lookup(x_mm + press * way_mm, press);
             if next.normal.dot(press) >= MIN_COSINE {
                 let distance_mm = next.distance_mm - way_mm * next.normal.dot(press);
-                // Out of the part and away from it: nothing stands in the way.
+                // Out of the part already: nothing is in the way.
                 return if near.distance_mm > 0.0 { first } else { Near { distance_mm, ..next } };
             }
             if near.distance_mm > 0.0 && next.distance_mm > near.distance_mm {
@@ -283,7 +287,7 @@ impl Coarse<'_> {
     }
 }
 
-/// The triangles themselves.
+/// Exact distances to the triangles.
 #[derive(Clone, Copy)]
 pub(super) struct Exact<'a> {
     pub solid: &'a Solid,
@@ -291,15 +295,15 @@ pub(super) struct Exact<'a> {
     pub field: Coarse<'a>,
 }
 
-/// No part is farther away that says anything.
+/// Distance from which a part has no influence.
 const REACH_MM: f64 = 20.0;
-/// What a lookup on the triangles costs, in lookups of the field.
+/// Work of a lookup on the triangles, in lookups of the field.
 const EXACT_WORK: u64 = 16;
-/// What the field of a closed surface may be wrong by, in cells: √3 / 2.
+/// Largest error of the field of a closed surface, in cells: √3 / 2.
 const FIELD_ERROR: f64 = 0.867;
 
 impl Distances for Exact<'_> {
-    /// The field tells which points the triangles need not be asked for, and how far it is to them at most.
+    /// The field determines which points need no lookup on the triangles, and bounds their search radius.
     #[inline]
     fn at(&self, x_mm: DVec3, press: DVec3, range: Range, last: &mut Last) -> Near {
         last.work += 1;
@@ -336,7 +340,7 @@ impl Exact<'_> {
     }
 }
 
-/// The press in the object's frame.
+/// The press direction in the object's frame.
 pub(super) fn press_in_object(placement: &Placement, press_direction: DVec3) -> DVec3 {
     placement.object_direction(press_direction)
 }

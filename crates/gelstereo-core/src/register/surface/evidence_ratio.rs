@@ -1,4 +1,4 @@
-//! Whether the part is where it is said to be: the odds of that over something else being there.
+//! Log evidence ratio of the part at the pose over something else there.
 
 use super::candidate::Candidate;
 use super::contact::Samples;
@@ -11,44 +11,48 @@ use crate::register::Observability;
 use crate::register::observe::halves;
 use core::f64::consts::TAU;
 
-/// The gel's shoulder is salient as far beside the part as this many decay lengths: there it has sunk to a seventh.
+/// Extent of the gel's salient shoulder beside the part, in decay lengths: there it has sunk to a seventh.
 const BESIDE: f64 = 2.0;
-/// The share of points that touch is what the points themselves say; it starts close and settles at once.
+/// Iterations of the contact share, which is estimated from the points; it starts close and converges at
+/// once.
 const STEPS: u32 = 2;
 
-/// A marker is lifted when it stands so many standard deviations over its rest height.
+/// Standard deviations over its rest height from which a marker is lifted.
 const LIFTED: f64 = 3.0;
-/// Markers beside the part that follow no law of the gel are so many standard deviations less likely than noise makes them.
+/// Standard deviations below the likelihood expected from noise at which the markers beside the part do
+/// not follow the gel model.
 const LAW_BROKEN: f64 = 3.0;
 
-/// What was read at a pose: distances, and the gel's heights if its model was used.
+/// Readings at a pose: distances, and the gel's heights if its model was used.
 pub(super) type Read<'a> = (&'a RefineScratch, Option<&'a GelFitScratch>);
 
-/// What the markers say of a pose.
+/// Evidence of the markers for a pose.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Odds {
-    /// ln P(markers | part at the pose) - ln P(markers | something else), both as likely beforehand. Points count as
-    /// independent: far from even odds the figure is too sure of itself.
+    /// ln P(markers | part at the pose) - ln P(markers | something else), with equal priors. Points count
+    /// as independent, so large values are overconfident.
     pub log: f64,
-    /// Whether the gel beside the part does what its model says.
+    /// Whether the gel beside the part follows its model.
     pub is_law_kept: bool,
 }
 
-/// The odds at a pose, before they are charged for the search.
+/// The log evidence ratio at a pose, before the correction for the search.
 pub(super) fn odds(params: &RegisterParams, samples: &Samples, (scratch, settled): Read<'_>) -> Odds {
     match settled {
-        Some(settled) => by_heights(samples, settled, params.outlier_share),
-        None => Odds { log: by_distances(samples, scratch, params.outlier_share), is_law_kept: true },
+        Some(settled) => by_heights(samples, settled, params.advanced.outlier_share),
+        None => {
+            Odds { log: by_distances(samples, scratch, params.advanced.outlier_share), is_law_kept: true }
+        }
     }
 }
 
-/// How much less likely the part is for having been looked for anywhere within the guess's uncertainty: to noise some
-/// pose always fits a little. What counts is the mean over all poses, the likelihood at a peak times the share of that
-/// volume that the peak fills (Laplace's evidence; MacKay 1992), over all answers; the best one comes first.
+/// Correction for the search over the guess's uncertainty: some pose always fits noise a little. The
+/// evidence is the mean over all poses, i.e. the likelihood at a peak times the share of that volume that
+/// the peak fills (Laplace's evidence; MacKay 1992), summed over all solutions, the best first.
 pub(super) fn searched(params: &RegisterParams, seen: &Observability, answers: &[Candidate]) -> f64 {
     let turn_mm = params.start_sigma_deg.to_radians() * seen.radius_mm;
     let shift_mm = params.start_sigma_mm;
-    // What is free stays as it was guessed.
+    // Free directions stay at the guess.
     let narrowed = |(u, value): (&[f64; 6], f64)| {
         let (omega, v) = halves(u);
         let guessed = turn_mm * turn_mm * omega.length_squared() + shift_mm * shift_mm * v.length_squared();
@@ -58,11 +62,12 @@ pub(super) fn searched(params: &RegisterParams, seen: &Observability, answers: &
     seen.directions.iter().zip(seen.values).map(narrowed).sum::<f64>() - ln(peaks)
 }
 
-/// By the heights of the gel with the part in it.
+/// Log evidence ratio from the gel heights with the part in the gel.
 ///
-/// Markers that touch, or are lifted, stand where the part puts them, or anywhere within the patch's height. That holds
-/// whatever the law of the gel. Of the other markers the model of the gel is right or wrong: where they agree with it they
-/// count as evidence (half a squared deviation of 1 is what noise makes), and where they do not, the law is at fault.
+/// Markers in contact or lifted are where the part puts them, or anywhere within the patch's height; this
+/// does not depend on the gel model. The other markers test that model. Where they follow it they count
+/// as evidence (noise makes a squared deviation of 1 on average, counted by its half); otherwise the
+/// model is wrong.
 fn by_heights(samples: &Samples, settled: &GelFitScratch, outliers: f64) -> Odds {
     let stray = outliers.max(MIN_OUTLIERS) / (STRAY_MM * samples.gel_scale);
     let gain = |with: f64, without: f64| {
@@ -81,12 +86,13 @@ fn by_heights(samples: &Samples, settled: &GelFitScratch, outliers: f64) -> Odds
             count += 1.0;
         }
     }
-    // Half a squared deviation has a variance of 1/2.
+    // Half a squared normal deviation has a variance of 1/2.
     Odds { log: part + beside.max(0.0), is_law_kept: beside > -LAW_BROKEN * sqrt(0.5 * count) }
 }
 
-/// By distances from the part. A salient point touches it, within its noise, or hangs up to as high over it as the patch
-/// is and as far beside it as the gel takes to sink, or is an outlier; any other marker is not in it.
+/// Log evidence ratio from distances. A salient point is in contact within its noise, or an outlier, or
+/// free: up to the patch's height over the part, and as far beside it as the gel takes to sink. Any other
+/// marker is not inside the part.
 fn by_distances(samples: &Samples, scratch: &RefineScratch, outliers: f64) -> f64 {
     let (pressed, others) = scratch.here.all.split_at(samples.pressed.len());
     let good = 1.0 - outliers;

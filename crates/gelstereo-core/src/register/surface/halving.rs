@@ -1,4 +1,4 @@
-//! Screening: rounds of coarse steps of many candidates, of which fewer and fewer go on.
+//! Screening: rounds of coarse steps with ever fewer candidates (successive halving).
 
 use super::candidate::Candidate;
 use super::coarse::View;
@@ -11,14 +11,14 @@ use alloc::vec::Vec;
 
 /// One round of screening.
 pub(super) struct Round {
-    /// How many salient points it looks at.
+    /// Number of salient points in use.
     pressed: usize,
-    /// Widths of its steps, and how many candidates go on from each: the cheapest as they stood before it.
+    /// Widths of its steps, and how many candidates continue from each: the cheapest before the step.
     steps: &'static [(f64, usize)],
-    /// The width that candidates are compared by in the end, and how many are kept.
+    /// Width of the final comparison, and how many candidates are kept.
     last_mm: f64,
     pub keeps: usize,
-    /// Candidates closer than this, over the patch, are one.
+    /// Candidates closer than this, over the patch, count as one.
     pub same_mm: f64,
 }
 
@@ -30,7 +30,7 @@ pub(super) const FIRST: Round = Round {
     keeps: 32,
     same_mm: 0.0,
 };
-/// The second one keeps all to its end: beside the best answer, others as likely are looked for among them.
+/// The second round keeps all to its end: alternatives as likely as the best pose are searched among them.
 pub(super) const SECOND: Round = Round {
     pressed: MEDIUM,
     steps: &[(0.6, usize::MAX), (0.3, usize::MAX), (0.2, usize::MAX), (0.12, usize::MAX)],
@@ -38,13 +38,13 @@ pub(super) const SECOND: Round = Round {
     keeps: KEPT,
     same_mm: 0.1,
 };
-/// The guess counts little while weights are those of wide laws.
+/// Weight of the guess in coarse steps; small, since the point weights are those of wide distributions.
 const COARSE_PRIOR: f64 = 0.1;
-/// Longest step of a coarse look.
+/// Longest coarse step, over the patch.
 const LONGEST_MM: f64 = 2.0;
 
 impl Search<'_> {
-    /// Steps of all candidates, and the choice of those that go on.
+    /// Steps all candidates, and selects those that continue.
     pub fn round(&mut self, candidates: &mut Vec<Candidate>, round: &Round, unpressed: usize) {
         let view = View::of(
             self.samples,
@@ -65,7 +65,7 @@ impl Search<'_> {
         insertion_sort(candidates);
     }
 
-    /// Does what tells a candidate's cost, to all of them or until the budget is spent.
+    /// Computes the cost of all candidates, or until the budget is spent.
     fn each(&mut self, candidates: &mut [Candidate], mut cost: impl FnMut(&mut Self, &mut Candidate) -> f64) {
         if self.has_spent() {
             return;
@@ -75,13 +75,13 @@ impl Search<'_> {
         }
     }
 
-    /// A coarse step; what the candidate cost before it.
+    /// Takes a coarse step; returns the cost before it.
     pub fn step(&mut self, candidate: &mut Candidate, view: &View<'_>, width_mm: f64) -> f64 {
         let sum = view.look(&self.field, &candidate.placement, width_mm);
         self.step_by(candidate, view, sum)
     }
 
-    /// The step that a look asks for; what the candidate cost before it.
+    /// Takes the step of a pass's linear system; returns the cost before it.
     pub fn step_by(&mut self, candidate: &mut Candidate, view: &View<'_>, mut sum: Normal) -> f64 {
         self.work += view.len();
         let cost = sum.cost;
@@ -93,8 +93,8 @@ impl Search<'_> {
     }
 }
 
-/// The `most` cheapest, in order; of those closer than `same_mm` the cheaper one. Sorting is stable: ties stay in the
-/// order of the starts.
+/// Keeps the `most` cheapest, in order; of those closer than `same_mm` the cheaper one. The sort is
+/// stable: ties keep the order of the starts.
 pub(super) fn keep(candidates: &mut Vec<Candidate>, most: usize, radius_mm: f64, same_mm: f64) {
     insertion_sort(candidates);
     if same_mm == 0.0 {

@@ -1,4 +1,4 @@
-//! All markers of a frame: which of them nothing presses on.
+//! Selection of the unpressed markers of a frame.
 
 use super::contact::is_within;
 use crate::math::DVec3;
@@ -7,14 +7,15 @@ use crate::register::RegisterError;
 use alloc::vec::Vec;
 use core::cmp::Ordering;
 
-/// The markers that are not among the salient ones, for [`Contact::unpressed_mm`]: those at other places, bit for bit.
+/// The markers that are not among the salient ones, for [`Contact::unpressed_mm`]. Positions are compared
+/// bit for bit.
 ///
 /// [`Contact::unpressed_mm`]: super::Contact::unpressed_mm
 #[must_use]
 pub fn unpressed(all_mm: &[DVec3], salient_mm: &[DVec3]) -> Vec<DVec3> {
     let mut salient = salient_mm.to_vec();
     salient.sort_unstable_by(order);
-    // Most markers are not even near. What is not a number leaves the bounds, and is not told by them.
+    // Most markers are outside the bounds. NaN does not affect them, and is never outside.
     let bounds = (DVec3::INFINITY, DVec3::NEG_INFINITY);
     let (low, high) = salient.iter().fold(bounds, |(low, high), p| (p.min(low), p.max(high)));
     let is_beside = |p: &DVec3| p.cmplt(low).any() || p.cmpgt(high).any();
@@ -24,7 +25,8 @@ pub fn unpressed(all_mm: &[DVec3], salient_mm: &[DVec3]) -> Vec<DVec3> {
     unpressed
 }
 
-/// As [`unpressed`], for one method: none where it does not look at them, unless it would refuse some of them.
+/// As [`unpressed`], for one method: none if the method does not use them, unless it would refuse some of
+/// them.
 #[must_use]
 pub fn unpressed_for(method: RegisterMethod, all_mm: &[DVec3], salient_mm: &[DVec3]) -> Vec<DVec3> {
     let is_needed = match method {
@@ -35,13 +37,13 @@ pub fn unpressed_for(method: RegisterMethod, all_mm: &[DVec3], salient_mm: &[DVe
     if is_needed { unpressed(all_mm, salient_mm) } else { Vec::new() }
 }
 
-/// Refuses salient points of which some are not among all markers, bit for bit: as [`unpressed`] would have it, their
-/// markers were pressed by the part and by nothing.
+/// Refuses salient points that are not among all markers, bit for bit. [`unpressed`] would treat their
+/// markers as both pressed and unpressed.
 ///
 /// # Errors
 /// [`RegisterError::NotAmong`].
 pub fn check_among(all_mm: &[DVec3], salient_mm: &[DVec3]) -> Result<(), RegisterError> {
-    // Mostly they come in the order of the markers.
+    // They usually come in the order of the markers.
     let mut rest = all_mm.iter();
     if salient_mm.iter().all(|s| rest.any(|p| order(p, s).is_eq())) {
         return Ok(());
@@ -101,7 +103,7 @@ mod tests {
         let mut salient = [all[7], all[2], all[7]];
         assert_eq!(check_among(&all, &salient), Ok(()));
         assert_eq!(check_among(&all, &[]), Ok(()));
-        // As from single precision.
+        // As after conversion from single precision.
         salient[1].y += 1e-7;
         let told = |missing, index| Err(RegisterError::NotAmong { missing, points: 3, index, all: 20 });
         assert_eq!(check_among(&all, &salient), told(1, 1));

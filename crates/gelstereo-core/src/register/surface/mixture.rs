@@ -1,24 +1,26 @@
-//! How much a point counts at a distance from the part, and how well the distance is explained.
+//! Weight of a point at a distance from the part, and likelihood of that distance.
 //!
-//! The gel lies on the part or hangs beside it, and never lies in it. Coarse looks are for convergence: their weights
-//! have one width and no exponential. The last steps and the evidence are for the answer: every marker is a draw from a
-//! mixture of contact, free gel and outlier. Markers that are not salient have their own shares; at the rim of a contact
-//! some of them touch, and without them the salient ones would be those that noise has raised.
+//! The gel is on the part or free beside it, and never inside it. Coarse passes are for convergence: their
+//! weights have one width and no exponential. In the final steps and the evidence, every marker is a draw
+//! from a mixture of contact, free gel and outliers. Markers that are not salient have their own shares.
+//! Some of them are in contact at the rim; without them, only markers raised by noise would be used there.
 
 use crate::math::{exp_nonpositive, ln};
 use core::f64::consts::FRAC_1_SQRT_2;
 use core::ops::RangeInclusive;
 
-/// No contact is this many standard deviations off: its density, e^-32 of the greatest, is far below that of outliers.
+/// Standard deviations from which contact is excluded: its density, e^-32 of the maximum, is far below
+/// that of outliers.
 const NEVER: f64 = 8.0;
 /// 1 / √(2 π).
 const FRAC_1_SQRT_TAU: f64 = 0.398_942_280_401_432_7;
-/// There may be some even where none are expected.
+/// Smallest outlier share, even where no outliers are expected.
 pub(super) const MIN_OUTLIERS: f64 = 1e-4;
-/// Outliers are spread over this much.
+/// Outliers are distributed over this range.
 pub(super) const STRAY_MM: f64 = 3.0;
 
-/// Weight and cost of a point of a coarse look, at r = d / s: outside Geman and McClure's (1985), inside Huber's (1964).
+/// Weight and cost of a point in a coarse pass, at r = d / s: Geman and McClure's (1985) outside, Huber's
+/// (1964) inside.
 #[inline]
 pub(super) fn coarse_pressed(r: f64) -> (f64, f64) {
     if r > 0.0 {
@@ -29,7 +31,7 @@ pub(super) fn coarse_pressed(r: f64) -> (f64, f64) {
     }
 }
 
-/// The same for a marker that nothing presses. Deep in the part it says no more: outliers are there, too.
+/// The same for an unpressed marker. Deep inside the part its weight is zero: outliers occur there, too.
 #[inline]
 pub(super) fn coarse_unpressed(r: f64) -> (f64, f64) {
     if r > 0.0 {
@@ -43,20 +45,20 @@ pub(super) fn coarse_unpressed(r: f64) -> (f64, f64) {
     }
 }
 
-/// Widths within the part from which a coarse look takes a point for an outlier.
+/// Depth inside the part, in widths, from which a point of a coarse pass is an outlier.
 const DEEP: f64 = 3.0;
 
-/// What a normal distribution says of a distance, whatever the shares: of one distance shares are asked for again and again.
+/// Normal density and tail at a distance, independent of the shares: one distance is used with many shares.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Bell {
-    /// Density of contact, per mm, 0 where there is never any.
+    /// Density of contact, per mm; 0 where contact is excluded.
     pub density: f64,
     /// erfc(|r| / √2).
     tail: f64,
 }
 
 impl Bell {
-    /// Where there is never contact.
+    /// Contact is excluded.
     pub const NONE: Self = Self { density: 0.0, tail: 0.0 };
 
     #[inline]
@@ -71,27 +73,27 @@ impl Bell {
     }
 }
 
-/// Where markers are that do not touch.
+/// Distribution of markers that are not in contact.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Loose {
-    /// Share of those that are no outliers.
+    /// Inlier share.
     good: f64,
-    /// Density of free gel, per mm, of nothing else.
+    /// Density of free gel, per mm, without contact.
     free: f64,
     /// Density of outliers, per mm.
     stray: f64,
-    /// Free gel ends there.
+    /// Largest height of free gel over the part.
     reach_mm: f64,
 }
 
 impl Loose {
-    /// What is no outlier hangs up to `reach_mm` over the part; outliers are spread over `stray_mm`.
+    /// Inliers are free up to `reach_mm` over the part; outliers are distributed over `stray_mm`.
     pub fn new(outliers: f64, (reach_mm, stray_mm): (f64, f64)) -> Self {
         let good = 1.0 - outliers;
         Self { good, free: good / reach_mm, stray: outliers.max(MIN_OUTLIERS) / stray_mm, reach_mm }
     }
 
-    /// `contact` of the points that are no outliers touch.
+    /// The mixture for a share `contact` of the inliers in contact.
     #[inline]
     pub fn with(&self, contact: f64) -> Mixture {
         let Self { good, free, stray, reach_mm } = *self;
@@ -99,19 +101,19 @@ impl Loose {
     }
 }
 
-/// Shares of the mixture that a marker is drawn from.
+/// Mixture from which a marker is drawn.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Mixture {
     contact: f64,
-    /// Density of free gel outside of the part and of outliers, per mm.
+    /// Densities of free gel outside the part and of outliers, per mm.
     free: f64,
     stray: f64,
-    /// Free gel ends there.
+    /// Largest height of free gel over the part.
     reach_mm: f64,
 }
 
 impl Mixture {
-    /// Probability that the marker touches, and the mixture's density, per mm, at a distance of which the bell is.
+    /// Contact probability of the marker, and the mixture's density, per mm, at a distance with its bell.
     #[inline]
     pub fn at(&self, d_mm: f64, bell: Bell) -> (f64, f64) {
         let touch = self.contact * bell.density;
@@ -126,8 +128,8 @@ impl Mixture {
         (touch / all, all)
     }
 
-    /// Weight of a marker that cannot touch, and the mixture's density; with the weight it is pushed out of the part, if it
-    /// is within.
+    /// Weight of a marker that cannot be in contact, and the mixture's density. The weight pushes it out
+    /// of the part.
     #[inline]
     pub fn free(&self, d_mm: f64, sigma_mm: f64) -> (f64, f64) {
         if d_mm >= 0.0 {
@@ -138,24 +140,25 @@ impl Mixture {
         (good / (good + self.stray), good + self.stray)
     }
 
-    /// Over the part, out of reach of contact.
+    /// Density over the part, out of reach of contact.
     #[inline]
     pub fn free_density(&self) -> f64 {
         self.free + self.stray
     }
 }
 
-/// The negative logarithm of a product of densities; of several factors at once, for logarithms take long.
+/// Negative logarithm of a product of densities, taken for several factors at once, since logarithms are
+/// slow.
 pub(super) struct Likelihood {
     product: f64,
     cost: f64,
 }
 
 impl Likelihood {
-    /// Factors are multiplied as far as this.
+    /// Range of the product without a logarithm.
     const ONE_LOGARITHM: RangeInclusive<f64> = 1e-100..=1e100;
 
-    /// Of something that costs so much before.
+    /// Starts from a previous cost.
     pub fn after(cost: f64) -> Self {
         Self { product: 1.0, cost }
     }
@@ -174,7 +177,7 @@ impl Likelihood {
     }
 }
 
-/// erfc(r / √2) / exp(-r²/2) for r ≥ 0, so that erfc is right to 2.5e-5 (Abramowitz and Stegun 7.1.25).
+/// erfc(r / √2) / exp(-r²/2) for r ≥ 0, accurate to 2.5e-5 of erfc (Abramowitz and Stegun 7.1.25).
 #[inline]
 fn scaled_tail(r: f64) -> f64 {
     let t = 1.0 / (1.0 + 0.47047 * FRAC_1_SQRT_2 * r);

@@ -1,11 +1,11 @@
-//! Registration on the part's own surface: distances to the triangles of its mesh, many starts screened on a field of
-//! distances, and every marker used, also those that nothing presses.
+//! Registration on the part's surface: distances to the triangles of its mesh, multi-start screening on a
+//! distance field, and use of all markers, including unpressed ones.
 //!
-//! A salient point touches the part or hangs beside it, and no marker is within it ([`mixture`]). The pose is the most
-//! likely one under that mixture, with the guess as a weak prior that keeps the directions which the contact leaves free
-//! where they were guessed. Where all markers are known, the full search ends on what the gel does between them
-//! ([`gel::fit`]). One start finds it from close by; from farther off many are needed, since threads, teeth
-//! and edges each have a minimum of their own.
+//! A salient point is in contact with the part or free beside it, and no marker is inside the part
+//! ([`mixture`]). The pose is the most likely one under that mixture; the guess is a weak prior that
+//! fixes the free directions. Where all markers are known, the full search ends with a fit of the gel
+//! model ([`gel::fit`]). One start suffices close to the solution. Farther off many are needed, since
+//! threads, teeth and edges each have a local minimum.
 
 mod assess;
 mod candidate;
@@ -51,7 +51,7 @@ use refine::RefineScratch;
 use scan_order::Raster;
 use state::Search;
 
-/// What the surface rungs keep from run to run.
+/// Buffers of the surface rungs, reused between runs.
 #[derive(Clone, Debug, Default)]
 pub(super) struct SurfaceScratch {
     raster: Raster,
@@ -76,12 +76,12 @@ pub(super) fn run(
     let extent = match params.method {
         RegisterMethod::SurfaceTrack => Extent::Salient,
         RegisterMethod::SurfaceClose => Extent::Near,
-        // What gel meets first of a surface with holes is not known.
+        // On a surface with holes it is unknown what the gel meets first.
         RegisterMethod::SurfaceSearch if solid.is_closed() => Extent::Gel,
         _ => Extent::Around,
     };
     let unpressed_mm = if extent == Extent::Salient { &[] } else { contact.unpressed_mm };
-    let ordered = raster.ordered(&Contact { unpressed_mm, ..*contact }, params.gel_scale);
+    let ordered = raster.ordered(&Contact { unpressed_mm, ..*contact }, params.advanced.gel_scale);
     samples.fill(&ordered, params, extent);
     let mut search = searching(params, (contact.press_direction, samples), template, guess, stop)
         .ok_or(RegisterError::NoSurface)?;
@@ -92,7 +92,7 @@ pub(super) fn run(
         RegisterMethod::SurfaceClose => search.close(candidates, polish),
         _ => search.many(candidates, runners_up, polish, settled),
     };
-    // To a search that is stopped all the budget is spent, and its answer is none.
+    // A stopped search counts its budget as spent, and its result is not valid.
     if stop() {
         return Err(RegisterError::Stopped);
     }
@@ -106,8 +106,8 @@ pub(super) fn run(
     Ok(found)
 }
 
-/// How far markers are from what the gel does at a pose, after as few steps as make it usual, or else after all; and
-/// whether it is after all. `None` where the gel is not known.
+/// Deviation of the markers from the gel model at a pose, after the first step at which it is usual, or
+/// after all steps. `None` where the gel is not known.
 pub(super) fn misfit(
     params: &RegisterParams,
     (contact, template): (&Contact<'_>, &Template),
@@ -117,7 +117,7 @@ pub(super) fn misfit(
 ) -> Option<Misfit> {
     template.touchable().filter(|(solid, ..)| solid.is_closed())?;
     let SurfaceScratch { raster, samples, settled, .. } = scratch;
-    samples.fill(&raster.ordered(contact, params.gel_scale), params, Extent::Gel);
+    samples.fill(&raster.ordered(contact, params.advanced.gel_scale), params, Extent::Gel);
     if !samples.gel.is_known() {
         return None;
     }
@@ -125,7 +125,7 @@ pub(super) fn misfit(
     Some(search.misfit(usual, settled))
 }
 
-/// What a search begins with.
+/// Initial state of a search.
 fn searching<'a>(
     params: &'a RegisterParams,
     (press_direction, samples): (DVec3, &'a Samples),
@@ -134,7 +134,7 @@ fn searching<'a>(
     stop: Stop<'a>,
 ) -> Option<Search<'a>> {
     let (solid, field, relief) = template.touchable()?;
-    let field = Coarse { field, gel_scale: params.gel_scale };
+    let field = Coarse { field, gel_scale: params.advanced.gel_scale };
     let centred = Pose { translation_mm: guess.translation_mm - samples.centre_mm, ..*guess };
     Some(Search {
         params,
@@ -149,7 +149,7 @@ fn searching<'a>(
         },
         stop,
         work: 0,
-        limit: u64::from(params.budget),
+        limit: u64::from(params.surface_search.budget),
         is_settled: false,
         is_cut: false,
         read_at: None,
@@ -158,15 +158,15 @@ fn searching<'a>(
     })
 }
 
-/// Refuses a patch of which nothing is near the part at the guess.
+/// Refuses a patch with too few points near the part at the guess.
 fn check_reach(
     search: &Search<'_>,
     solid: &crate::surface::Solid,
     params: &RegisterParams,
 ) -> Result<(), RegisterError> {
-    let reach_mm = params.search_radius_mm + multi_start::REACH * params.start_sigma_mm;
+    let reach_mm = params.advanced.search_radius_mm + multi_start::REACH * params.start_sigma_mm;
     let placed = || search.samples.pressed.iter().map(|s| search.prior.guess.object_point(s.p_mm));
-    // What the field knows is within its own reach, and a cell.
+    // The field covers its own reach and one cell.
     let field = search.field.field;
     let is_known = field.reach_mm() + field.cell_mm() <= reach_mm;
     let within =

@@ -1,14 +1,14 @@
-//! The other poses that explain a contact about as well as the best one.
+//! Alternative poses that explain a contact about as well as the best one.
 //!
-//! Two poses are one answer when their difference lies in what the contact leaves free. Free motions of a surface of
-//! contact are those of a lower pair (screw, cylinder, plane, ball; Reuleaux 1876), and so a group: the logarithm of a
-//! finite motion among them lies along the free directions, however far it turns, where a chord leaves them. What of the
-//! logarithm is determined tells two answers apart. It also carries one to where the best pose stands along the free
-//! directions, so that likelihoods compare nothing else.
+//! Two poses are one solution if they differ along free directions only. The free motions of a contact
+//! surface are those of a lower pair (screw, cylinder, plane, ball; Reuleaux 1876), and so form a group.
+//! The logarithm of a finite free motion therefore lies along the free directions at any angle, where a
+//! chord leaves them. The determined part of the logarithm distinguishes two solutions. Removing the free
+//! part aligns a pose with the best one, so that their likelihoods are comparable.
 //!
-//! A motion D that brings the best pose to another answer is one after which the part looks as it did before, there. D
-//! and its inverse are tried on all answers: so the pitches of a thread are found that no start has led to. Turns after
-//! which the whole part looks the same are known before; they are tried on every answer, too.
+//! A motion D from the best pose to another solution is a local symmetry of the part. D and its inverse
+//! are applied to all solutions, which finds pitches of a thread that no start has reached. Known
+//! symmetries of the whole part are also applied to every solution.
 
 use super::assess;
 use super::candidate::{Candidate, End};
@@ -24,51 +24,53 @@ use crate::register::{Observability, copies, held};
 use alloc::vec::Vec;
 use core::f64::consts::TAU;
 
-/// A pose is as likely as the best one when its likelihood is at least e^-4.6 = 1 % of that one's.
+/// Largest log-likelihood deficit of an alternative: its likelihood is at least e^-4.6 = 1 % of the best
+/// one's.
 const MIN_LOG: f64 = 4.6;
-/// By as much the guess, which the noise of a free direction takes a pose from, may be less likely: two standard
-/// deviations.
+/// Largest log-likelihood loss of a pose that is moved back to the guess along a free direction, from
+/// where noise has moved it: two standard deviations.
 const LESS_LIKELY: f64 = 2.0;
-/// Poses that have not been polished are two when it is this much over the patch.
+/// Distance over the patch from which poses that are not refined are distinct.
 const NEAR_MM: f64 = 0.1;
-/// How much more than shifts turns are avoided.
+/// Weight of rotations over translations in the least motion.
 const TURNS_FIRST: f64 = 10.0;
-/// After so many in a row that were hopeless, those that promised less are not polished.
+/// Number of hopeless seeds in a row after which the less promising ones are not refined.
 const MAX_IN_VAIN: usize = 5;
-/// Most poses that are polished, and most that wait for it.
+/// Largest number of refined poses, and of waiting seeds.
 const MAX_POLISHED: usize = 24;
 const MAX_SEEDS: usize = 48;
 
-/// What became of a seed.
+/// Outcome of a seed.
 enum Refined {
-    /// It is much less likely than the best pose.
+    /// Much less likely than the best pose.
     Hopeless,
-    /// It came to an answer that is known.
+    /// Converged to a known solution.
     Known,
     New(End),
 }
 
-/// What a search for other poses works with.
+/// State of a search for alternatives.
 pub(super) struct Modes<'a, 'b> {
     search: &'b mut Search<'a>,
     scratch: &'b mut RefineScratch,
     settled: &'b mut GelFitScratch,
     best: Candidate,
-    /// Whose readings are the best answer's, and how it ended: that answer, or the one that it is a turn away from.
+    /// Candidate with the readings of the best solution, and how it ended: that solution, or a rotated
+    /// copy of it.
     read: (Candidate, End),
     seen: Observability,
-    /// Whether some that were worth it have not been polished.
+    /// Whether promising seeds have not been refined.
     is_cut: bool,
 }
 
 impl<'a, 'b> Modes<'a, 'b> {
-    /// Beside `best`, whose readings are in the scratch, and whose steps have ended by themselves or not.
+    /// For alternatives to `best`, whose readings are in the scratch, and which ended as `end` states.
     pub fn new(
         search: &'b mut Search<'a>,
         (best, end): (&Candidate, End),
         (scratch, settled): (&'b mut RefineScratch, &'b mut GelFitScratch),
     ) -> Self {
-        // What is free is so wherever the steps would end.
+        // Free directions do not depend on convergence.
         let told = search.is_settled.then(|| search.told(best, true, settled));
         let readings = (&*scratch, &*settled, told);
         let found = assess::observe(search.params, search.samples, best, readings, true);
@@ -76,8 +78,9 @@ impl<'a, 'b> Modes<'a, 'b> {
         Self { search, scratch, settled, best: *best, read: (*best, end), seen, is_cut: false }
     }
 
-    /// The best pose back at the guess along the free directions, if it is as likely there: a direction that noise nearly
-    /// hides is not free as far as that. Once the budget is spent nothing is known of the gel there, and it stays.
+    /// Moves the best pose back to the guess along the free directions, if it is about as likely there. A
+    /// direction that noise nearly hides may not be free as far as that. Without budget the gel there is
+    /// unknown, and the pose stays.
     pub fn hold(&mut self, best: &mut Candidate) {
         if self.seen.free_count() == 0 || self.search.has_spent() {
             return;
@@ -90,15 +93,15 @@ impl<'a, 'b> Modes<'a, 'b> {
         }
     }
 
-    /// Leaves in `candidates`, whose first one is the best, those of them and of `seeds` that are other answers and as
-    /// likely, the likeliest first. Returns whose readings are those of the first one, how it ended, and whether there may
-    /// be more. The seeds are those of the second round, in order.
+    /// Leaves the best pose in `candidates`, followed by the alternatives from them and from `seeds`,
+    /// likeliest first. Returns the candidate with the first one's readings, how it ended, and whether
+    /// alternatives may be missing. The seeds are those of the second round, in order.
     pub fn find(
         mut self,
         candidates: &mut Vec<Candidate>,
         seeds: &mut Vec<Candidate>,
     ) -> ((Candidate, End), bool) {
-        // Once, and no more when there happen to be more of them.
+        // Reserved once, so that more candidates in a later run do not allocate.
         candidates.reserve(MAX_SEEDS);
         seeds.reserve(MAX_SEEDS);
         self.gather(candidates, seeds);
@@ -132,11 +135,11 @@ impl<'a, 'b> Modes<'a, 'b> {
         (self.read, self.is_cut)
     }
 
-    /// The seeds that are other answers and worth polishing, and the runners-up among the candidates; what they cost is
-    /// over the best one.
+    /// Collects the seeds that are alternatives worth refining, and the runners-up among the candidates.
+    /// Costs are relative to the best one.
     ///
-    /// The second round is several times as blurred as the noise is wide, and so tells poses less apart than it: what is
-    /// out of the question there is so all the more.
+    /// The second round is blurred by several times the noise, so it separates poses less: what it
+    /// rejects is rejected for certain.
     fn gather(&self, candidates: &[Candidate], seeds: &mut Vec<Candidate>) {
         let first = seeds.first().map_or(f64::INFINITY, |seed| seed.cost);
         let guess = self.guess_cost(&self.best.placement);
@@ -159,8 +162,9 @@ impl<'a, 'b> Modes<'a, 'b> {
         }
     }
 
-    /// Accepts an answer after every turn that shows the part alike: but for the guess it is as likely. It is not read there,
-    /// as whether a marker meets a sharp edge may turn on rounding.
+    /// Accepts a solution after every rotation by which the part looks the same: only the guess changes
+    /// its likelihood. Readings are not repeated there, since rounding may decide whether a marker meets
+    /// a sharp edge.
     fn turn(&mut self, of: (Candidate, End), candidates: &mut Vec<Candidate>) {
         let one = of.0;
         let guess = self.guess_cost(&one.placement);
@@ -182,7 +186,7 @@ impl<'a, 'b> Modes<'a, 'b> {
         }
     }
 
-    /// What the guess says of a pose.
+    /// Prior cost of a pose.
     fn guess_cost(&self, placement: &Placement) -> f64 {
         let mut guess = Normal::ZERO;
         guess.add_prior(&self.search.prior, placement, self.search.samples.radius_mm, 1.0);
@@ -197,14 +201,14 @@ impl<'a, 'b> Modes<'a, 'b> {
         !seeds.iter().chain(candidates).any(|other| self.is_one(placement, &other.placement, self.near_mm()))
     }
 
-    /// What brings one pose to another that is a turn of the part away from it or none, about the centroid.
+    /// Motion about the centroid from `other` to that symmetric copy of `one` which is nearest to it.
     fn since(&self, one: &Placement, other: &Placement) -> Pose {
         let nearest = nearest_copy(self.search.symmetries, &one.pose, &other.pose);
         let motion = nearest * other.pose.inverse();
         motion.normalized().unwrap_or(motion)
     }
 
-    /// Whether two poses are one answer, those that are no farther apart than `near_mm` at any rate.
+    /// Whether two poses are one solution; always if they are no farther apart than `near_mm`.
     fn is_one(&self, one: &Placement, other: &Placement, near_mm: f64) -> bool {
         let motion = self.since(one, other).log();
         let (omega, v) = self.seen.determined(motion);
@@ -212,14 +216,15 @@ impl<'a, 'b> Modes<'a, 'b> {
         squared_mm2 <= near_mm * near_mm || self.seen.squared(motion) <= copies::APART * copies::APART
     }
 
-    /// A pose moved along the free directions until the least turn, and then the least shift, brings the best one there.
+    /// A pose, moved along the free directions to the least rotation, and then the least translation,
+    /// from the best one.
     fn carried(&self, one: &Placement) -> Placement {
         let (omega, v) = least_turn(&self.seen, self.since(one, &self.best.placement).log(), self.near_mm());
         moved(&Pose::exp(omega, v), &self.best.placement)
     }
 
-    /// Steps go a little along free directions, too, where facets hold a pose as they would not hold the best one: each
-    /// stage begins where that one stands.
+    /// Each stage begins aligned with the best pose along the free directions: steps drift along them
+    /// where facets hold a pose unlike the best one.
     fn refine(&mut self, seed: &mut Candidate, candidates: &[Candidate]) -> Refined {
         for stage in [Stage::Field, Stage::First] {
             self.run(seed, stage);
@@ -242,7 +247,8 @@ impl<'a, 'b> Modes<'a, 'b> {
         }
     }
 
-    /// Whether one, which `read` tells of, is an answer of its own; of two that are one the likelier stays.
+    /// Adds a solution with readings at `read`, unless it is known; then the likelier one stays. Returns
+    /// whether it is new.
     fn accept(&mut self, candidates: &mut Vec<Candidate>, one: Candidate, read: (Candidate, End)) -> bool {
         if one.cost > candidates[0].cost + MIN_LOG {
             return false;
@@ -262,7 +268,7 @@ impl<'a, 'b> Modes<'a, 'b> {
         is_new
     }
 
-    /// The seeds that a new answer suggests.
+    /// Adds the seeds that a new solution suggests.
     fn repeat(&mut self, candidates: &[Candidate], seeds: &mut Vec<Candidate>) {
         let likely = candidates[0].cost - self.best.cost + MIN_LOG;
         for one in candidates {
@@ -270,7 +276,7 @@ impl<'a, 'b> Modes<'a, 'b> {
             for motion in [motion, motion.inverse()] {
                 for other in candidates {
                     let placement = self.carried(&moved(&motion, &other.placement));
-                    // As likely as the other one, but for the guess.
+                    // As likely as the other one, except for the guess.
                     let by_guess = self.guess_cost(&placement) - self.guess_cost(&other.placement);
                     let cost = other.cost - self.best.cost + by_guess;
                     if cost > likely || !self.is_new(&placement, seeds, candidates) {
@@ -287,15 +293,16 @@ impl<'a, 'b> Modes<'a, 'b> {
     }
 }
 
-/// A motion (ω, v) about the centroid, less what makes most of its turn, and then of its shift, along free directions
-/// that go with it.
+/// A motion (ω, v) about the centroid with the least rotation, and then the least translation, after
+/// removing its part along free directions that commute with it.
 fn least_turn(seen: &Observability, (omega, v): (DVec3, DVec3), near_mm: f64) -> (DVec3, DVec3) {
     let weighed = |u: &[f64; 6]| -> [f64; 6] {
         core::array::from_fn(|i| if i < 3 { TURNS_FIRST * u[i] } else { u[i] })
     };
     let z = stack(omega * seen.radius_mm, v);
-    // Taking u off the logarithm is a motion along u where the two commute: what is left of their bracket, t [ξ, u] / 2,
-    // is to be small. A peg on its next side does not slide with the one that it lay on.
+    // Subtracting u from the logarithm is a motion along u only where the two commute: the rest of their
+    // bracket, t [ξ, u] / 2, must be small. A peg turned onto its next side does not slide along with the
+    // first one.
     let commutes = |u: &[f64; 6]| {
         let (a, b) = halves(u);
         let (a, t) = (a / seen.radius_mm, dot(u, &z));
@@ -306,7 +313,7 @@ fn least_turn(seen: &Observability, (omega, v): (DVec3, DVec3), near_mm: f64) ->
         core::array::from_fn::<bool, 6, _>(|k| seen.values[k] == 0.0 && commutes(&seen.directions[k]));
     let free = |k: usize| is_free[k];
     let along = seen.directions.map(|u| weighed(&u));
-    // Normal equations of the shares along the free directions; of others it is 0.
+    // Normal equations of the shares along the free directions; other shares are 0.
     let h = core::array::from_fn(|i| {
         core::array::from_fn(|k| match (free(i) && free(k), i == k) {
             (true, _) => dot(&along[i], &along[k]),

@@ -1,4 +1,4 @@
-//! Where to begin: points of a low-discrepancy sequence, mapped to the uncertainty of the guess.
+//! Starting poses: points of a low-discrepancy sequence, mapped to the uncertainty of the guess.
 
 use super::normal_system::{Placement, Prior};
 use crate::math::{DVec3, cbrt, cos, floor, sin, sqrt};
@@ -6,7 +6,8 @@ use crate::math::{DVec3, cbrt, cos, floor, sin, sqrt};
 /// Starts lie within this many standard deviations of the guess.
 pub(super) const REACH: f64 = 2.4;
 
-/// Powers of 1 / φ, φ⁷ = φ + 1: the additive recurrence of least discrepancy known in six dimensions (Roberts 2018).
+/// Powers of 1 / φ, φ⁷ = φ + 1: the additive recurrence of least known discrepancy in six dimensions
+/// (Roberts 2018).
 const STEPS: [f64; 6] = [
     0.898_653_712_628_699_3,
     0.807_578_495_221_347_6,
@@ -30,7 +31,7 @@ pub(super) fn start(prior: &Prior, k: u32) -> Placement {
     prior.guess.moved(omega, v)
 }
 
-/// A point of the unit ball, evenly by volume.
+/// A point of the unit ball, uniform by volume.
 fn in_ball([a, b, c]: [f64; 3]) -> DVec3 {
     let z = 2.0 * a - 1.0;
     let across = sqrt((1.0 - z * z).max(0.0));

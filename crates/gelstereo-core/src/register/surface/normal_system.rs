@@ -1,8 +1,8 @@
-//! The linear system of a step: six directions (ρ ω, v) about the patch's centroid, in the sensor's axes.
+//! Linear system of a step in six directions (ρ ω, v) about the patch's centroid, in the sensor's axes.
 
 use crate::math::{DMat3, DVec3, Pose, so3, sqrt};
 
-/// Where the part is, about the patch's centroid: an offset of everything costs no digits.
+/// Pose of the part relative to the patch's centroid: a common offset costs no digits.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Placement {
     /// Maps object coordinates to sensor axes about the centroid.
@@ -16,25 +16,25 @@ impl Placement {
         Self { pose, back: pose.matrix().transpose() }
     }
 
-    /// A point about the centroid, in the object's frame.
+    /// Maps a point relative to the centroid to the object's frame.
     #[inline]
     pub fn object_point(&self, p_mm: DVec3) -> DVec3 {
         self.back * (p_mm - self.pose.translation_mm)
     }
 
-    /// A direction of the sensor's frame in the object's.
+    /// Maps a direction from the sensor's frame to the object's.
     #[inline]
     pub fn object_direction(&self, v: DVec3) -> DVec3 {
         self.back * v
     }
 
-    /// A direction of the object's frame in the sensor's.
+    /// Maps a direction from the object's frame to the sensor's.
     #[inline]
     pub fn sensor_direction(&self, v: DVec3) -> DVec3 {
         self.back.transpose() * v
     }
 
-    /// After a turn by ω about the centroid and a shift by v.
+    /// The placement after a rotation by ω about the centroid and a translation by v.
     pub fn moved(&self, omega: DVec3, v_mm: DVec3) -> Self {
         let turn = so3::exp(omega);
         let rotation = turn * self.pose.rotation;
@@ -43,7 +43,7 @@ impl Placement {
         Self::new(moved.normalized().unwrap_or(self.pose))
     }
 
-    /// The turn ω and shift v about the centroid from another placement to this one.
+    /// Rotation ω and translation v about the centroid from another placement to this one.
     pub fn since(&self, other: &Self) -> (DVec3, DVec3) {
         let turn = (self.pose.rotation * other.pose.rotation.conjugate()).normalize();
         let omega = so3::log(if turn.w < 0.0 { -turn } else { turn });
@@ -51,7 +51,7 @@ impl Placement {
     }
 }
 
-/// Upper triangle of H = Σ w J Jᵀ / σ² by rows, g = Σ w J d / σ², and what it cost.
+/// Upper triangle of H = Σ w J Jᵀ / σ² by rows, g = Σ w J d / σ², and the cost.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Normal {
     h: [[f64; 6]; 6],
@@ -62,8 +62,8 @@ pub(super) struct Normal {
 impl Normal {
     pub const ZERO: Self = Self { h: [[0.0; 6]; 6], g: [0.0; 6], cost: 0.0 };
 
-    /// A point p at distance d with the sensor-frame normal n and weight w / σ²: moving the part by (ω, v) changes d by
-    /// -n·(v + ω × p). `per_radius` is 1 / ρ.
+    /// Adds a point p at distance d with the sensor-frame normal n and weight w / σ². Moving the part by
+    /// (ω, v) changes d by -n·(v + ω × p). `per_radius` is 1 / ρ.
     #[inline]
     pub fn add(&mut self, p_mm: DVec3, n: DVec3, d_mm: f64, weight: f64, per_radius: f64) {
         let m = p_mm.cross(n) * per_radius;
@@ -77,7 +77,7 @@ impl Normal {
         }
     }
 
-    /// Adds the guess: per-axis standard deviations of ρ ω and v, and how far the part is from it.
+    /// Adds the guess as a prior with standard deviations of ρ ω and v per axis.
     pub fn add_prior(&mut self, prior: &Prior, placement: &Placement, radius_mm: f64, scale: f64) {
         let (omega, v) = placement.since(&prior.guess);
         let turn = scale / (prior.sigma_rad * prior.sigma_rad * radius_mm * radius_mm);
@@ -98,7 +98,7 @@ impl Normal {
         (&self.h, &self.g)
     }
 
-    /// The step (ω, v), no longer than `limit_mm` over the patch. The prior keeps H positive definite.
+    /// The step (ω, v), at most `limit_mm` over the patch. The prior keeps H positive definite.
     pub fn solve(&self, radius_mm: f64, limit_mm: f64) -> Option<(DVec3, DVec3)> {
         let z = cholesky(&self.h, &self.g)?;
         let length = sqrt(z.iter().map(|z| z * z).sum());
@@ -111,7 +111,7 @@ impl Normal {
     }
 }
 
-/// Where the part was guessed to be, and how well.
+/// Guess of the pose, and its standard deviations.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Prior {
     pub guess: Placement,
@@ -119,7 +119,8 @@ pub(super) struct Prior {
     pub sigma_mm: f64,
 }
 
-/// Solves H z = g by Cholesky's factors; only the upper triangle of H is read. `None` unless H is positive definite.
+/// Solves H z = g by Cholesky decomposition; reads only the upper triangle of H. `None` unless H is
+/// positive definite.
 pub(super) fn cholesky<const N: usize>(h: &[[f64; N]; N], g: &[f64; N]) -> Option<[f64; N]> {
     // Rows of the upper factor U, H = Uᵀ U.
     let mut u = *h;

@@ -1,20 +1,21 @@
-//! A marker as registration on a surface sees it.
+//! A marker for registration on a surface.
 
 use crate::math::{DVec3, sqrt};
 
-/// A point about the patch's centroid, with its covariance.
+/// A point relative to the patch's centroid, with its covariance.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sample {
     pub p_mm: DVec3,
     /// xx, yy, zz, xy, xz, yz.
     pub covariance: [f64; 6],
-    /// Whether the gel around it is curved as free gel is, and not as gel on a part.
+    /// Whether the surrounding gel behaves like free gel, and not like gel on a part.
     pub hangs: bool,
-    /// No standard deviation is larger, along whatever direction; in every frame the same.
+    /// Upper limit of the standard deviation along any direction, independent of the frame.
     pub most_sigma_mm: f64,
 }
 
-/// Share of the trace that a singular covariance is given along its null direction, more than rounding takes off it.
+/// Share of the trace that is added to every variance. It exceeds the rounding of a singular covariance
+/// along its null direction.
 const FLOOR: f64 = 1e-6;
 
 impl Sample {

@@ -1,8 +1,8 @@
-//! The last steps: maximum likelihood under the mixture of contact, free gel and outliers.
+//! Final steps: maximum likelihood under the mixture of contact, free gel and outliers.
 //!
-//! Distances are looked up once a step; the probabilities of contact follow from them (expectation and maximisation). A
-//! step that does not make the pose more likely is halved: at creases the nearest face changes, and whole steps of
-//! Gauss and Newton would go back and forth between two faces for ever.
+//! Distances are looked up once per step, and the contact probabilities follow from them (expectation
+//! maximisation). A step that does not increase the likelihood is halved: at creases the nearest face
+//! changes, and full Gauss-Newton steps would oscillate between two faces.
 
 use super::candidate::{Candidate, End};
 use super::coarse::{Clear, View};
@@ -15,44 +15,45 @@ use crate::params::RegisterParams;
 use crate::stop::Stop;
 use alloc::vec::Vec;
 
-/// Salient points that do not touch hang up to this far over the part.
+/// Largest height over the part of salient points that are not in contact.
 const SHOULDER_MM: f64 = 1.0;
-/// And the other markers.
+/// The same for the other markers.
 const FREE_MM: f64 = 4.0;
-/// Markers that are not salient and this far over the part say nothing.
+/// Markers that are not salient have no influence from this distance over the part.
 const FAR_MM: f64 = 0.5;
-/// Those this far over it at the start are not looked at again: polishing does not move the part as far.
+/// Initial distance over the part from which these are not evaluated; refinement does not move the part
+/// as far.
 pub(super) const OUT_OF_REACH_MM: f64 = 1.2;
-/// The last step of a run, in tolerances.
+/// Length of the last step of a run, in tolerances.
 const LAST_STEP: f64 = 10.0;
-/// Steps of expectation for one of maximisation: they cost no lookups.
+/// Expectation steps per maximisation step; they cost no lookups.
 const EXPECTATIONS: u32 = 2;
 /// Longest step, over the patch.
 const LONGEST_MM: f64 = 0.5;
-/// The gel hangs beside faces that are steeper than this, cosine to the press, and does not touch them.
+/// Faces with a smaller cosine to the press are too steep for contact; the gel is free beside them.
 const STEEP_COSINE: f64 = 0.35;
-/// Standard deviations that a marker that cannot touch may lie in the part before it pushes.
+/// Depth inside the part, in standard deviations, from which a marker that cannot be in contact pushes.
 const SLACK: f64 = 2.0;
-/// The triangles need not be asked for points that are surely farther off than this, in standard deviations: the weight of such
-/// a one is e^-8 of the greatest, and the field tells as well that it is far.
+/// Distance, in standard deviations, from which the triangles are not evaluated. The weight there is e^-8
+/// of the maximum, and the field suffices.
 const ASKED: f64 = 4.0;
-/// Probability that a salient point touches around which the gel is hollow: in a fillet it would.
+/// Contact probability of a salient point where the gel is concave (fillets).
 const HANGING: f64 = 0.02;
-/// Probability of contact before anything is known: of salient points, and of others.
+/// Initial contact probability of salient points, and of others.
 const FIRST: [f64; 2] = [0.6, 0.05];
 
-/// The distance of a point, its normal in the sensor's frame, and its variance along that.
+/// Distance of a point, its normal in the sensor's frame, and its variance along that.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Reading {
     pub distance_mm: f64,
     pub normal: DVec3,
     pub variance_mm2: f64,
     pub sigma_mm: f64,
-    /// What contact would say of the distance.
+    /// Normal density of the distance in contact.
     pub bell: Bell,
     pub curvature_per_mm: f64,
-    /// A marker whose foot on the part lies below where saliency begins is not asked, salient or not: asking those
-    /// alone that noise has raised over it would raise the part.
+    /// False if the face is too steep, or if the foot on the part is below the start of saliency. The latter
+    /// holds for all markers: keeping only those that noise has raised above it would raise the part.
     can_touch: bool,
 }
 
@@ -68,48 +69,48 @@ impl Reading {
     };
 }
 
-/// What was read at one placement, salient points first.
+/// Readings at one placement, salient points first.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Readings {
     pub all: Vec<Reading>,
-    /// The triangle that was nearest last, or [`SKIP`].
+    /// The last nearest triangle, or [`SKIP`].
     hints: Vec<u32>,
 }
 
-/// A marker that is not looked at.
+/// Hint of a marker that is not evaluated.
 const SKIP: u32 = u32::MAX;
 
-/// What is asked of markers that are not salient.
+/// What is evaluated for markers that are not salient.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Asked {
-    /// How far they are in the part.
+    /// Their depth inside the part.
     Within,
-    /// Whether they touch it, too.
+    /// Also whether they are in contact.
     Touching,
 }
 
-/// Vectors that are kept from run to run.
+/// Buffers reused between runs.
 #[derive(Clone, Debug, Default)]
 pub(super) struct RefineScratch {
     pub here: Readings,
     there: Readings,
-    /// Probability that a point touches, by its neighbours; 0 for one that cannot.
+    /// Contact probability of a point from its neighbours; 0 where contact is impossible.
     before: Vec<f64>,
-    /// The same by its own distance too.
+    /// The same including its own distance.
     pub touches: Vec<f64>,
-    /// Of the markers that are not salient, from look to look.
+    /// Clearance of the markers that are not salient, kept between passes.
     pub clear: Vec<Clear>,
 }
 
 impl RefineScratch {
-    /// Forgets what was of another contact.
+    /// Discards the state of another contact.
     pub fn begin(&mut self, samples: &Samples) {
         self.clear.clear();
         self.clear.resize(samples.unpressed.len(), Clear::NOT);
     }
 }
 
-/// The way of one candidate to the greatest likelihood.
+/// Likelihood maximisation of one candidate.
 pub(super) struct Refinement<'a, D> {
     pub params: &'a RegisterParams,
     pub samples: &'a Samples,
@@ -118,20 +119,20 @@ pub(super) struct Refinement<'a, D> {
     pub part: D,
     pub prior: Prior,
     pub stop: Stop<'a>,
-    /// Markers this far over the part at the start that are not salient are not looked at.
+    /// Markers that are not salient are not evaluated from this initial distance over the part.
     pub reach_mm: f64,
     /// Halvings of a step before it is given up.
     pub halvings: u32,
-    /// Whether the field tells how far the other markers are in the part: at edges it is blunt, and takes a tenth as long.
+    /// Whether the field gives the depth of the other markers: inaccurate at edges, but a tenth of the time.
     pub pushes_bluntly: bool,
 }
 
 impl<D: Distances> Refinement<'_, D> {
-    /// At most `most` steps, and none once `budget` of work is spent.
+    /// At most `most` steps; none once `budget` of work is spent.
     pub fn run(&self, candidate: &mut Candidate, most: u32, budget: u64, scratch: &mut RefineScratch) -> End {
         let mut end =
             End { converged: false, iterations: 0, work: self.start(&candidate.placement, scratch) };
-        let least_mm = LAST_STEP * self.params.step_tolerance * scratch.here.all[0].sigma_mm;
+        let least_mm = LAST_STEP * self.params.advanced.step_tolerance * scratch.here.all[0].sigma_mm;
         while end.iterations < most && !end.converged && end.work < budget && !(self.stop)() {
             end.iterations += 1;
             for _ in 0..EXPECTATIONS {
@@ -159,20 +160,20 @@ impl<D: Distances> Refinement<'_, D> {
                     break;
                 }
             }
-            // Nothing more likely along the step, within what steps are told apart by.
+            // No increase along the step within the step tolerance.
             end.converged = !accepted || share * full_mm < least_mm;
         }
         end
     }
 
-    /// How far a turn and a shift move the patch.
+    /// Distance by which a rotation and a translation move the patch.
     fn length_mm(&self, omega: DVec3, v: DVec3) -> f64 {
         sqrt((omega * self.view.radius_mm).length_squared() + v.length_squared())
     }
 
-    /// At most `most` steps, each as far as it says, and none once `budget` of work is spent: the field has no creases for
-    /// steps to go back and forth between, and what a step would cost takes as long to ask as the next one to do. What is
-    /// read where it ends is another's to ask.
+    /// At most `most` unchecked full steps; none once `budget` of work is spent. The field has no creases
+    /// to oscillate at, and checking a step costs as much as the next step. The caller reads the final
+    /// distances.
     pub fn slide(
         &self,
         candidate: &mut Candidate,
@@ -193,21 +194,21 @@ impl<D: Distances> Refinement<'_, D> {
                 break;
             };
             candidate.placement = candidate.placement.moved(omega, v);
-            let least_mm = LAST_STEP * self.params.step_tolerance * scratch.here.all[0].sigma_mm;
+            let least_mm = LAST_STEP * self.params.advanced.step_tolerance * scratch.here.all[0].sigma_mm;
             end.converged = self.length_mm(omega, v) < least_mm;
         }
         end
     }
 
-    /// The likelihood's negative logarithm, with the same probabilities of contact for all candidates. Leaves what it
-    /// read in the scratch, and what is believed of it.
+    /// Negative log-likelihood, with the same contact probabilities for all candidates, and the work.
+    /// Leaves the readings and their contact probabilities in the scratch.
     pub fn compare(&self, placement: &Placement, scratch: &mut RefineScratch) -> (f64, u64) {
         let work = self.start(placement, scratch);
         let (cost, more) = self.compare_ended(placement, scratch);
         (cost, work + more)
     }
 
-    /// As [`Self::compare`], where a run has just ended.
+    /// As [`Self::compare`], directly after a run.
     pub fn compare_ended(&self, placement: &Placement, scratch: &mut RefineScratch) -> (f64, u64) {
         self.forget(scratch);
         let work = self.read_some(placement, &mut scratch.here, self.view.pressed.len(), Asked::Touching);
@@ -221,7 +222,7 @@ impl<D: Distances> Refinement<'_, D> {
         (cost, work)
     }
 
-    /// Reads the first placement, and leaves out the markers that are far from the part.
+    /// Reads the first placement, and excludes the markers that are far from the part; returns the work.
     fn start(&self, placement: &Placement, scratch: &mut RefineScratch) -> u64 {
         let (pressed, count) = (self.view.pressed.len(), self.view.len() as usize);
         for readings in [&mut scratch.here, &mut scratch.there] {
@@ -246,7 +247,7 @@ impl<D: Distances> Refinement<'_, D> {
         self.view.unpressed.len() as u64 + self.read(placement, &mut scratch.here, Asked::Within)
     }
 
-    /// Believes again what is believed before anything is known.
+    /// Resets the contact probabilities to their initial values.
     fn forget(&self, scratch: &mut RefineScratch) {
         for beliefs in [&mut scratch.before, &mut scratch.touches] {
             beliefs.clear();
@@ -255,16 +256,16 @@ impl<D: Distances> Refinement<'_, D> {
         }
     }
 
-    /// Looks up all distances; returns what that cost.
+    /// Looks up all distances; returns the work.
     fn read(&self, placement: &Placement, out: &mut Readings, asked: Asked) -> u64 {
         self.read_some(placement, out, 0, asked)
     }
 
-    /// The same of the markers from `first` on.
+    /// The same for the markers from `first` on.
     fn read_some(&self, placement: &Placement, out: &mut Readings, first: usize, asked: Asked) -> u64 {
         let press = press_in_object(placement, self.view.press_direction);
         let toward = self.view.press_direction;
-        let surface_mm = self.params.surface_sigma_mm;
+        let surface_mm = self.params.advanced.surface_sigma_mm;
         let model = surface_mm * surface_mm;
         let pressed = self.view.pressed.len();
         let samples = self.view.pressed.iter().chain(self.view.unpressed);
@@ -296,7 +297,8 @@ impl<D: Distances> Refinement<'_, D> {
             let sigma_mm = sqrt(variance_mm2);
             let can_touch =
                 normal.dot(toward) >= STEEP_COSINE && foot_mm.dot(toward) >= self.samples.salient_from_mm;
-            // A salient point that cannot touch here may have been believed to before the step.
+            // A salient point that cannot be in contact here may have had a contact probability before
+            // the step.
             let is_asked = k < pressed || (can_touch && may_touch);
             let bell = if is_asked { Bell::at(distance_mm, sigma_mm) } else { Bell::NONE };
             *reading =
@@ -305,10 +307,11 @@ impl<D: Distances> Refinement<'_, D> {
         work
     }
 
-    /// One step of expectation: contact and shoulder are regions, so what is believed of a salient point before its own
-    /// distance is what its neighbours say.
+    /// One expectation step. Contact and shoulder are connected regions, so the prior contact probability
+    /// of a salient point comes from its neighbours.
     ///
-    /// Nobody knows which of the others touch, and whom to believe would bias the pose: they only push.
+    /// Other markers only push: which of them are in contact is unknown, and selecting some would bias
+    /// the pose.
     fn believe(&self, scratch: &mut RefineScratch, asked: Asked) {
         let RefineScratch { here, before, touches, .. } = scratch;
         let pressed = self.view.pressed.len();
@@ -322,7 +325,7 @@ impl<D: Distances> Refinement<'_, D> {
                 total += touches[k];
             }
         }
-        // Laplace's rule keeps it off 0 and 1.
+        // Laplace's rule of succession avoids 0 and 1.
         let whole = (total + 1.0) / (pressed as f64 + 2.0);
         for (k, (r, near)) in here.all.iter().zip(&self.samples.neighbours).enumerate() {
             before[k] = if !r.can_touch {
@@ -338,18 +341,18 @@ impl<D: Distances> Refinement<'_, D> {
         before[pressed..].fill(0.0);
     }
 
-    /// Where salient markers are that do not touch, and where others.
+    /// Distributions of salient markers that are not in contact, and of others.
     fn loose(&self) -> [Loose; 2] {
         let of = |mm| (self.params.scaled(mm), self.params.scaled(STRAY_MM));
-        [SHOULDER_MM, FREE_MM].map(|mm| Loose::new(self.params.outlier_share, of(mm)))
+        [SHOULDER_MM, FREE_MM].map(|mm| Loose::new(self.params.advanced.outlier_share, of(mm)))
     }
 
-    /// What a placement costs.
+    /// The cost of a placement.
     fn cost(&self, scratch: &RefineScratch, readings: &Readings, placement: &Placement) -> f64 {
         self.sum::<false>(scratch, readings, placement).cost
     }
 
-    /// The linear system, or what it costs.
+    /// The linear system, or the cost.
     fn sum<const SYSTEM: bool>(
         &self,
         scratch: &RefineScratch,
@@ -373,7 +376,7 @@ impl<D: Distances> Refinement<'_, D> {
             let (d_mm, (weight, density)) = if before > 0.0 {
                 (r.distance_mm, mixture.at(r.distance_mm, r.bell))
             } else if k < pressed && r.distance_mm > shoulder_mm {
-                // Neither the part nor its shoulder brings it there: an outlier.
+                // Above the part and its shoulder: an outlier.
                 (0.0, (0.0, 1.0 / stray_mm))
             } else {
                 (pushed_mm, mixture.free(pushed_mm, r.sigma_mm))
@@ -382,7 +385,8 @@ impl<D: Distances> Refinement<'_, D> {
                 sum.add(sample.p_mm, r.normal, d_mm, weight / r.variance_mm2, per_radius);
             }
             if !SYSTEM {
-                // That of a marker that is not salient is over that of gel out of the part's reach.
+                // The density of a marker that is not salient is relative to free gel out of the part's
+                // reach.
                 likelihood.times(if k < pressed { density } else { density / mixture.free_density() });
             }
         }

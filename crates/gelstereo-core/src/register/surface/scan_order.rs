@@ -1,17 +1,17 @@
-//! The markers in an order of their own: as they lie, and not as they came.
+//! Canonical order of the markers, by position and not by input order.
 //!
-//! Sums run over markers, and a first look picks some of them. In the order in which they lie, band by band across the press,
-//! neither depends on the order in which they were given: the answer is the same to the bit.
+//! Sums run over markers, and a first pass selects some of them. Sorting by position, band by band across
+//! the press, makes the result independent of the input order, to the bit.
 
 use super::contact::Contact;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec3, floor};
 use alloc::vec::Vec;
 
-/// Width of a band of a usual gel: as far as rows of markers stand apart, so that each has its own.
+/// Width of a band for a standard gel: the distance between rows of markers, so that each has its own.
 const BAND_MM: f64 = 0.9;
 
-/// What a contact gives, ordered.
+/// Buffers of an ordered contact.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Raster {
     keys: Vec<Key>,
@@ -20,11 +20,11 @@ pub(super) struct Raster {
     unpressed_mm: Vec<DVec3>,
 }
 
-/// Where a marker lies: its band, and along the band as a number that is greater the farther it is; and its index.
+/// Position of a marker: its band, an integer that increases along the band, and its index.
 type Key = (u32, u64, u32);
 
 impl Raster {
-    /// The same contact in the order in which its markers lie.
+    /// The same contact with its markers in canonical order.
     pub fn ordered<'a>(&'a mut self, contact: &Contact<'a>, gel_scale: f64) -> Contact<'a> {
         let Self { keys, points_mm, covariance_mm2, unpressed_mm } = self;
         let press = contact.press_direction;
@@ -53,7 +53,7 @@ impl Raster {
     }
 }
 
-/// The plane across the press, and where its first band begins.
+/// Axes of the plane across the press, and the start of the first band.
 #[derive(Clone, Copy)]
 struct Frame {
     along: DVec3,
@@ -63,7 +63,7 @@ struct Frame {
     band_mm: f64,
 }
 
-/// Indices in the order in which points lie.
+/// Indices of the points in canonical order.
 fn order<'a>(
     keys: &'a mut Vec<Key>,
     points_mm: &[DVec3],
@@ -74,7 +74,7 @@ fn order<'a>(
         let band = floor((p.dot(frame.across) - frame.low_mm) / frame.band_mm + 0.5) as u32;
         (band, ascending(p.dot(frame.along)), k)
     }));
-    // Then across the band, and along the press; of markers at the same place the one given first.
+    // Then across the band, and along the press; at the same position, by input order.
     let rest = |k: u32| [frame.across, frame.press].map(|axis| ascending(points_mm[k as usize].dot(axis)));
     keys.sort_unstable_by(|a, b| {
         (a.0, a.1).cmp(&(b.0, b.1)).then_with(|| rest(a.2).cmp(&rest(b.2))).then(a.2.cmp(&b.2))
@@ -82,7 +82,7 @@ fn order<'a>(
     keys.iter().map(|(_, _, k)| *k as usize)
 }
 
-/// As the total order of real numbers has it.
+/// Integer in the total order of real numbers.
 fn ascending(x: f64) -> u64 {
     let bits = x.to_bits();
     if bits >> 63 == 0 { bits | 1 << 63 } else { !bits }

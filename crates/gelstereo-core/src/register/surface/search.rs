@@ -1,4 +1,4 @@
-//! Many starts, successive halving: each round looks at fewer candidates more closely.
+//! Multi-start search by successive halving: each round evaluates fewer candidates more closely.
 
 use super::assess::Told;
 use super::candidate::{Candidate, End};
@@ -13,36 +13,37 @@ use super::refine::RefineScratch;
 use super::state::{HOPELESS, Search, Stage};
 use alloc::vec::Vec;
 
-/// Steps on the field before candidates are compared, and how many go on.
+/// Steps on the field before candidates are compared, and how many continue.
 const FIELD_STEPS: u32 = 4;
 const FINALISTS: usize = 3;
-/// Steps of all of them on the exact surface, and of those that are left.
+/// Steps of all of them on the exact surface, and of those that remain.
 const FIRST_STEPS: u32 = 3;
 const MAX_STEPS: u32 = 15;
-/// With fewer of the markers around the contact explained the gel is another than it is said to be, and is not asked.
+/// Smallest inlier share of the markers at the part. With less the gel differs from the given one, and
+/// its model is not used.
 const EXPLAINED: f64 = 0.75;
-/// Widths of the steps that ask the gel on the field, and how many candidates go on from there: of the first few, and of
-/// all others where what those came to does not fit.
+/// Widths of the steps with the gel model on the field, and how many candidates continue from each: for
+/// the first few, and for all others if the first few do not fit.
 const BLURRED: [(f64, usize); 3] = [(0.3, 3), (0.2, 2), (0.1, 1)];
 const BLURRED_ON: [(f64, usize); 3] = [(0.3, 5), (0.2, 3), (0.1, 2)];
-/// Where the first few have taken more than this share of the budget, fewer of the others go on. They are left at so much of
-/// it, and the rest is for the one that is found, so that it comes to its end.
+/// If the first few have taken more than this share of the budget, fewer of the others continue. These
+/// stop at the second share of the budget; the rest lets the best candidate converge.
 const SHORT: f64 = 0.45;
 const SEARCHED: f64 = 0.8;
 const BLURRED_SHORT: [(f64, usize); 3] = [(0.3, 4), (0.2, 2), (0.1, 1)];
 const FIRST_FEW: usize = 4;
-/// A pose fits when the markers at the part miss it by no more than this share of the mean square that their noise makes
-/// likely. That is a safe figure, for what lies between two markers counts in it: two of three right poses fit, and of
-/// wrong ones less than half. To search on from a right one costs time alone.
+/// A pose fits if the mean squared residual at the part is at most this share of its variance. The limit
+/// is conservative, since the variance includes the error between markers: 67 % of correct and < 50 % of
+/// wrong poses pass. Continuing from a correct one costs only time.
 const FITS: f64 = 0.8;
 /// Width of the first step on the exact surface.
 const SHARP_MM: f64 = 0.05;
-/// Width on the field of those that come after the best one, which are near their end.
+/// Width on the field for poses after the best one, which are near convergence.
 const FIELD_MM: f64 = 0.1;
 
 impl Search<'_> {
-    /// From many starts. The best answer comes first, then the others; leaves the cheapest of the second round in
-    /// `runners_up`.
+    /// Searches from many starts. The best pose comes first, then the others; leaves the cheapest of the
+    /// second round in `runners_up`.
     pub fn many(
         &mut self,
         candidates: &mut Vec<Candidate>,
@@ -51,7 +52,7 @@ impl Search<'_> {
         settled: &mut GelFitScratch,
     ) -> End {
         candidates.clear();
-        for k in 0..self.params.starts {
+        for k in 0..self.params.surface_search.starts {
             candidates.push(Candidate::at(start(&self.prior, k)));
         }
         self.round(candidates, &FIRST, self.samples.coarse_unpressed);
@@ -73,7 +74,7 @@ impl Search<'_> {
             settled.show(candidates[0].slot);
             let (with, work) = self.refine(self.faces).compare(&candidates[0].placement, scratch);
             self.work += work;
-            // Steps that were cut short may have left the pose worse than they found it, and nothing is left to mend it.
+            // Interrupted steps may have made the pose worse, and no budget is left to repair it.
             self.is_settled = if is_spent { with <= without } else { settled.here.explained() >= EXPLAINED };
             if self.is_settled {
                 return self.others(candidates, runners_up, end, (scratch, settled));
@@ -98,7 +99,8 @@ impl Search<'_> {
         self.others(candidates, runners_up, end, (scratch, settled))
     }
 
-    /// The other answers, and how the best one ended; its readings, or prediction, are left in the scratch.
+    /// Finds the alternatives. Returns how the best pose ended, and leaves its readings, or prediction,
+    /// in the scratch.
     fn others(
         &mut self,
         candidates: &mut Vec<Candidate>,
@@ -110,13 +112,13 @@ impl Search<'_> {
         self.is_cut = self.has_spent();
         let asked = self.is_settled.then_some(&*settled);
         let odds = odds(self.params, self.samples, (scratch, asked));
-        // Where the part is not what touches the gel, nothing explains the contact as well.
+        // If the part is not what is in contact, there are no alternatives.
         if odds.log <= 0.0 {
             candidates.truncate(1);
             return end;
         }
-        // Where the gel follows another law, likelihoods of poses do not compare: turns that show the part alike are all that
-        // is known.
+        // If the gel does not follow its model, likelihoods of poses are not comparable. Only rotations
+        // after which the part looks the same are then known.
         if !odds.is_law_kept {
             candidates.truncate(1);
             runners_up.clear();
@@ -135,7 +137,7 @@ impl Search<'_> {
         end
     }
 
-    /// Leaves the readings of a pose, and what the gel does there if it is asked, in the scratch.
+    /// Leaves the readings of a pose, and the gel prediction if used, in the scratch.
     pub fn read(&mut self, best: &mut Candidate, scratch: &mut RefineScratch, settled: &mut GelFitScratch) {
         if self.is_settled {
             self.work += self.settled(true).begin(best, settled);
@@ -160,8 +162,8 @@ impl Search<'_> {
         }
     }
 
-    /// What the gel tells of the candidate whose prediction is in `settled`, and whose steps have ended by themselves or
-    /// not.
+    /// Information from the gel about the candidate whose prediction is in `settled`. `ended` is whether
+    /// its steps converged.
     pub fn told(&self, best: &Candidate, ended: bool, settled: &mut GelFitScratch) -> Told {
         let way = self.settled(true);
         let information = way.information(best, settled);
@@ -169,7 +171,7 @@ impl Search<'_> {
         Told { press_direction: self.press_direction, information, left_mm }
     }
 
-    /// The candidates by what the gel would do, best first: the first few, and the others where these do not fit.
+    /// Ranks the candidates by the gel model, best first: the first few, and the others if these do not fit.
     fn settle_few(&mut self, candidates: &mut Vec<Candidate>, settled: &mut GelFitScratch) -> End {
         let rest = Rest { plane_mm: self.samples.gel.rest_plane(self.samples.radius_mm), log_decay: 0.0 };
         for (slot, candidate) in candidates.iter_mut().enumerate() {
@@ -191,7 +193,7 @@ impl Search<'_> {
         self.limit = (SEARCHED * budget as f64) as u64;
         let end_on = self.settle(candidates, if is_short { &BLURRED_SHORT } else { &BLURRED_ON }, settled);
         self.limit = budget;
-        // The one that was first stays so among equals.
+        // Among equals the first one stays first.
         candidates.insert(0, best);
         keep(candidates, FINALISTS, 0.0, 0.0);
         if candidates[0].slot == best.slot {
@@ -200,12 +202,12 @@ impl Search<'_> {
         if end_on.converged {
             return end_on;
         }
-        let most = self.params.max_iterations.min(MAX_STEPS).saturating_sub(end_on.iterations);
+        let most = self.params.advanced.max_iterations.min(MAX_STEPS).saturating_sub(end_on.iterations);
         let last = self.settle_all(&mut candidates[..1], most, settled);
         End { iterations: end_on.iterations + last.iterations, ..last }
     }
 
-    /// The candidates by what the gel would do, best first.
+    /// Ranks the candidates by the gel model, best first.
     fn settle(
         &mut self,
         candidates: &mut Vec<Candidate>,
@@ -218,14 +220,15 @@ impl Search<'_> {
             keep(candidates, keeps, self.samples.radius_mm, self.params.scaled(SECOND.same_mm));
         }
         self.begin_all(true, candidates, settled);
-        // Not at rest, none is hopeless: one marker that an edge has yet to pass makes a difference of ten and more.
+        // No candidate is dropped before convergence: one marker that an edge has yet to pass changes the
+        // cost by ten or more.
         self.blurred_all((true, self.params.scaled(SHARP_MM)), candidates, settled);
-        let end = self.settle_all(candidates, self.params.max_iterations.min(MAX_STEPS), settled);
+        let end = self.settle_all(candidates, self.params.advanced.max_iterations.min(MAX_STEPS), settled);
         keep(candidates, FINALISTS, 0.0, 0.0);
         end
     }
 
-    /// A stage of a pose that comes after the best one, by what the gel would do.
+    /// Runs one stage of a pose after the best one with the gel model.
     pub fn settle_on(&mut self, one: &mut Candidate, stage: Stage, settled: &mut GelFitScratch) -> End {
         let way = self.settled(stage != Stage::Field);
         let mut work = way.begin(one, settled);
@@ -235,11 +238,11 @@ impl Search<'_> {
             Stage::Last => {}
         }
         self.work += work;
-        let most = if stage == Stage::Last { self.params.max_iterations.min(MAX_STEPS) } else { 0 };
+        let most = if stage == Stage::Last { self.params.advanced.max_iterations.min(MAX_STEPS) } else { 0 };
         self.settle_all(core::slice::from_mut(one), most, settled)
     }
 
-    /// What the gel would do at the candidates as they stand. Those for which no budget is left are dropped.
+    /// Predicts the gel at the candidates' current states. Drops those for which no budget is left.
     fn begin_all(&mut self, is_exact: bool, candidates: &mut Vec<Candidate>, settled: &mut GelFitScratch) {
         for k in 0..candidates.len() {
             if k > 0 && self.has_spent() {
@@ -262,7 +265,7 @@ impl Search<'_> {
         }
     }
 
-    /// How the best one ended.
+    /// Returns how the best one ended.
     fn settle_all(&mut self, candidates: &mut [Candidate], most: u32, settled: &mut GelFitScratch) -> End {
         let mut best = (f64::INFINITY, End { converged: false, iterations: 0, work: 0 });
         for k in 0..candidates.len() {
@@ -279,7 +282,8 @@ impl Search<'_> {
         best.1
     }
 
-    /// The finalists on the exact surface, best first. How the best one ended; its readings are in the scratch.
+    /// Refines the finalists on the exact surface, best first. Returns how the best one ended; its
+    /// readings are in the scratch.
     fn finish(&mut self, candidates: &mut Vec<Candidate>, scratch: &mut RefineScratch) -> End {
         if candidates.len() > 1 {
             self.refine_all(candidates, FIRST_STEPS, scratch);
@@ -288,14 +292,14 @@ impl Search<'_> {
             let near = candidates.iter().take_while(|c| c.cost < hopeless).count();
             candidates.truncate(near.max(1));
         }
-        let end = self.refine_all(candidates, self.params.max_iterations.min(MAX_STEPS), scratch);
+        let end = self.refine_all(candidates, self.params.advanced.max_iterations.min(MAX_STEPS), scratch);
         keep(candidates, FINALISTS, 0.0, 0.0);
         let (_, work) = self.refine(self.faces).compare(&candidates[0].placement, scratch);
         self.work += work;
         end
     }
 
-    /// A stage of a pose that comes after the best one.
+    /// Runs one stage of a pose after the best one without the gel model.
     pub fn finish_on(&mut self, one: &mut Candidate, stage: Stage, scratch: &mut RefineScratch) -> End {
         match stage {
             Stage::Field => {
@@ -305,11 +309,11 @@ impl Search<'_> {
                 end
             }
             Stage::First => self.refine_one(one, FIRST_STEPS, scratch),
-            Stage::Last => self.refine_one(one, self.params.max_iterations.min(MAX_STEPS), scratch),
+            Stage::Last => self.refine_one(one, self.params.advanced.max_iterations.min(MAX_STEPS), scratch),
         }
     }
 
-    /// How it ended.
+    /// Returns how it ended.
     fn refine_one(&mut self, candidate: &mut Candidate, most: u32, scratch: &mut RefineScratch) -> End {
         let left = self.left();
         let polish = self.refine(self.faces);
@@ -320,7 +324,7 @@ impl Search<'_> {
         end
     }
 
-    /// How the best one ended.
+    /// Returns how the best one ended.
     fn refine_all(&mut self, candidates: &mut Vec<Candidate>, most: u32, scratch: &mut RefineScratch) -> End {
         let mut best = (f64::INFINITY, End { converged: false, iterations: 0, work: 0 });
         for k in 0..candidates.len() {

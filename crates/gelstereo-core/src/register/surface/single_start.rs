@@ -1,4 +1,4 @@
-//! From the guess alone: a part that is followed, and one whose pose is nearly known.
+//! Single-start search from the guess: tracking, and refinement of a nearly known pose.
 
 use super::candidate::{Candidate, End};
 use super::coarse::{Clear, View};
@@ -7,42 +7,44 @@ use super::state::Search;
 use crate::math::{exp, ln};
 use alloc::vec::Vec;
 
-/// Widths of the coarse looks go in equal ratios from what a guess is off by to what noise is off by, in standard deviations,
-/// and stay there (graduated non-convexity, Blake and Zisserman 1987): a wide look comes close from afar, and only a narrow one
-/// tells the gel's shoulder from the part. They find the part; a look costs a fifth of a step on the exact surface.
+/// Widths of the coarse passes, in standard deviations of the guess (widest) and of the noise
+/// (narrowest). They shrink in equal ratios and then stay (graduated non-convexity, Blake and Zisserman
+/// 1987). Wide passes converge from afar; only narrow ones separate the gel's shoulder from the part. A
+/// pass costs a fifth of a step on the exact surface.
 const WIDEST: f64 = 0.25;
 const NARROWEST: f64 = 3.0;
 const NARROWING: u32 = 4;
 const NARROW: u32 = 10;
-/// Between its nodes the field bends by about this, in cells: no look is narrower.
+/// Least width of a pass, in cells: about the bend of the field between its nodes.
 const BLUNT: f64 = 0.25;
-/// Steps on the field that are not checked, and then on the exact surface.
+/// Unchecked steps on the field, and then steps on the exact surface.
 const SLIDES: u32 = 2;
 const STEPS: u32 = 4;
-/// Halvings of a step on the exact surface: where the whole is no better an edge is near, and less of it gains less than it costs.
+/// Halvings of a step on the exact surface. If the full step fails an edge is near, and a shorter one
+/// gains less than it costs.
 const HALVINGS: u32 = 0;
-/// Other markers this far over the part are not looked at: they count up to half a millimetre, and by then the part hardly
-/// moves.
+/// Other markers are not evaluated from this distance over the part: they have influence up to 0.5 mm,
+/// and the part hardly moves by then.
 const SLIDE_REACH_MM: f64 = 1.0;
 const CLOSE_REACH_MM: f64 = 0.7;
-/// Steps on the field of a part that is followed. From 0.5 degrees and 0.1 mm off five find it no more often and take a fifth
-/// longer; of frames running, each begun where the last one ended, they leave one in fifty fewer wrong.
+/// Field steps of tracking. From 0.5 degrees and 0.1 mm off, five succeed no more often and take a fifth
+/// longer. On successive frames, each started from the previous result, five leave one in fifty fewer wrong.
 const TRACK_STEPS: u32 = 3;
 
 impl Search<'_> {
-    /// From the guess alone, on the field.
+    /// Tracks from the guess, on the field.
     pub fn track(&mut self, candidates: &mut Vec<Candidate>, scratch: &mut RefineScratch) -> End {
         self.begin_at_guess(candidates);
         let polish = self.refine(self.field);
         let end = polish.slide(&mut candidates[0], TRACK_STEPS, self.limit, scratch);
-        // The field knows no curvature, and without it facets would seem to hold a cylinder's spin.
+        // The field has no curvature; without it facets would appear to determine a cylinder's spin.
         let (cost, work) = self.refine(self.faces).compare(&candidates[0].placement, scratch);
         candidates[0].cost = cost;
         self.work = end.work + work;
         end
     }
 
-    /// From the guess alone: on the field, then on the exact surface.
+    /// Refines the guess: on the field, then on the exact surface.
     pub fn close(&mut self, candidates: &mut Vec<Candidate>, scratch: &mut RefineScratch) -> End {
         self.begin_at_guess(candidates);
         self.look_closer(&mut candidates[0], &mut scratch.clear);
@@ -56,14 +58,15 @@ impl Search<'_> {
             pushes_bluntly: true,
             ..self.refine(self.faces)
         };
-        let end = polish.run(&mut candidates[0], self.params.max_iterations.min(STEPS), left, scratch);
+        let end =
+            polish.run(&mut candidates[0], self.params.advanced.max_iterations.min(STEPS), left, scratch);
         let (cost, work) = polish.compare_ended(&candidates[0].placement, scratch);
         candidates[0].cost = cost;
         self.work += end.work + work;
         end
     }
 
-    /// Coarse looks, narrower and narrower.
+    /// Coarse passes of decreasing width.
     fn look_closer(&mut self, candidate: &mut Candidate, clear: &mut [Clear]) {
         let touching = self.samples.may_touch();
         let view = View::of(self.samples, touching, self.samples.medium_unpressed, self.press_direction);
@@ -72,7 +75,7 @@ impl Search<'_> {
             .max(BLUNT * self.field.field.cell_mm())
             .min(widest_mm);
         let ratio = exp(ln(narrowest_mm / widest_mm) / f64::from(NARROWING));
-        // Around holes it does not know what is near either.
+        // Around holes the field does not bound the distance either.
         let reach_mm = if self.faces.solid.is_closed() { self.field.field.reach_mm() } else { 0.0 };
         let mut width_mm = widest_mm;
         for look in 0..NARROWING + NARROW {

@@ -1,27 +1,28 @@
-//! What registration adds to a part's exact surface: the normals of the smooth surface that its facets stand for.
+//! Normals of the smooth surface that the facets of a part stand for.
 //!
-//! On the facets of a cylinder even its spin would be determined, to the facets' angle: by what the mesher did and not
-//! by the part.
+//! Facet normals would determine even the spin of a cylinder, to the angle of a facet: by the meshing and
+//! not by the part.
 
 use crate::math::{DVec3, abs, sqrt};
 use crate::stop::{Stop, Stopped, ask};
 use crate::surface::{Closest, Solid};
 use alloc::vec::Vec;
 
-/// Faces that meet at less than 32 degrees are one smooth surface: a cylinder of 12 facets is one, a hexagon has edges.
+/// Faces that meet at less than 32 degrees are one smooth surface: a cylinder of 12 facets is one, a
+/// hexagon has edges.
 pub(super) const CREASE_COS: f64 = 0.85;
-/// A direction takes a place at least as far off.
+/// Least distance that defines a direction.
 const MIN_MM: f64 = 1e-3;
 
 /// Normals at the corners of every triangle, of the smooth surface on that triangle's side of its creases.
 #[derive(Clone, Debug)]
 pub(in crate::register) struct Relief {
     corners: Vec<[DVec3; 3]>,
-    /// Largest turn of the normal over an edge of the triangle, rad/mm.
+    /// Largest rotation of the normal over an edge of the triangle, rad/mm.
     curvatures_per_mm: Vec<f64>,
 }
 
-/// A direction of the smooth surface, and how fast it turns.
+/// Normal of the smooth surface, and its curvature.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Slope {
     pub normal: DVec3,
@@ -59,7 +60,7 @@ impl Relief {
         Ok(out)
     }
 
-    /// Of samples that stand for two triangles each.
+    /// From surface samples that stand for two triangles each.
     pub fn of_samples(normals: &[DVec3], curvatures_per_mm: &[f64]) -> Self {
         let twice = |k: usize| k / 2;
         Self {
@@ -68,7 +69,7 @@ impl Relief {
         }
     }
 
-    /// At the nearest point of a place `offset_mm` away from it, of a gel of that scale.
+    /// Slope at the nearest point of a position `offset_mm` away from it, for a gel of scale `gel_scale`.
     pub(super) fn slope(
         &self,
         solid: &Solid,
@@ -80,7 +81,8 @@ impl Relief {
         let corners = solid.triangles()[k].map(|v| solid.vertices_mm()[v as usize]);
         let smooth =
             interpolate(&self.corners[k], &corners, found.point_mm, solid.face_normal(found.triangle));
-        // Beyond an edge the distance grows away from it; nearer than [`MIN_MM`] that is no direction.
+        // Beyond an edge the distance grows away from the edge; nearer than [`MIN_MM`] its direction is
+        // undefined.
         if found.normal.dot(smooth) < 0.99 && abs(found.distance_mm) > MIN_MM * gel_scale {
             return Slope { normal: offset_mm / found.distance_mm, curvature_per_mm };
         }
@@ -88,7 +90,7 @@ impl Relief {
     }
 }
 
-/// Barycentric between three unit vectors, at a point of the triangle.
+/// Barycentric interpolation of three unit vectors at a point of the triangle.
 fn interpolate(normals: &[DVec3; 3], [a, b, c]: &[DVec3; 3], at: DVec3, face: DVec3) -> DVec3 {
     if normals[0] == normals[1] && normals[1] == normals[2] {
         return normals[0];

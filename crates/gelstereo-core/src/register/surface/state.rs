@@ -1,4 +1,4 @@
-//! What a search works with, and what it has spent.
+//! State of a search, and the work that it has spent.
 
 use super::coarse::View;
 use super::contact::Samples;
@@ -12,10 +12,11 @@ use crate::stop::Stop;
 
 /// Halvings of a step on the exact surface.
 const HALVINGS: u32 = 4;
-/// Finalists whose likelihood is less than that of the best by this, in logarithms, are not polished on.
+/// Finalists whose log-likelihood is lower than the best one's by this are dropped.
 pub(super) const HOPELESS: f64 = 12.0;
 
-/// The steps of a pose that comes after the best one: on the field, the first on the exact surface, and to the end.
+/// Refinement stages of a pose after the best one: on the field, first steps on the exact surface, and to
+/// convergence.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Stage {
     Field,
@@ -23,7 +24,7 @@ pub(super) enum Stage {
     Last,
 }
 
-/// What a search works with.
+/// Inputs and progress of a search.
 pub(super) struct Search<'a> {
     pub params: &'a RegisterParams,
     pub samples: &'a Samples,
@@ -33,17 +34,17 @@ pub(super) struct Search<'a> {
     pub prior: Prior,
     pub stop: Stop<'a>,
     pub work: u64,
-    /// Work after which it stops: the budget, or a part's share of it.
+    /// Work after which it stops: the budget, or a share of it for one phase.
     pub limit: u64,
-    /// Whether the answer is that of the gel.
+    /// Whether the result is that of the gel model.
     pub is_settled: bool,
-    /// Whether other answers may be missing among those that are left.
+    /// Whether alternatives may be missing from the result.
     pub is_cut: bool,
-    /// Where readings are those of the answer, if that is not itself: the part looks the same there.
+    /// Pose of the readings, if not that of the result: the part looks the same there.
     pub read_at: Option<Placement>,
-    /// Turns that are declared to make no other pose.
+    /// Declared symmetries: rotations that do not change the pose.
     pub symmetries: &'a [Symmetry],
-    /// Turns after which the part looks the same, declared or not.
+    /// Rotations after which the part looks the same, declared or not.
     pub alike: &'a [Symmetry],
 }
 

@@ -1,14 +1,15 @@
-//! What edges tell of the pose.
+//! Information about the pose from the edges of the part.
 //!
-//! A marker that touches and its neighbour that hangs have the edge between them at which the gel leaves the part. While the
-//! pose moves that edge neither height changes by much, but when it passes one of the two: the marker falls, or is taken up.
-//! So edges are walls, which leave the pose so much room, and a derivative, which sees a wall or not, would say anything.
-//! Markers along an edge that runs across their rows are walls at as many places, and leave little; along a row all leave
-//! the same. What is known within walls is that of a normal law which they cut, in the mean and the covariance: expectation
-//! propagation (Minka 2001; Cunningham, Hennig and Lacoste-Julien 2011), which adds a precision along each.
+//! The edge at which the gel leaves the part lies between a marker in contact and a neighbour that is not.
+//! Moving that edge hardly changes either height until it passes one of the two markers, which then falls
+//! or is lifted. Edges are therefore walls, i.e. one-sided bounds on the pose; a derivative would be
+//! arbitrary, since it either includes the wall or does not. Markers along an edge that crosses their rows
+//! give walls at different distances, which leave little room; along a row all walls are the same. The pose
+//! then has a normal distribution truncated by the walls. Expectation propagation (Minka 2001; Cunningham,
+//! Hennig and Lacoste-Julien 2011) matches its mean and covariance by adding a precision along each wall.
 //!
-//! Where both markers touch, the heights change by so little when the crease passes that another pose may make up for it. No
-//! such crease is a wall.
+//! A crease between two markers in contact is no wall: the heights change so little when it passes that
+//! another pose can compensate.
 
 use super::fit::GelFit;
 use super::lattice::Node;
@@ -21,34 +22,35 @@ use crate::register::surface::distances::{Distances, Foot, Last, Range};
 use crate::register::surface::smooth_normals::CREASE_COS;
 use core::f64::consts::{FRAC_1_SQRT_2, TAU};
 
-/// Standard deviations by which a height changes that tells.
+/// Smallest detectable change of a height, in standard deviations.
 const TELLS: f64 = 3.0;
-/// A marker that is less likely a good one is no wall.
+/// Smallest inlier probability of a marker that forms a wall.
 const GOOD: f64 = 0.5;
-/// Faces that turn less than this, sine across the press, have no edge between them.
+/// Smallest sine, across the press, between two faces that form an edge.
 const MIN_SINE: f64 = 0.1;
-/// Information that is none, per mm²: what is known no better is off by a metre.
+/// Information that counts as none, per mm²: a standard deviation of a metre.
 pub(in crate::register::surface) const MIN_KNOWN: f64 = 1e-6;
-/// Sweeps over the walls; more change little.
+/// Sweeps over the walls; more change the result little.
 const SWEEPS: usize = 3;
-/// Standard deviations beyond which a wall does not cut, and which the mean is within of it.
+/// Standard deviations beyond which a wall has no effect, and to which a mean outside the wall is clamped.
 const FAR: f64 = 6.0;
 const ALL: Range = Range { from_mm: f64::NEG_INFINITY, to_mm: f64::INFINITY };
 
-/// The edge at which the face under a node ends, on the way to its neighbour.
+/// Edge at which the face under a node ends, towards the node's neighbour.
 struct Edge {
-    /// Across it and the press, towards the neighbour.
+    /// Unit vector across the edge and the press, towards the neighbour; sensor frame.
     across: DVec3,
-    /// How far the node and the neighbour are from it.
+    /// Distances of the node and the neighbour from the edge.
     room_mm: [f64; 2],
-    /// How fast the face beyond it falls away.
+    /// Slope at which the face beyond the edge falls away.
     slope: f64,
-    /// How far the neighbour is over the face, gone on with.
+    /// Height of the neighbour over the extended face.
     over_mm: f64,
 }
 
 impl GelFit<'_> {
-    /// The walls at a state whose prediction is in the scratch: of each marker that an edge may pass the nearest.
+    /// Finds the walls at a state whose prediction is in the scratch: for each marker, the nearest edge
+    /// that may pass it.
     pub fn find_walls(&self, state: &Candidate, scratch: &mut GelFitScratch) {
         let GelFitScratch { here, walls, .. } = scratch;
         let gel = self.gel();
@@ -101,7 +103,7 @@ impl GelFit<'_> {
         let way = way - press * way.dot(press);
         let marker = placement.object_point(next.sample.p_mm);
         let under = placement.object_point(node.sample.p_mm) - press * foot.over_mm;
-        // On the face, gone on with, under the neighbour.
+        // Point of the extended face under the neighbour.
         let at = under + way - press * (foot.normal.dot(way) / cosine);
         let (distance_mm, normal) = match &beyond.foot {
             Some(other) => ((at - marker + press * other.over_mm).dot(other.normal), other.normal),
@@ -122,7 +124,7 @@ impl GelFit<'_> {
             return None;
         }
         let across = across * (if across.dot(way) < 0.0 { -1.0 } else { 1.0 } / length);
-        // How fast the distance to what is beyond grows along the face.
+        // Rate at which the distance from the surface beyond grows along the face.
         let grows = (across - press * (foot.normal.dot(across) / cosine)).dot(normal);
         let (whole_mm, beyond_mm) = (across.dot(way), distance_mm / grows);
         (0.0..=whole_mm).contains(&beyond_mm).then(|| Edge {
@@ -134,16 +136,17 @@ impl GelFit<'_> {
     }
 }
 
-/// A normal law within walls.
+/// A normal distribution truncated by walls.
 pub(in crate::register::surface) struct Bounded {
-    /// Before the walls.
+    /// Without the walls.
     information: Symmetric<6>,
     mean: Vector6,
     covariance: Symmetric<6>,
 }
 
 impl Bounded {
-    /// Of so much information about a mean of zero, and of at least so much along every direction.
+    /// Truncates the normal distribution with mean zero and this information matrix. Its covariance uses
+    /// at least `least` along every eigenvector.
     pub fn new(information: &Symmetric<6>, least: f64, walls: &mut [Wall]) -> Self {
         let (known, mut covariance) = (eigen(information), [[0.0; 6]; 6]);
         for (value, u) in known.values.iter().zip(&known.vectors) {
@@ -157,11 +160,11 @@ impl Bounded {
         out
     }
 
-    /// What one wall adds is found anew.
+    /// Updates the contribution of one wall.
     fn cut(&mut self, wall: &mut Wall) {
         let across: Vector6 = self.covariance.map(|row| dot(&row, &wall.row));
         let (variance, mean) = (dot(&across, &wall.row), dot(&self.mean, &wall.row));
-        // Without it.
+        // Cavity distribution, without this wall.
         let others = 1.0 / variance - wall.precision;
         if !(others > 0.0) {
             return;
@@ -172,7 +175,7 @@ impl Bounded {
         let (precision, pull) = if x > FAR {
             (0.0, 0.0)
         } else {
-            // The mean and the variance of what is left of it.
+            // Mean and variance of the truncated distribution.
             let x = x.max(-FAR);
             let inside = 0.5 * erfc(-x * FRAC_1_SQRT_2);
             let slope = exp(-0.5 * x * x) / (sqrt(TAU) * inside * sigma_mm);
@@ -191,8 +194,8 @@ impl Bounded {
         dot(row, &self.covariance.map(|one| dot(&one, row))).max(0.0)
     }
 
-    /// With what the walls add. The pose is not moved to the mean, and as far off as that, too: the inverse of the covariance
-    /// and μ μᵀ.
+    /// Information matrix with the walls, (Σ + μ μᵀ)⁻¹: the pose is not moved to the mean μ, so μ counts
+    /// as an error.
     pub fn information(&self, walls: &[Wall]) -> Symmetric<6> {
         let mut out = self.information;
         walls.iter().for_each(|wall| add_outer(&mut out, &wall.row, wall.precision));
@@ -208,7 +211,7 @@ mod tests {
     use super::*;
     use alloc::vec::Vec;
 
-    /// At `room_mm` along one axis and against it.
+    /// A wall at `room_mm` along one axis or against it.
     fn wall(room_mm: f64, sign: f64) -> Wall {
         let row = [0.0, 0.0, 0.0, sign, 0.0, 0.0];
         Wall { row, room_mm, sigma_mm: 0.015, precision: 0.0, pull: 0.0 }
@@ -220,7 +223,7 @@ mod tests {
         core::array::from_fn(|i| core::array::from_fn(|k| if i == k { KNOWN } else { 0.0 }))
     }
 
-    /// Mean square of what is left of the normal law, by midpoints.
+    /// Mean square of the truncated normal distribution, by the midpoint rule.
     fn integral(walls: &[Wall]) -> f64 {
         let (mut all, mut squared) = (0.0, 0.0);
         for k in -20_000..20_000 {
@@ -237,13 +240,14 @@ mod tests {
     fn within_walls_a_normal_law_is_about_what_is_left_of_it() {
         let pitch_mm = 0.9;
         for count in [1, 2, 4, 8] {
-            // Along an edge that is turned to the rows of markers, with the pose at a place that no two of them share.
+            // An edge oblique to the marker rows: every marker has a different distance from it.
             let rooms = (0..count).map(|k| pitch_mm * (f64::from(k) + 0.3) / f64::from(count));
             let mut walls: Vec<Wall> =
                 rooms.flat_map(|room_mm| [wall(room_mm, 1.0), wall(pitch_mm - room_mm, -1.0)]).collect();
             let told = Bounded::new(&information(), MIN_KNOWN, &mut walls).information(&walls);
             let ratio = 1.0 / (told[3][3] * integral(&walls));
-            // What is left is even between the nearest two, and what is told of it is up to a quarter wider than that.
+            // The truncated distribution is uniform between the nearest two walls; the approximation is
+            // up to a quarter wider.
             assert!((1.0..1.3).contains(&ratio), "{count}: {ratio}");
             assert!((told[0][0] - KNOWN).abs() < 1e-12 * KNOWN);
         }
@@ -255,7 +259,7 @@ mod tests {
             let mut walls: Vec<Wall> = (0..count).flat_map(|_| [wall(0.5, 1.0), wall(0.4, -1.0)]).collect();
             Bounded::new(&information(), MIN_KNOWN, &mut walls).information(&walls)[3][3]
         };
-        // Independent ones would tell eight times as much.
+        // Independent walls would give eight times the information.
         assert!(told(8) > told(1) && told(8) < 2.0 * told(1), "{} {}", told(8), told(1));
     }
 
@@ -267,7 +271,7 @@ mod tests {
 
     #[test]
     fn one_wall_right_beside_leaves_half() {
-        // Of half a normal law the mean square is that of the whole.
+        // Half a normal distribution has the mean square of the whole.
         let mut walls = [wall(0.0, 1.0)];
         walls[0].sigma_mm = 1e-6;
         let bounded = Bounded::new(&information(), MIN_KNOWN, &mut walls);

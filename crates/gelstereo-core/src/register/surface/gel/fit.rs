@@ -1,8 +1,7 @@
-//! The last steps where all markers are known: the heights of the gel that a pose of the part predicts, against those
-//! that were measured.
+//! Final steps where all markers are known: fits the predicted gel heights to the measured ones.
 //!
-//! What touches and what hangs at a pose is what the gel does there ([`Gel`]). Unknown beside the pose are the gel's plane of
-//! rest and the decay length.
+//! The gel model ([`Gel`]) determines which markers are in contact at a pose. The rest plane and the
+//! decay length are unknowns besides the pose.
 
 use super::lattice::Node;
 use super::model::Gel;
@@ -21,36 +20,36 @@ use core::mem::swap;
 
 /// Standard deviation of the logarithm of l²: a third of l.
 pub(in crate::register::surface) const DECAY_SIGMA: f64 = 0.6;
-/// No free height is wrong by more than this share of its gap to the part.
+/// Largest error of a free height, as a share of its gap to the part.
 const GAP_SHARE: f64 = 0.5;
-/// Standard deviation of what lies anywhere between two markers, in pitches: 1 / √12.
+/// Standard deviation of a uniform position between two markers, in pitches: 1 / √12.
 pub(in crate::register::surface) const BETWEEN: f64 = 0.288_675;
-/// There may be outliers even where none are expected.
+/// Smallest outlier share, even where no outliers are expected.
 const MIN_OUTLIERS: f64 = 1e-3;
-/// Over which differences are taken at the end.
+/// Finite difference step of the final steps.
 pub(in crate::register::surface) const LAST_SCALE_MM: f64 = 0.04;
-/// A pose that gains no more, in logarithms of the likelihood, is at rest, however far it still moves along what is free:
-/// from the peak of a normal law that is a quarter of a standard deviation.
+/// Convergence limit of the gain in log-likelihood, however far the pose still moves along free
+/// directions. It corresponds to a quarter of a standard deviation from the peak of a normal distribution.
 const MIN_GAIN: f64 = 0.03;
-/// Poses of blurred steps are judged by what is half as blurred: not at rest yet, they are told apart by sharp heights
-/// for how far they have come.
+/// Blur at which poses are compared, relative to that of their steps. Before convergence, sharp heights
+/// would only measure the progress of a pose.
 const JUDGED: f64 = 0.5;
-/// Longest step, over the patch, and how often one is tried: as a whole, and where that fails as far as is then likely to
-/// do. A third try is worth less than the next start.
+/// Longest step, over the patch, and number of tries: the full step, then the share with the lowest
+/// predicted cost. A third try is worth less than the next start.
 pub(in crate::register::surface) const LONGEST_MM: f64 = 0.5;
 const TRIES: u32 = 2;
-/// Sweeps over the gel of a prediction.
+/// Largest number of sweeps over the gel per prediction.
 const MAX_SWEEPS: u32 = 80;
-/// Work of a sweep over a node, in lookups of the field.
+/// Sweeps over one node that cost as much as one lookup of the field.
 pub(in crate::register::surface) const SWEEPS_A_LOOKUP: u64 = 8;
 
-/// The way of one candidate to the greatest likelihood.
+/// Likelihood maximisation of one candidate.
 pub(in crate::register::surface) struct GelFit<'a> {
     pub params: &'a RegisterParams,
     pub samples: &'a Samples,
     pub press_direction: DVec3,
     pub field: Coarse<'a>,
-    /// Without it the field alone.
+    /// Exact surface; without it only the field is used.
     pub faces: Option<Exact<'a>>,
     pub prior: Prior,
     pub stop: Stop<'a>,
@@ -61,8 +60,8 @@ impl GelFit<'_> {
         &self.samples.gel
     }
 
-    /// Predicts at a candidate as it stands. On the field what its slot kept before is of another candidate; on the exact
-    /// surface it is this one's, and close.
+    /// Predicts at the candidate's current state. On the field, the prediction kept in its slot is of
+    /// another candidate; on the exact surface it is its own, and close.
     pub fn begin(&self, state: &mut Candidate, scratch: &mut GelFitScratch) -> u64 {
         if scratch.kept[state.slot].is_known {
             swap(&mut scratch.kept[state.slot], &mut scratch.here);
@@ -74,7 +73,7 @@ impl GelFit<'_> {
         self.keep(state, 0.0, scratch)
     }
 
-    /// Predicts, from the heights that were measured.
+    /// Predicts from the measured heights.
     pub fn begin_anew(&self, state: &mut Candidate, scratch: &mut GelFitScratch) -> u64 {
         let over_rest_mm =
             self.gel().nodes.iter().map(|node| (node.along_mm - state.rest.plane_mm[0]).max(0.0));
@@ -83,7 +82,7 @@ impl GelFit<'_> {
         self.keep(state, 0.0, scratch)
     }
 
-    /// One step blurred by a width, unchecked.
+    /// One unchecked step, blurred by a width.
     pub fn blurred(&self, state: &mut Candidate, width_mm: f64, scratch: &mut GelFitScratch) -> u64 {
         scratch.show(state.slot);
         self.weigh(state, width_mm, &mut scratch.here);
@@ -95,7 +94,8 @@ impl GelFit<'_> {
         work + self.keep(state, if self.faces.is_none() { JUDGED * width_mm } else { 0.0 }, scratch)
     }
 
-    /// Predicts, from the heights that are `there`, into the candidate's slot, and judges it blurred by a width.
+    /// Predicts from the heights in `there` into the candidate's slot, and computes its cost blurred by a
+    /// width.
     fn keep(&self, state: &mut Candidate, width_mm: f64, scratch: &mut GelFitScratch) -> u64 {
         let work = self.predict_heights(state, scratch);
         self.weigh(state, width_mm, &mut scratch.there);
@@ -104,13 +104,13 @@ impl GelFit<'_> {
         work
     }
 
-    /// At most `most` steps to the end; none once `budget` of work is spent.
+    /// At most `most` steps to convergence; none once `budget` of work is spent.
     pub fn run(&self, state: &mut Candidate, (most, budget): (u32, u64), scratch: &mut GelFitScratch) -> End {
         scratch.show(state.slot);
         scratch.there.begin_as(&scratch.here);
         let mut end = End { converged: false, iterations: 0, work: 0 };
         let sigma_mm = self.params.point_sigma_mm;
-        let tolerance_mm = 10.0 * self.params.step_tolerance * sigma_mm;
+        let tolerance_mm = 10.0 * self.params.advanced.step_tolerance * sigma_mm;
         while end.iterations < most && !end.converged && end.work < budget && !(self.stop)() {
             end.iterations += 1;
             let (step, work) = self.step(state, self.params.scaled(LAST_SCALE_MM), scratch);
@@ -156,7 +156,7 @@ impl GelFit<'_> {
         }
     }
 
-    /// What a state predicts, into `there`: where the part is, and the heights of the gel.
+    /// Predicts the part's surface and the gel heights of a state into `there`; returns the work.
     fn predict_heights(&self, state: &Candidate, scratch: &mut GelFitScratch) -> u64 {
         let GelFitScratch { there, obstacle_mm, hints, lines, sweeps, .. } = scratch;
         let (placement, gel) = (&state.placement, self.gel());
@@ -203,21 +203,23 @@ impl GelFit<'_> {
         work + u64::from(sweeps) * gel.nodes.len() as u64 / SWEEPS_A_LOOKUP
     }
 
-    /// What a state predicts, into `there`, and how likely that is.
+    /// Predicts a state and its likelihood into `there`; returns the work.
     fn predict(&self, state: &Candidate, scratch: &mut GelFitScratch) -> u64 {
         let work = self.predict_heights(state, scratch);
         self.weigh(state, 0.0, &mut scratch.there);
         work
     }
 
-    /// How likely the measured heights are beside the predicted ones, all blurred by a width.
+    /// Likelihood of the measured heights given the predicted ones, all blurred by a width.
     fn weigh(&self, state: &Candidate, width_mm: f64, there: &mut Prediction) {
         let (placement, gel) = (&state.placement, self.gel());
         let mut likelihood = Likelihood::after(self.prior_cost(state));
-        let model = self.params.surface_sigma_mm * self.params.surface_sigma_mm + width_mm * width_mm;
-        let outliers = self.params.outlier_share.max(MIN_OUTLIERS);
+        let model = self.params.advanced.surface_sigma_mm * self.params.advanced.surface_sigma_mm
+            + width_mm * width_mm;
+        let outliers = self.params.advanced.outlier_share.max(MIN_OUTLIERS);
         let stray_mm = self.params.scaled(STRAY_MM);
-        // The gel leaves the part at an edge, which the nodes know to a pitch; over that it sinks by 1 - e^(-pitch / l).
+        // The nodes resolve the edge at which the gel leaves the part to a pitch, over which the gel
+        // sinks by 1 - e^(-pitch / l).
         let share = BETWEEN * (1.0 - exp(-1.0 / sqrt(gel.stiffness(state.rest.log_decay))));
         for ((node, sight), &height_mm) in gel.nodes.iter().zip(&mut there.sights).zip(&there.heights_mm) {
             let (variance, wrong_mm) = match (sight.touches, &sight.foot) {
@@ -248,7 +250,7 @@ impl GelFit<'_> {
         sum.cost + 0.5 * state.rest.log_decay * state.rest.log_decay / (DECAY_SIGMA * DECAY_SIGMA)
     }
 
-    /// How the height of a marker that touches changes with what is sought.
+    /// Derivatives of the height of a marker in contact by the unknowns.
     pub(in crate::register::surface) fn touching_row(
         &self,
         state: &Candidate,

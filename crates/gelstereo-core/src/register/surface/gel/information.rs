@@ -1,24 +1,25 @@
-//! What the heights of the gel tell of the pose that was found.
+//! Information matrix of the found pose from the gel heights.
 //!
-//! Of the markers that touch, along their normals: Σ w J Jᵀ (Fisher), and where edges run ([`super::edges`]). The gel beside
-//! the part serves to find the pose, and tells more of it than is counted here: between the markers a real gel does what
-//! none of them shows.
+//! It is the sum Σ w J Jᵀ (Fisher) over the markers in contact, along their normals, plus the information
+//! from edges ([`super::edges`]). The gel beside the part helps to find the pose, but its information is
+//! not counted: between the markers a real gel deviates from the model unseen.
 //!
-//! That sum is right as long as every marker touches the face that it is said to touch. Noise is not what it fails by:
-//! another pose puts a row of markers on the face beyond an edge, or lets it hang, and explains the heights about as
-//! well. What a marker may be wrong by for that is added to the variance of its height.
+//! The sum is correct only if every marker is in contact with its assigned face. Another pose may put a
+//! row of markers on the face beyond an edge, or leave it free, and explain the heights about as well.
+//! The resulting height error of each marker is added to its variance.
 //!
-//! - A marker whose neighbour touches a face beyond a crease may be on that face. Where the crease runs between the two
-//!   follows from the planes that they touch; it runs elsewhere by as much as the pose and the marker's own place are
-//!   uncertain along the way from one to the other. The marker is wrong by as much of that as takes the crease beyond it,
-//!   times the difference of the slopes; but no more than if the crease ran anywhere between the two, 1 / √12 of the way.
-//! - A marker may hang. It is lifted over where the gel would stand if nothing touched it there, and its neighbours did as
-//!   they do. It is wrong by as much as the face under it goes further back than that, of what the pose is uncertain by;
-//!   but no more than if the face were anywhere down to where the gel is at rest, 1 / √3 of its height.
+//! - A marker whose neighbour is in contact beyond a crease may be on that face. The position of the
+//!   crease between the two follows from their tangent planes. Its uncertainty is that of the pose and of
+//!   the marker's own position, along the line between the two. The error is the part of it that moves
+//!   the crease beyond the marker, times the difference of the slopes. It is at most that of a crease
+//!   anywhere between the two, 1 / √12 of the distance.
+//! - A marker may be free. Contact lifts it over the height of free gel with the same neighbours. The
+//!   error is the part of the pose uncertainty that moves the face below that height. It is at most that
+//!   of a face anywhere down to the rest height, 1 / √3 of the marker's height.
 //!
-//! How uncertain the pose is, is told at first by the markers with creases anywhere, of which those count that are lifted
-//! for sure or lie amid a face. Then it is told once more: that brings in those whose face the first have fixed. After
-//! that a row of markers would vouch for itself.
+//! The pose uncertainty is computed in passes. The first assumes creases anywhere, and counts only
+//! markers that are surely lifted or surrounded by their own face. The next includes markers whose face
+//! the first ones determine. With further passes a row of markers would confirm itself.
 
 use super::edges::{Bounded, MIN_KNOWN};
 use super::fit::{BETWEEN, GelFit, LONGEST_MM};
@@ -32,19 +33,19 @@ use crate::register::surface::distances::Foot;
 use crate::register::surface::smooth_normals::CREASE_COS;
 use core::f64::consts::{FRAC_1_SQRT_2, TAU};
 
-/// Times that is told what the markers count for; the first knows nothing of the pose.
+/// Passes over the weights of the markers; the first has no estimate of the pose uncertainty.
 const PASSES: usize = 3;
-/// Neighbours on the same face of a marker amid it.
+/// Same-face neighbours of a marker in the interior of a face.
 const ALL_SIDES: usize = 4;
-/// Standard deviations by which a marker is lifted for sure: 95 %.
+/// Standard deviations from which a marker is surely lifted: 95 %.
 const SURE: f64 = 2.0;
 
 impl GelFit<'_> {
-    /// Information about (ρ ω, v) about the centroid, of the state whose prediction is in the scratch. Leaves there what
-    /// every marker counts for.
+    /// Information about (ρ ω, v) about the centroid, at the state whose prediction is in the scratch.
+    /// Leaves the weight of every marker there.
     pub fn information(&self, state: &Candidate, scratch: &mut GelFitScratch) -> Symmetric<6> {
         self.find_walls(state, scratch);
-        let least = MIN_KNOWN / (self.params.gel_scale * self.params.gel_scale);
+        let least = MIN_KNOWN / (self.params.advanced.gel_scale * self.params.advanced.gel_scale);
         let mut told = None;
         for pass in 1..=PASSES {
             self.count(state, (told.as_ref(), pass == PASSES), scratch);
@@ -53,7 +54,7 @@ impl GelFit<'_> {
         told.map_or([[0.0; 6]; 6], |told| told.information(&scratch.walls))
     }
 
-    /// Σ w J Jᵀ with what every marker counts for.
+    /// Σ w J Jᵀ with the weight of every marker.
     fn sum(&self, state: &Candidate, scratch: &GelFitScratch) -> Symmetric<6> {
         let nodes = self.gel().nodes.iter().zip(&scratch.here.sights).zip(&scratch.counts_per_mm2);
         let rows = nodes.filter(|(_, count)| **count > 0.0).filter_map(|((node, sight), count)| {
@@ -68,13 +69,13 @@ impl GelFit<'_> {
         known
     }
 
-    /// How far the step is that a state would take next, over the patch.
+    /// Length of the next step of a state, over the patch.
     pub fn left_mm(&self, state: &Candidate, scratch: &mut GelFitScratch) -> f64 {
         self.next(state, scratch)
             .map_or(self.params.scaled(LONGEST_MM), |step| sqrt(step[..6].iter().map(|x| x * x).sum()))
     }
 
-    /// What the height of every marker counts for, per mm², where so much is known of the pose.
+    /// Weight of every marker's height, per mm², for the pose uncertainty `known`.
     fn count(
         &self,
         state: &Candidate,
@@ -89,7 +90,7 @@ impl GelFit<'_> {
         let stiffness = gel.stiffness(state.rest.log_decay);
         for (k, sight) in here.sights.iter().enumerate() {
             let Some(foot) = touched(k) else { continue };
-            // Of its height, over that of the free gel.
+            // Derivative of its height minus that of the free gel.
             let mut row = pose_row(&self.touching_row(state, &gel.nodes[k], foot));
             let (mut crosses_mm2, mut alike) = (0.0_f64, 0);
             let share = gel.share(k, stiffness);
@@ -115,7 +116,7 @@ impl GelFit<'_> {
         }
     }
 
-    /// Mean square of what the height of the first of two nodes is wrong by, for the crease between them.
+    /// Mean squared height error of the first of two nodes due to the crease between them.
     fn crosses_mm2(
         &self,
         state: &Candidate,
@@ -133,11 +134,11 @@ impl GelFit<'_> {
         }
         let anywhere = BETWEEN * BETWEEN;
         let share = known.map_or(anywhere, |known| {
-            // Both planes are as high where they cross.
+            // Both planes have the same height at the crease.
             let [rise, next_rise] = slopes.map(|slope| -slope.dot(in_object));
             let whole_mm = (next.along_mm - other.over_mm) - (node.along_mm - foot.over_mm);
             let crosses = ((whole_mm - next_rise) / (rise - next_rise)).clamp(0.0, 1.0);
-            // A crease along the way is as near to one end as to the other.
+            // A crease parallel to the line between the nodes is equally near to both.
             let crosses = if rise == next_rise { 0.0 } else { crosses };
             let u = way / sqrt(way_squared);
             let turn = node.sample.p_mm.cross(u) / self.samples.radius_mm;
@@ -149,17 +150,17 @@ impl GelFit<'_> {
     }
 }
 
-/// Of the pose alone.
+/// The pose part of a row.
 fn pose_row(row: &Row) -> Vector6 {
     core::array::from_fn(|i| row[i])
 }
 
-/// Mean square of what a normal variable is greater by than `s`, 0 where it is less.
+/// Mean square of the excess of a normal variable over `s`, 0 where it is less.
 fn square_beyond(s: f64, sigma: f64) -> f64 {
     let z = s / sigma;
     let above = 0.5 * erfc(z * FRAC_1_SQRT_2);
     let density = exp(-0.5 * z * z) / sqrt(TAU);
-    // Where hardly any is, the difference is rounding.
+    // Far in the tail the difference is only rounding.
     ((sigma * sigma + s * s) * above - s * sigma * density).max(0.0)
 }
 
@@ -170,7 +171,7 @@ mod tests {
     #[test]
     fn the_square_beyond_is_its_integral() {
         for (s, sigma) in [(0.0, 0.3), (0.2, 0.3), (0.5, 0.1), (1.0, 0.2), (1.0, 5.0)] {
-            // Midpoints over twelve standard deviations beyond it.
+            // Midpoint rule over twelve standard deviations beyond `s`.
             let (steps, width) = (20_000, 12.0 * sigma / 20_000.0);
             let at = |k: i32| {
                 let over = width * (f64::from(k) + 0.5);
@@ -178,7 +179,7 @@ mod tests {
                 over * over * exp(-0.5 * z * z) / (sigma * sqrt(TAU)) * width
             };
             let sum: f64 = (0..steps).map(at).sum();
-            // The rule's error is width² / 24 times the slope at its ends, which is none at the first.
+            // The rule's error is width² / 24 times the slope at its ends, which is zero at the first.
             assert!((square_beyond(s, sigma) - sum).abs() < 1e-9 * sigma * sigma, "{s} {sigma}");
         }
     }

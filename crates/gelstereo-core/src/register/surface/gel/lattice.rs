@@ -1,8 +1,9 @@
-//! The markers as a lattice, found from neighbour to neighbour, and sweeps over it.
+//! The markers as a lattice, linked from neighbour to neighbour, and relaxation sweeps over it.
 //!
-//! Its cells are kept in two halves, as the squares of a chessboard: the neighbours of one half's are all in the other
-//! (Young 1954, red and black), so that none waits for the one before. With an odd number of columns, of which one is empty,
-//! every second cell belongs to the same half from row to row, and neighbours are as far along the other half for all.
+//! Cells are stored in two halves, like the squares of a chessboard (red-black ordering, Young 1954). All
+//! neighbours of a cell are in the other half, so that no update waits for the previous one. The number
+//! of columns is odd, with one of them empty. Then every second cell belongs to the same half across
+//! rows, and all cells have the same offsets to their neighbours in the other half.
 
 use crate::math::{DVec2, abs, sqrt};
 use crate::register::surface::point::Sample;
@@ -13,31 +14,31 @@ use core::ops::Range;
 #[derive(Clone, Copy, Debug)]
 pub(in crate::register::surface) struct Node {
     pub sample: Sample,
-    /// Across the press, about the patch's centroid.
+    /// Position across the press, relative to the patch's centroid.
     pub across_mm: DVec2,
-    /// Along it.
+    /// Position along the press.
     pub along_mm: f64,
-    /// Among the markers that were handed over.
+    /// Index among the given markers.
     pub index: usize,
 }
 
-/// A neighbour is no farther than this, in pitches, and lies along an axis to this cosine: diagonals are none.
+/// Largest distance of a neighbour, in pitches, and its smallest cosine to an axis, which excludes diagonals.
 const FARTHEST: f64 = 1.5;
 const ALONG: f64 = 0.9;
-/// Ways to neighbours, in steps: along the axis, against it, and the same across it.
+/// Offsets to the neighbours: along the axis, against it, and the same across it.
 const WAYS: [[i32; 2]; 4] = [[1, 0], [-1, 0], [0, 1], [0, -1]];
 const NONE: u32 = u32::MAX;
-/// More cells than this for each marker are no lattice.
+/// Largest number of cells per marker of a lattice.
 const SPARSE: usize = 12;
 
-/// Where the markers are in it.
+/// The cells of the markers.
 #[derive(Clone, Debug, Default)]
 pub(in crate::register::surface) struct Lattice {
-    /// Of every marker: its cell, and how many neighbours it has.
+    /// Cell of every marker, and its number of neighbours.
     places: Vec<(u32, u8)>,
-    /// Columns; the last one is empty, and so are the first two rows and the last.
+    /// Number of columns; the last one is empty, and so are the first two rows and the last.
     width: usize,
-    /// Cells of each half.
+    /// Number of cells of each half.
     half: usize,
     starts: Vec<u32>,
     links: Vec<Links>,
@@ -46,7 +47,7 @@ pub(in crate::register::surface) struct Lattice {
     is_marker: Vec<bool>,
 }
 
-/// What is next to a marker: an axis of the lattice there, and markers the four ways.
+/// Neighbourhood of a marker: the local lattice axis, and its neighbours in the four directions.
 #[derive(Clone, Copy, Debug)]
 struct Links {
     axis: DVec2,
@@ -56,29 +57,29 @@ struct Links {
     patch: u32,
 }
 
-/// Markers that are joined.
+/// A connected component of markers.
 #[derive(Clone, Copy, Debug)]
 struct Patch {
     low: [i32; 2],
     high: [i32; 2],
-    /// To columns and rows of the lattice.
+    /// Offset to columns and rows of the lattice.
     offset: [i32; 2],
 }
 
-/// What sweeps work with, by cells.
+/// Working arrays of the sweeps, by cell.
 #[derive(Clone, Debug, Default)]
 pub(in crate::register::surface) struct Sweeps {
     heights_mm: Vec<f64>,
     obstacle_mm: Vec<f64>,
-    /// Of the sum over neighbours, or of the source; 0 where no marker is.
+    /// Factor of the sum over neighbours, or of the source; 0 without a marker.
     shares: Vec<f64>,
-    /// By which cells go on; 0 where they are held.
+    /// Over-relaxation factor; 0 where the height is fixed.
     over: Vec<f64>,
     moved: Vec<f64>,
 }
 
 impl Lattice {
-    /// Of markers that come row by row; whether they are a lattice.
+    /// Builds the lattice from markers sorted row by row. Returns whether they form one.
     pub fn find(&mut self, nodes: &[Node], pitch_mm: f64) -> bool {
         if !self.link(nodes, pitch_mm) {
             return false;
@@ -87,13 +88,14 @@ impl Lattice {
         self.place()
     }
 
-    /// The nearest marker shows one axis, and along both axes the nearest one each way counts.
+    /// The nearest marker defines one axis. Along both axes the nearest marker in each direction is a
+    /// neighbour.
     fn link(&mut self, nodes: &[Node], pitch_mm: f64) -> bool {
         let Self { starts, links, .. } = self;
         let low_mm = nodes.iter().map(|node| node.across_mm.y).fold(f64::INFINITY, f64::min);
         let row = |node: &Node| ((node.across_mm.y - low_mm) / pitch_mm) as usize;
         let rows = nodes.last().map_or(0, row) + 1;
-        // A marker far off makes no rows.
+        // A distant marker must not create empty rows without limit.
         if rows > nodes.len() {
             return false;
         }
@@ -133,7 +135,7 @@ impl Lattice {
         true
     }
 
-    /// Columns and rows, from a marker to its neighbours and on.
+    /// Assigns columns and rows by depth-first search over the links.
     fn join(&mut self) {
         let Self { links, patches, open, .. } = self;
         patches.clear();
@@ -149,7 +151,7 @@ impl Lattice {
                 let from = links[k as usize];
                 for (j, step) in from.near.into_iter().zip(WAYS) {
                     let Some(to) = links.get_mut(j as usize) else { continue };
-                    // A marker beside a hole may take a diagonal for an axis; the other one does not.
+                    // Links must be mutual: beside a hole a marker may take a diagonal for an axis.
                     if to.patch != NONE || !to.near.contains(&k) {
                         continue;
                     }
@@ -164,8 +166,8 @@ impl Lattice {
         }
     }
 
-    /// Patches beside and below one another, an empty row or column between them; whether that is a lattice. Cells of
-    /// markers that are joined to none, and of those that came where another one is, are 0.
+    /// Places the patches beside and below one another, separated by an empty row or column. Returns whether
+    /// the result is a lattice. Isolated markers, and those whose cell is already taken, get cell 0.
     fn place(&mut self) -> bool {
         let Self { places, links, patches, is_marker, .. } = self;
         let columns = patches.iter().map(|patch| patch.size(0)).max().unwrap_or(0);
@@ -180,7 +182,7 @@ impl Lattice {
             below = below.max(y + patch.size(1) + 1);
         }
         self.width = columns as usize + 1 + columns as usize % 2;
-        // `below` counts an empty row there.
+        // `below` includes the empty row after the last patch.
         self.half = (self.width * (below as usize + 2)).div_ceil(2);
         if 2 * self.half > SPARSE * links.len() {
             return false;
@@ -208,18 +210,18 @@ impl Lattice {
         true
     }
 
-    /// The neighbours of a marker: those that take it for theirs, too.
+    /// Neighbours of a marker with mutual links.
     pub fn near_marker(&self, marker: usize) -> impl Iterator<Item = usize> {
         let near = self.links[marker].near.into_iter().filter(|&j| j != NONE).map(|j| j as usize);
         near.filter(move |&j| self.links[j].near.contains(&(marker as u32)))
     }
 
-    /// Makes room for sweeps over it; cells without a marker stay as they are now.
+    /// Prepares sweeps over the lattice; cells without a marker stay zero.
     pub fn lay_out(&self, sweeps: &mut Sweeps) {
         sweeps.clear(2 * self.half, self.inner().len());
     }
 
-    /// Heights over an obstacle; `heights_mm` is where to begin. Returns the sweeps that took.
+    /// Heights over an obstacle, from the initial `heights_mm`. Returns the number of sweeps.
     pub fn settle(
         &self,
         (stiffness, most, least_mm): (f64, u32, f64),
@@ -268,8 +270,9 @@ impl Lattice {
         );
     }
 
-    /// How heights change where the gel is free, from how they change where it touches; of the last of the `N` columns,
-    /// the logarithm of l², heights are the source: (I - l² Δ) ∂h = h. Returns the sweeps that took.
+    /// Derivatives of the heights where the gel is free, from those where it is in contact. The last of
+    /// the `N` columns is for the logarithm of l²; its source is the heights: (I - l² Δ) ∂h = h. Returns
+    /// the number of sweeps.
     pub fn follow<const N: usize>(
         &self,
         (stiffness, most, least): (f64, u32, [f64; N]),
@@ -340,17 +343,17 @@ impl Lattice {
         }
     }
 
-    /// The first cell of a half that has all neighbours.
+    /// First cell of a half with all four neighbours.
     fn first(&self) -> usize {
         self.width.div_ceil(2)
     }
 
-    /// The cells of a half that have all neighbours; no others have markers.
+    /// Cells of a half with all four neighbours; no other cells hold markers.
     fn inner(&self) -> Range<usize> {
         self.first()..self.half - self.first()
     }
 
-    /// Their neighbours in the other half: above, below, before and after.
+    /// Neighbours of these cells in the other half: above, below, before and after.
     fn near(&self, own: usize) -> [Range<usize>; WAYS.len()] {
         let (Range { start, end }, before) = (self.inner(), self.width / 2);
         let [up, down] = if own == 0 { [before + 1, before] } else { [before, before + 1] };
@@ -364,7 +367,7 @@ impl Lattice {
 }
 
 impl Links {
-    /// Takes of its four axes the one that is nearest to another.
+    /// Rotates the axis by a multiple of 90 degrees to be nearest to another one.
     fn turn_along(&mut self, axis: DVec2) {
         let (along, across) = (self.axis.dot(axis), self.axis.perp_dot(axis));
         let [a, b, c, d] = self.near;
@@ -404,7 +407,7 @@ impl Sweeps {
         self.moved.resize(inner, 0.0);
     }
 
-    /// No cell is first: what has been written there is of markers without one.
+    /// Clears cell 0, where markers without a cell have been written.
     fn forget_first(&mut self) {
         for of_cells in [&mut self.heights_mm, &mut self.obstacle_mm, &mut self.shares, &mut self.over] {
             of_cells[0] = 0.0;
@@ -412,8 +415,8 @@ impl Sweeps {
     }
 }
 
-/// Half a sweep: every cell goes to what its neighbours would have it, and beyond by over-relaxation; nowhere below the
-/// obstacle.
+/// Half a sweep of projected over-relaxation: moves every cell beyond the value given by its neighbours,
+/// but not below the obstacle.
 fn relax(
     (over, is_second): (f64, bool),
     here: &mut [f64],
@@ -424,7 +427,7 @@ fn relax(
     let count = here.len();
     let [a, b, c, d] = near.map(|near| &near[..count]);
     let (shares, obstacle_mm, moved) = (&shares[..count], &obstacle_mm[..count], &mut moved[..count]);
-    // The larger move of one cell of either half.
+    // `moved` holds the larger change of the two cells of an index, one in each half.
     let was_moved = if is_second { 1.0 } else { 0.0 };
     for j in 0..count {
         let free = shares[j] * (a[j] + b[j] + c[j] + d[j]);
@@ -440,19 +443,19 @@ fn halves<T>(cells: &mut [T], own: usize, half: usize) -> (&mut [T], &[T]) {
     if own == 0 { (first, second) } else { (second, first) }
 }
 
-/// Of successive over-relaxation the factor that converges fastest (Young 1954), with the largest eigenvalue that Jacobi's
-/// iteration can have.
+/// Factor with the fastest convergence of successive over-relaxation (Young 1954), from the largest
+/// possible eigenvalue of the Jacobi iteration.
 fn over_relaxation(stiffness: f64) -> f64 {
     let jacobi = 4.0 * stiffness / (1.0 + 4.0 * stiffness);
     2.0 / (1.0 + sqrt(1.0 - jacobi * jacobi))
 }
 
-/// 1 / (1 + n l²) of cells with n neighbours.
+/// 1 / (1 + n l²) for cells with n neighbours.
 fn shares(stiffness: f64) -> [f64; WAYS.len() + 1] {
     [0.0, 1.0, 2.0, 3.0, 4.0].map(|count| 1.0 / (1.0 + stiffness * count))
 }
 
-/// The larger one; a single instruction, unlike `f64::max`.
+/// The larger value, as a single instruction unlike `f64::max`.
 #[inline]
 fn larger(a: f64, b: f64) -> f64 {
     if a > b { a } else { b }

@@ -1,4 +1,4 @@
-//! The linear system of a step of [`GelFit`]: how the heights that are predicted change with what is sought.
+//! Linear system of a [`GelFit`] step: derivatives of the predicted heights by the unknowns.
 
 use super::fit::{DECAY_SIGMA, GelFit, LAST_SCALE_MM, LONGEST_MM, SWEEPS_A_LOOKUP};
 use super::lattice::Node;
@@ -9,39 +9,40 @@ use crate::register::surface::candidate::Candidate;
 use crate::register::surface::distances::{Line, UNDER_MM};
 use crate::register::surface::normal_system::{Normal, cholesky};
 
-/// Standard deviation of the plane of rest as it is first guessed.
+/// Standard deviation of the initial rest plane.
 const PLANE_SIGMA_MM: f64 = 1.0;
-/// Directions that smooth changes know better than this need no differences.
+/// Directions with a smaller standard deviation from derivatives alone need no finite differences.
 const SMOOTH_MM: f64 = 0.02;
-/// Steps as blurred as this are for what is smooth alone.
+/// Steps with a larger blur use derivatives alone.
 const WIDEST_MM: f64 = 0.25;
-/// No node moves by more than this many times the difference between two poses.
+/// Largest motion of a node, in multiples of the finite difference step.
 const BESIDE: f64 = 2.5;
-/// A step that fails is not tried again by less than this share.
+/// Smallest share of a failed step that is tried next.
 const MIN_SHARE: f64 = 0.02;
-/// Sweeps over the gel of what only directs a step.
+/// Sweeps over the gel where the result only directs a step.
 const FEW_SWEEPS: u32 = 8;
 
-/// A step of all that is sought.
+/// A step of all unknowns.
 pub(in crate::register::surface) struct Step {
     pub row: Row,
-    /// By how much the first of its way lowers the cost, over its length.
+    /// Initial decrease of the cost, per length of the step.
     slope: f64,
 }
 
 impl Step {
-    /// Where a share of it has raised the cost by so much: the share at which the parabola through both is lowest, no less
-    /// than a fiftieth and no more than half of it, and how much lower that is; held at half, it is as much at least.
+    /// Minimum of the parabola through the start and a failed try, where `share` of the step raised the
+    /// cost by `rise`. Returns the share at the minimum, clamped to 1/50 to 1/2 of `share`, and the
+    /// decrease of the cost there. Where clamped to 1/2, the decrease is at least that.
     pub fn lowest(&self, share: f64, rise: f64) -> (f64, f64) {
         let lowest = 0.5 * self.slope * share * share / (rise + self.slope * share);
-        // Of nothing over nothing the larger one is the number.
+        // For 0 / 0, `max` returns the operand that is a number.
         let lowest = lowest.max(MIN_SHARE * share).min(0.5 * share);
         (lowest, 0.5 * self.slope * lowest)
     }
 }
 
 impl GelFit<'_> {
-    /// How predictions change with what is sought; returns the work.
+    /// Computes the derivatives of the predictions by the unknowns; returns the work.
     fn follow(&self, state: &Candidate, scratch: &mut GelFitScratch) -> u64 {
         let GelFitScratch { here, changes, sweeps, cells, .. } = scratch;
         let gel = self.gel();
@@ -56,7 +57,8 @@ impl GelFit<'_> {
         u64::from(sweeps) * (gel.nodes.len() * UNKNOWN) as u64 / SWEEPS_A_LOOKUP / 4
     }
 
-    /// H and g of all that is sought, from `here`; without the priors.
+    /// H and g of all unknowns, from `here`. Includes the prior precisions of rest plane and decay, but
+    /// not the prior of the pose nor the decay's gradient.
     fn system(&self, rows: &[Row], here: &Prediction) -> (Symmetric<UNKNOWN>, Row) {
         let (mut h, mut g) = ([[0.0; UNKNOWN]; UNKNOWN], [0.0; UNKNOWN]);
         for (sight, row) in here.sights.iter().zip(rows) {
@@ -75,7 +77,7 @@ impl GelFit<'_> {
         (h, g)
     }
 
-    /// Heights of a state beside that of `here`, on the field, into `there`.
+    /// Predicts the heights of a state near that of `here`, on the field, into `there`; returns the work.
     fn beside(&self, state: &Candidate, scale_mm: f64, scratch: &mut GelFitScratch) -> u64 {
         let GelFitScratch { here, there, obstacle_mm, lines, sweeps, .. } = scratch;
         let (placement, gel) = (&state.placement, self.gel());
@@ -107,8 +109,9 @@ impl GelFit<'_> {
         lookups + u64::from(sweeps) * gel.nodes.len() as u64 / SWEEPS_A_LOOKUP
     }
 
-    /// The linear system from `here` in a basis of the pose's directions, one a row, with what it cost: along those that
-    /// smooth changes tell little about, differences over `scale_mm` see the markers that an edge passes.
+    /// Linear system from `here` in an eigenbasis of the pose, the basis with one direction per row, and
+    /// the work. Directions that derivatives determine poorly use finite differences over `scale_mm`,
+    /// which include the markers that an edge passes.
     fn linear(
         &self,
         state: &Candidate,
@@ -144,7 +147,7 @@ impl GelFit<'_> {
         (h, g, spectrum.vectors, work)
     }
 
-    /// The step that a state would take next, whose prediction is in the scratch.
+    /// The next step of a state whose prediction is in the scratch.
     pub(in crate::register::surface) fn next(
         &self,
         state: &Candidate,
@@ -153,7 +156,7 @@ impl GelFit<'_> {
         self.step(state, self.params.scaled(LAST_SCALE_MM), scratch).0.map(|step| step.row)
     }
 
-    /// The step from `here`, no longer than [`LONGEST_MM`] over the patch.
+    /// The step from `here`, at most [`LONGEST_MM`] over the patch, and the work.
     pub(in crate::register::surface) fn step(
         &self,
         state: &Candidate,
@@ -203,7 +206,8 @@ fn dot(a: &[f64; 6], b: &[f64; 6]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// Schur's complement of what is no pose: eliminated from the last one on. Only the upper triangle of `h` is read.
+/// Schur complement of the unknowns other than the pose, eliminated from the last one on. Reads only the
+/// upper triangle of `h`.
 fn without_rest(mut h: Symmetric<UNKNOWN>) -> Symmetric<6> {
     for last in (6..UNKNOWN).rev() {
         for i in 0..last {
@@ -226,7 +230,7 @@ mod tests {
     }
 
     proptest! {
-        /// Of a parabola c(s) = -slope s + curve s² that is higher at `share` than at 0.
+        /// A parabola c(s) = -slope s + curve s² that is higher at `share` than at 0.
         #[test]
         fn a_parabola_is_lowest_where_it_is_said_to_be(
             slope in 1e-3_f64..1e3,
@@ -247,7 +251,7 @@ mod tests {
         for rise in [0.0, 1.0, f64::INFINITY] {
             assert_eq!(step(0.0).lowest(1.0, rise), (MIN_SHARE, 0.0));
         }
-        // Hardly higher: no more than half of it.
+        // Without a rise: half the share.
         assert_eq!(step(1.0).lowest(1.0, 0.0).0, 0.5);
     }
 }

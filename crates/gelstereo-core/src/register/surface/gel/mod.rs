@@ -1,4 +1,4 @@
-//! The gel's model: how high it stands over a part that is pressed into it, and the pose that explains the heights best.
+//! Gel model: predicted gel height over an indenter, and the pose that explains the measured heights best.
 
 pub mod edges;
 pub mod fit;

@@ -1,10 +1,10 @@
-//! What the gel does between the markers: how high it stands over a part that is pressed into it.
+//! Gel model between the markers: predicted gel height over an indenter (membrane obstacle problem).
 //!
-//! The gel is a Pasternak foundation (springs joined by a shear layer; Pasternak 1954) under an obstacle: its height h
-//! over the rest plane obeys h - l² Δh = p, no lower than the part, with a pressure p >= 0 that is positive only where
-//! they touch. It is solved on the markers themselves by projected over-relaxation (Cryer 1971). What touches at a pose
-//! follows from the pose, not from the noise of the markers: choosing those that happen to lie near the part would pull
-//! the part to them.
+//! The gel is a Pasternak foundation (springs joined by a shear layer; Pasternak 1954) above an obstacle.
+//! Its height h over the rest plane obeys h - l² Δh = p and is nowhere below the part. The pressure p >=
+//! 0 is positive only where they are in contact. Projected over-relaxation (Cryer 1971) solves it with
+//! the markers as nodes. The contact set follows from the pose, not from the noise of the markers:
+//! selecting those that happen to lie near the part would bias the pose towards them.
 
 use super::lattice::{Lattice, Node, Sweeps};
 use crate::math::{DVec2, DVec3, exp, floor, sqrt};
@@ -12,16 +12,16 @@ use crate::register::surface::normal_system::cholesky;
 use crate::register::surface::point::Sample;
 use alloc::vec::Vec;
 
-/// Fewer nodes are no lattice; more are those of a part as a whole.
+/// Accepted number of nodes. Fewer do not form a lattice; more come from a whole part.
 const NODES: core::ops::RangeInclusive<usize> = 30..=6000;
-/// Markers this far beyond the salient ones, along the press's axes, are where the gel is at rest.
+/// Margin around the salient markers along both axes across the press; the gel is at rest beyond it.
 const MARGIN_MM: f64 = 6.0;
-/// Sweeps that move nothing by more have converged, far below any noise.
+/// Convergence limit of a sweep's largest change, far below any noise.
 const SETTLED_MM: f64 = 3e-4;
-/// Markers whose nearest neighbour tells the pitch.
+/// Number of markers whose nearest-neighbour distances estimate the pitch.
 const ASKED: usize = 15;
 
-/// The markers as nodes of the gel, row by row of the plane across the press.
+/// The markers as nodes of the gel, sorted row by row in the plane across the press.
 #[derive(Clone, Debug, Default)]
 pub(in crate::register::surface) struct Gel {
     pub nodes: Vec<Node>,
@@ -42,12 +42,13 @@ impl Gel {
         self.nodes.clear();
     }
 
-    /// (l / pitch)² at a decay length whose square is e^`log_squared` times the nominal one.
+    /// (l / pitch)² for a decay length whose square is e^`log_squared` times the nominal one.
     pub fn stiffness(&self, log_squared: f64) -> f64 {
         self.stiffness * exp(log_squared)
     }
 
-    /// Of all markers about the patch's centroid, of which the first so many are salient.
+    /// Builds the nodes from all markers, relative to the patch's centroid; the first `salient` of them
+    /// are salient. Empty if they do not form a lattice.
     pub fn fill(
         &mut self,
         (markers, salient): (impl Iterator<Item = Sample>, usize),
@@ -74,13 +75,13 @@ impl Gel {
             }
         }
         let pitch_mm = pitch(&self.nodes);
-        // A gel that comes back to rest within a pitch does so between the markers.
+        // With a decay length below the pitch, the gel returns to rest between the markers, unseen.
         if !(NODES.contains(&self.nodes.len()) && pitch_mm > 0.0 && pitch_mm <= decay_mm) {
             return self.clear();
         }
         let low_mm = self.nodes.iter().map(|node| node.across_mm.y).fold(f64::INFINITY, f64::min);
         let row = |node: &Node| floor((node.across_mm.y - low_mm) / pitch_mm);
-        // Row by row, whatever the order they come in.
+        // Row by row, independent of the input order.
         self.nodes.sort_unstable_by(|p, q| {
             let by_place = row(p).total_cmp(&row(q)).then(p.across_mm.x.total_cmp(&q.across_mm.x));
             by_place.then(p.across_mm.y.total_cmp(&q.across_mm.y)).then(p.along_mm.total_cmp(&q.along_mm))
@@ -91,14 +92,14 @@ impl Gel {
         }
     }
 
-    /// The plane a + b u + c v of the gel at rest, over the place across the press in radii of the patch. Beside contacts
-    /// the gel is higher, and nowhere lower: what is over the plane counts little (asymmetric least squares; Newey and
-    /// Powell 1987).
+    /// Plane a + b u + c v of the gel at rest, with the position (u, v) across the press in patch radii.
+    /// Beside contacts the gel is higher than at rest and nowhere lower, so points above the plane get a
+    /// small weight (asymmetric least squares; Newey and Powell 1987).
     pub fn rest_plane(&self, radius_mm: f64) -> [f64; 3] {
         const ABOVE: f64 = 0.05;
         let mut plane = [f64::INFINITY, 0.0, 0.0];
         for _ in 0..8 {
-            // The level is known of itself; the slopes are held as if by one more marker a radius away.
+            // The level needs no regularisation; the slopes get that of one more marker a radius away.
             let (mut h, mut g) = ([[0.0; 3]; 3], [0.0; 3]);
             (1..3).for_each(|i| h[i][i] = 1.0);
             for node in &self.nodes {
@@ -116,12 +117,12 @@ impl Gel {
         plane
     }
 
-    /// Makes room for sweeps over the gel.
+    /// Reserves memory for sweeps over the gel.
     pub fn lay_out(&self, sweeps: &mut Sweeps) {
         self.lattice.lay_out(sweeps);
     }
 
-    /// Heights of the gel over an obstacle; `heights_mm` is where to begin. Returns the sweeps that took.
+    /// Heights of the gel over an obstacle, from the initial `heights_mm`. Returns the number of sweeps.
     pub fn settle(
         &self,
         (stiffness, most): (f64, u32),
@@ -132,23 +133,24 @@ impl Gel {
         self.lattice.settle((stiffness, most, SETTLED_MM * self.scale), obstacle_mm, heights_mm, sweeps)
     }
 
-    /// The neighbours of a node, as many as there are of the four.
+    /// The neighbours of a node, at most four.
     pub fn near(&self, node: usize) -> impl Iterator<Item = usize> {
         self.lattice.near_marker(node)
     }
 
-    /// The height that the gel would have at a node if nothing touched it there.
+    /// Height of the gel at a node if it were not in contact there.
     pub fn free_mm(&self, node: usize, stiffness: f64, heights_mm: &[f64]) -> f64 {
         self.share(node, stiffness) * self.near(node).map(|k| heights_mm[k]).sum::<f64>()
     }
 
-    /// What share of each neighbour's height that is.
+    /// Weight of each neighbour's height in `free_mm`.
     pub fn share(&self, node: usize, stiffness: f64) -> f64 {
         stiffness / (1.0 + stiffness * self.near(node).count() as f64)
     }
 
-    /// How heights change where the gel is free, from how they change where it touches; of the last of the `N` columns,
-    /// the logarithm of l², heights are the source: (I - l² Δ) ∂h = h. Returns the sweeps that took.
+    /// Derivatives of the heights where the gel is free, from those where it is in contact. The last of
+    /// the `N` columns is for the logarithm of l²; its source is the heights: (I - l² Δ) ∂h = h. Returns
+    /// the number of sweeps.
     pub fn follow<const N: usize>(
         &self,
         (stiffness, most): (f64, u32),
@@ -162,14 +164,14 @@ impl Gel {
     }
 }
 
-/// Changes are for steps, which need no more than some percent; of a millimetre where they are heights.
+/// Convergence limit of the derivatives, which steps need only to some percent; in mm where they are heights.
 const FOLLOWED: f64 = 1e-2;
 
 fn is_within(p: DVec2, low: DVec2, high: DVec2) -> bool {
     p.cmpge(low).all() && p.cmple(high).all()
 }
 
-/// Median of the distances of some markers to their nearest ones.
+/// Median nearest-neighbour distance of some markers.
 fn pitch(nodes: &[Node]) -> f64 {
     let mut nearest = [f64::INFINITY; ASKED];
     let count = ASKED.min(nodes.len());

@@ -1,4 +1,4 @@
-//! What a pose of the part predicts of the gel at every node, and the room for it.
+//! Prediction of the gel at every node for a pose of the part, and its buffers.
 
 use super::lattice::Sweeps;
 use super::model::Gel;
@@ -7,38 +7,38 @@ use crate::register::surface::distances::{Foot, Line};
 use alloc::vec::Vec;
 use core::mem::swap;
 
-/// Turn and shift of the part, the plane of rest, and the logarithm of l².
+/// Unknowns: rotation and translation of the part, rest plane, and the logarithm of l².
 pub(in crate::register::surface) const UNKNOWN: usize = 10;
 pub(in crate::register::surface) const PLANE: usize = 6;
 pub(in crate::register::surface) const DECAY: usize = 9;
 pub(in crate::register::surface) type Row = [f64; UNKNOWN];
 
-/// Standard deviations from which gel is lifted.
+/// Standard deviations from which the gel counts as lifted.
 pub(in crate::register::surface) const LIFTED: f64 = 3.0;
-/// A squared deviation counts up to this: an outlier weighs no more than a marker four standard deviations off.
+/// Limit of a squared deviation: an outlier weighs no more than a marker four standard deviations off.
 pub(in crate::register::surface) const MAX_SQUARE: f64 = 16.0;
 
-/// What a pose predicts of one node.
+/// Prediction for one node.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::register::surface) struct Sight {
-    /// Where the part is under it; `None` where there is none.
+    /// The part's surface under the node; `None` without one.
     pub foot: Option<Foot>,
-    /// How near the part is to the line through the node that does not meet it.
+    /// Distance of the part from the line through the node, if that misses it.
     pub clear_mm: f64,
     pub touches: bool,
-    /// Measured over predicted height.
+    /// Measured minus predicted height.
     pub residual_mm: f64,
-    /// Between the gel and the part.
+    /// Gap between the gel and the part.
     pub gap_mm: f64,
     pub variance_mm2: f64,
-    /// Probability that it is no outlier.
+    /// Inlier probability.
     pub weight: f64,
 }
 
-/// All of that at one state.
+/// Predictions of all nodes at one state.
 #[derive(Clone, Debug, Default)]
 pub(in crate::register::surface) struct Prediction {
-    /// Whether it is of this contact.
+    /// Whether it belongs to the current contact.
     pub is_known: bool,
     pub sights: Vec<Sight>,
     pub heights_mm: Vec<f64>,
@@ -46,20 +46,20 @@ pub(in crate::register::surface) struct Prediction {
 }
 
 impl Prediction {
-    /// Share of the markers at the part which are no outliers.
+    /// Inlier share of the markers at the part.
     pub fn explained(&self) -> f64 {
         mean(self.at_part().map(|sight| sight.weight)).unwrap_or(0.0)
     }
 
-    /// Mean square of what the markers at the part miss it by over its variance; of an outlier nothing is known, and it
-    /// counts as one that is as wrong as its noise.
+    /// Mean squared residual over variance of the markers at the part. An outlier carries no information
+    /// and counts as 1, the value expected from noise.
     pub fn misfit(&self) -> f64 {
         let squared = |sight: &Sight| sight.residual_mm * sight.residual_mm / sight.variance_mm2;
         mean(self.at_part().map(|s| s.weight * squared(s) + 1.0 - s.weight)).unwrap_or(f64::INFINITY)
     }
 
-    /// As [`Self::misfit`], of the markers that touch the part, and of others by their place in the list, and how many they
-    /// are. Outliers beyond the expected share are no chance: each counts as much as an outlier may.
+    /// As [`Self::misfit`], for the markers in contact and those selected by their index, and the number of
+    /// these markers. Outliers beyond the expected share are not due to chance; each counts `MAX_SQUARE`.
     pub fn touching_misfit(&self, outlier_share: f64, and: impl Fn(usize) -> bool) -> (f64, f64) {
         let tested = || {
             let all = self.sights.iter().enumerate();
@@ -72,7 +72,7 @@ impl Prediction {
         (good + unexpected * (MAX_SQUARE - 1.0), tested().count() as f64)
     }
 
-    /// The markers that touch it or are lifted.
+    /// The markers in contact with the part or lifted.
     fn at_part(&self) -> impl Iterator<Item = &Sight> {
         let is_lifted = |(sight, height_mm): &(&Sight, &f64)| {
             *height_mm * *height_mm > LIFTED * LIFTED * sight.variance_mm2
@@ -81,28 +81,28 @@ impl Prediction {
         all.filter(move |one| one.0.touches || is_lifted(one)).map(|(sight, _)| sight)
     }
 
-    /// Heights to begin from are those of another.
+    /// Takes the initial heights from another prediction.
     pub fn begin_as(&mut self, other: &Self) {
         self.heights_mm.clear();
         self.heights_mm.extend_from_slice(&other.heights_mm);
     }
 }
 
-/// `None` of nothing.
+/// `None` if empty.
 fn mean(all: impl Iterator<Item = f64>) -> Option<f64> {
     let (sum, count) = all.fold((0.0, 0.0), |(sum, count), x| (sum + x, count + 1.0));
     (count > 0.0).then(|| sum / count)
 }
 
-/// Predictions that are kept: those of as many candidates.
+/// Number of predictions kept, one per candidate.
 pub(in crate::register::surface) const KEPT: usize = 8;
 
-/// Vectors that are kept from run to run.
+/// Buffers reused between runs.
 #[derive(Clone, Debug, Default)]
 pub(in crate::register::surface) struct GelFitScratch {
     pub here: Prediction,
     pub there: Prediction,
-    /// Of candidates, by their slots.
+    /// Predictions of the candidates, by slot.
     pub kept: [Prediction; KEPT],
     pub obstacle_mm: Vec<f64>,
     pub changes: Vec<Row>,
@@ -110,16 +110,17 @@ pub(in crate::register::surface) struct GelFitScratch {
     pub cells: Vec<Row>,
     pub rows: Vec<Row>,
     pub hints: Vec<u32>,
-    /// Through the nodes.
+    /// Lines through the nodes.
     pub lines: Vec<Line>,
-    /// What every node's height counts for in the information, per mm².
+    /// Weight of every node's height in the information matrix, per mm².
     pub counts_per_mm2: Vec<f64>,
-    /// What edges leave room for.
+    /// Bounds from the edges.
     pub walls: Vec<Wall>,
 }
 
 impl GelFitScratch {
-    /// Starts another contact. All predictions are swapped with one another, so each gets room for every node.
+    /// Prepares for another contact. All predictions are swapped with one another, so each gets capacity
+    /// for every node.
     pub fn clear(&mut self, gel: &Gel) {
         let count = gel.nodes.len();
         for one in self.kept.iter_mut().chain([&mut self.here, &mut self.there]) {
@@ -141,21 +142,21 @@ impl GelFitScratch {
         &self.kept[slot]
     }
 
-    /// Brings a kept prediction to `here`; how another one changed does not count.
+    /// Moves a kept prediction to `here`, and resets the derivatives of the previous one.
     pub fn show(&mut self, slot: usize) {
         self.changes.fill([0.0; UNKNOWN]);
         swap(&mut self.kept[slot], &mut self.here);
     }
 }
 
-/// A pose z is on this side of the wall where `row` · z is less than `room_mm`.
+/// One-sided bound on the pose z: `row` · z is less than `room_mm`.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::register::surface) struct Wall {
     pub row: Vector6,
     pub room_mm: f64,
-    /// How sharp it is.
+    /// Standard deviation of the bound.
     pub sigma_mm: f64,
-    /// What it adds: a precision, and that times where it would have the pose.
+    /// Contribution of the wall: a precision, and that times the mean.
     pub precision: f64,
     pub pull: f64,
 }

@@ -1,16 +1,18 @@
-//! Which salient markers hang beside the part and do not lie on it, told from the gel alone.
+//! Salient markers beside the part that are not in contact, found from the gel alone.
 
 use super::model::Gel;
 use alloc::vec::Vec;
 use core::mem::swap;
 
-/// Each pass takes half of a marker and half of its neighbours. Of gel that comes back to rest over 2.5 pitches a pressure
-/// has 29 times the noise of a marker, after two passes 6 times: a fifth of a millimetre where a marker has 0.03.
+/// Smoothing passes, each the mean of a marker and its neighbours' mean. With a decay length of 2.5
+/// pitches a pressure has 29 times the noise of a marker, after two passes 6 times: 0.2 mm for a marker
+/// noise of 0.03 mm.
 const PASSES: u32 = 2;
-/// On a flat part the gel's pressure is its height, beside it none: what has less than half is taken for free.
+/// Pressure over height below which a marker is free. On a flat part both are equal; beside it the
+/// pressure is zero.
 const PRESSED: f64 = 0.5;
 
-/// Vectors that are kept from run to run.
+/// Buffers reused between runs.
 #[derive(Clone, Debug, Default)]
 pub(in crate::register::surface) struct Pressures {
     heights_mm: Vec<f64>,
@@ -19,8 +21,8 @@ pub(in crate::register::surface) struct Pressures {
 }
 
 impl Pressures {
-    /// Tells the index of every marker that carries no pressure: p = h - l² Δh over a foundation of springs joined by a
-    /// shear layer (Pasternak 1954), per stiffness, with the decay length that is said of the gel.
+    /// Passes the index of every marker without pressure to `tell`. The pressure, per stiffness, is
+    /// p = h - l² Δh over springs joined by a shear layer (Pasternak 1954), with the nominal decay length.
     pub fn each_free(&mut self, gel: &Gel, radius_mm: f64, mut tell: impl FnMut(usize)) {
         let Self { heights_mm, here_mm, there_mm } = self;
         let stiffness = gel.stiffness(0.0);
@@ -75,7 +77,7 @@ mod tests {
         gel
     }
 
-    /// A flat punch, seven markers by seven, a millimetre deep, and what the gel does beside it.
+    /// A flat punch of 7 x 7 markers, 1 mm deep, and the gel beside it.
     #[test]
     fn the_shoulder_of_a_punch_hangs_and_what_lies_under_it_does_not() {
         let level = alloc::vec![0.0; (SIDE * SIDE) as usize];
@@ -102,8 +104,8 @@ mod tests {
         Pressures::default().each_free(&gel_of(&noisy), 3.0, |index| is_free[index] = true);
         let count = |wanted: &dyn Fn(usize) -> bool| (0..noisy.len()).filter(|&k| wanted(k)).count();
         let touching = count(&|k| is_under(k) && !is_free[k]);
-        // The row next to the punch has a share of its pressure. Two off the gel stands 0.45 mm high, and 0.22 mm is 1.3 times
-        // the noise of a pressure: nine of ten are below it.
+        // The row next to the punch has a share of its pressure. Two rows off the gel is 0.45 mm high,
+        // and 0.22 mm is 1.3 times the noise of a pressure: nine of ten are below it.
         let beside = count(&|k| is_salient[k] && off(k) > 1);
         let hanging = count(&|k| is_salient[k] && off(k) > 1 && is_free[k]);
         assert!(

@@ -3,7 +3,7 @@ use crate::math::random::Stream;
 use crate::math::{DVec3, cos, sin};
 use crate::register::surface::point::Sample;
 
-/// Markers of a turned lattice with disorder and holes, row by row, and the columns and rows that they have.
+/// Markers of a rotated lattice with disorder and holes, sorted row by row, and their true columns and rows.
 fn markers(random: &mut Stream, sides: [i32; 2], disorder: f64) -> (Vec<Node>, Vec<[i32; 2]>) {
     let angle = core::f64::consts::TAU * random.uniform();
     let (x, y) = (DVec2::new(cos(angle), sin(angle)), DVec2::new(-sin(angle), cos(angle)));
@@ -21,7 +21,7 @@ fn markers(random: &mut Stream, sides: [i32; 2], disorder: f64) -> (Vec<Node>, V
     all.into_iter().unzip()
 }
 
-/// Solved to the last digits by sweeps over the true neighbours, one by one.
+/// Reference solution to the last digits, by sweeps over the true neighbours.
 fn slowly(at: &[[i32; 2]], stiffness: f64, obstacle_mm: &[f64]) -> Vec<f64> {
     let near = |k: usize| {
         let beside = move |j: &usize| (at[*j][0] - at[k][0]).abs() + (at[*j][1] - at[k][1]).abs() == 1;
@@ -60,7 +60,7 @@ fn heights_are_those_of_the_true_neighbours_one_by_one() {
         for (found, truth) in heights_mm.iter().zip(&truth_mm) {
             assert!((found - truth).abs() < 1e-8, "{sides:?} {disorder} {found} {truth}");
         }
-        // How they change with the obstacle.
+        // Derivatives by the obstacle.
         let (h, mut cells) = (1e-5, Vec::new());
         let touches = |k: usize| heights_mm[k] <= obstacle_mm[k];
         let mut changes: Vec<[f64; 2]> =
@@ -90,7 +90,7 @@ fn markers_without_neighbours_stand_on_the_part_alone() {
         index: 0,
     };
     let mut nodes: Vec<Node> = (0..36).map(|k| node(f64::from(k % 6), f64::from(k / 6))).collect();
-    // Where another one is, and far from all.
+    // One almost at another marker, and one far from all.
     nodes.extend([node(5.0, 5.01), node(2.0, 9.0)]);
     let mut lattice = Lattice::default();
     assert!(lattice.find(&nodes, 1.0));

@@ -1,0 +1,46 @@
+//! Names that settings had before, for errors that say the present one.
+
+/// Settings by their former names, and what they are called now.
+const SETTINGS: [(&str, &str); 13] = [
+    ("register.sigma_start_mm", "register.filterreg.max_sigma_mm"),
+    ("register.sigma_floor_mm", "register.filterreg.min_sigma_mm"),
+    ("register.ransac_hypotheses", "register.ransac_icp.hypotheses"),
+    ("register.seed", "register.ransac_icp.seed"),
+    ("register.starts", "register.surface_search.starts"),
+    ("register.budget", "register.surface_search.budget"),
+    ("register.gel_scale", "register.advanced.gel_scale"),
+    ("register.surface_sigma_mm", "register.advanced.surface_sigma_mm"),
+    ("register.outlier_share", "register.advanced.outlier_share"),
+    ("register.max_distance_mm", "register.advanced.max_distance_mm"),
+    ("register.search_radius_mm", "register.advanced.search_radius_mm"),
+    ("register.max_iterations", "register.advanced.max_iterations"),
+    ("register.step_tolerance", "register.advanced.step_tolerance"),
+];
+
+/// Methods that were dropped, by setting, and the one that is better in every respect.
+const METHODS: [(&str, &str, &str); 3] = [
+    ("detect.background", "box", "blocks"),
+    ("label.method", "temporal", "lattice"),
+    ("register.method", "icp_plane", "surface_close"),
+];
+
+/// The present name of a setting that was renamed, for example of `register.budget`.
+#[must_use]
+pub fn renamed_setting(path: &str) -> Option<&'static str> {
+    SETTINGS.iter().find(|(former, _)| *former == path).map(|(_, present)| *present)
+}
+
+/// The method that replaces one that was dropped from a setting.
+#[must_use]
+pub fn replaced_method(path: &str, method: &str) -> Option<&'static str> {
+    METHODS.iter().find(|(setting, former, _)| *setting == path && *former == method).map(|(.., present)| *present)
+}
+
+/// The former name of a setting or method that a parser does not know, by its last part, and what to write now.
+#[must_use]
+pub fn former(name: &str) -> Option<(&'static str, &'static str)> {
+    let last = |path: &&str| path.rsplit('.').next() == Some(name);
+    let settings = SETTINGS.iter().map(|&(former, present)| (former, present));
+    let methods = METHODS.iter().map(|&(_, former, present)| (former, present));
+    settings.chain(methods).find(|(former, _)| last(former))
+}
